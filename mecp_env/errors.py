@@ -1,0 +1,17 @@
+"""Errors a user can cause: each names the field, the value and the bound."""
+
+
+class MecpError(ValueError):
+    """Base of all errors that mecp_env raises for bad input."""
+
+
+class ConfigError(MecpError):
+    """A configuration field is unknown, of the wrong type or out of its bounds."""
+
+
+class ActionError(MecpError):
+    """An action does not lie in the action space; the environment is as it was before."""
+
+
+class LayoutError(MecpError):
+    """A layout or plan file is damaged, out of its limits, or geometrically impossible."""
