@@ -7,12 +7,14 @@ from typing import Any, TypeVar
 
 import numba
 
+from mecp_env.kernel_cache import cache_for
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """`function` compiled on first call; without a writable cache directory it is compiled in every process."""
-    try:
-        return numba.njit(cache=True, nogil=True)(function)  # type: ignore[no-any-return]
-    except RuntimeError:  # no writable cache location
-        return numba.njit(cache=False, nogil=True)(function)  # type: ignore[no-any-return]
+    """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
+    compiled = numba.njit(nogil=True)(function)
+    if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT hands back the function itself
+        compiled._cache = cache_for(function)
+    return compiled  # type: ignore[no-any-return]

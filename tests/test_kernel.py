@@ -1,0 +1,118 @@
+"""The compiled kernels' cache: unwritable, damaged, stale, shared, switched off. Each case runs in its own process."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mecp_env
+
+PACKAGE = Path(mecp_env.__file__).parent
+CALLED = "from mecp_env.kernel import kernel\n\n\n@kernel\ndef called(x: float) -> float:\n    return x + {added}\n"
+CALLER = (
+    "from mecp_env.kernel import kernel\nfrom mecp_env.called import called\n\n\n"
+    "@kernel\ndef caller(x: float) -> float:\n    return 2.0 * called(x)\n"
+)
+COMPILING = "compiling kernels"
+
+
+class Tree:
+    """A small package of two kernels, one calling the other, with the real decorator and a cache of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.package, self.cache = folder / "mecp_env", folder / "cache"
+        self.package.mkdir()
+        for name in ("kernel.py", "kernel_cache.py"):
+            shutil.copy(PACKAGE / name, self.package)
+        (self.package / "__init__.py").touch()
+        (self.package / "caller.py").write_text(CALLER)
+        self.add(1.0)
+
+    def add(self, added: float) -> None:
+        """Let the called kernel add another constant."""
+        (self.package / "called.py").write_text(CALLED.format(added=added))
+
+    def call(self, **environment: str) -> tuple[float, str]:
+        """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
+        code = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"
+        variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
+        variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)} | environment
+        here = self.package.parent
+        done = subprocess.run([sys.executable, "-c", code], env=variables, cwd=here, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        first, second = done.stdout.split()
+        assert first == second
+        return float(first), done.stderr
+
+    def entries(self, suffix: str) -> list[Path]:
+        return sorted(self.cache.rglob(f"*.{suffix}"))
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Tree:
+    return Tree(tmp_path)
+
+
+def test_first_compilation_says_so_in_one_line_and_the_second_process_takes_the_cache(tree: Tree) -> None:
+    value, said = tree.call()
+    assert value == 4.0
+    assert said.count("\n") == 1
+    assert COMPILING in said
+    assert tree.call() == (4.0, "")
+
+
+def test_a_change_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
+    assert tree.call()[0] == 4.0
+    tree.add(2.0)
+    value, said = tree.call()
+    assert value == 6.0
+    assert COMPILING in said
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", ["truncated", "empty", "zeros"])
+def test_a_damaged_entry_is_compiled_again_and_mended(tree: Tree, suffix: str, damage: str) -> None:
+    tree.call()
+    for path in tree.entries(suffix):
+        content = path.read_bytes()
+        third = len(content) // 3
+        zeros = content[:third] + bytes(third) + content[2 * third :]
+        path.write_bytes({"truncated": content[:third], "empty": b"", "zeros": zeros}[damage])
+    assert tree.call()[0] == 4.0
+    assert tree.call() == (4.0, "")
+
+
+def test_an_unwritable_cache_is_said_and_survived(tree: Tree) -> None:
+    value, said = tree.call(NUMBA_CACHE_DIR=os.devnull + "/nowhere")
+    assert value == 4.0
+    assert "nowhere" in said
+    assert COMPILING in said
+
+
+def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree: Tree, tmp_path: Path) -> None:
+    tree.call(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "own"), HOME=str(tmp_path / "own"))
+    found = list((tmp_path / "own").rglob("*.nbc"))
+    assert len(found) == 2
+    assert not list(tree.package.rglob("*.nb?"))
+    if os.name == "posix":
+        assert found[0].parent.stat().st_mode & 0o077 == 0
+
+
+def test_entries_of_long_ago_are_removed_when_something_is_compiled(tree: Tree) -> None:
+    tree.call()
+    old = tree.entries("nbc")
+    for path in old:
+        os.utime(path, (0, 0))
+    tree.add(3.0)
+    tree.call()
+    assert not any(path.exists() for path in old)
+
+
+def test_jit_can_be_switched_off(tree: Tree) -> None:
+    assert tree.call(NUMBA_DISABLE_JIT="1") == (4.0, "")
+    assert not tree.entries("nbi")
