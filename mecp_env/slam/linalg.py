@@ -11,6 +11,8 @@ from mecp_env.kernel import kernel
 
 Array = NDArray[np.float64]
 
+TILE = 16
+
 
 @kernel
 def cholesky(S: Array) -> Array:
@@ -52,3 +54,68 @@ def mahalanobis(nu: Array, S: Array) -> float:
     for i in range(y.shape[0]):
         total += y[i] * y[i]
     return total
+
+
+@kernel
+def factor_lower(S: Array) -> bool:
+    """Replace the lower half of S (n,n) by L with L L^T = S; False (S is then spoilt) when S is not positive."""
+    for j in range(S.shape[0]):
+        for k in range(j):
+            S[j, j] -= S[j, k] * S[j, k]
+        if not 0.0 < S[j, j] < np.inf:
+            return False
+        S[j, j] = math.sqrt(S[j, j])
+        for i in range(j + 1, S.shape[0]):
+            total = S[i, j]
+            for k in range(j):
+                total -= S[i, k] * S[j, k]
+            S[i, j] = total / S[j, j]
+    return True
+
+
+@kernel
+def forward_rows(L: Array, B: Array) -> None:
+    """Replace B (m,n) by X of L X = B for a lower triangular L (m,m); whole rows, so that the inner loop is wide."""
+    for i in range(B.shape[0]):
+        row = B[i]
+        for k in range(i):
+            factor, above = L[i, k], B[k]
+            for j in range(row.shape[0]):
+                row[j] -= factor * above[j]
+        inverse = 1.0 / L[i, i]
+        for j in range(row.shape[0]):
+            row[j] *= inverse
+
+
+@kernel
+def downdate(P: Array, n: int, W: Array) -> None:
+    """P -= W^T W on the leading n x n block of a symmetric P, for W (m,n): lower half first, then mirrored."""
+    m = W.shape[0]
+    for i in range(n):
+        row = P[i, : i + 1]
+        for k in range(0, m - 3, 4):
+            w0, w1, w2, w3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
+            r0, r1, r2, r3 = W[k], W[k + 1], W[k + 2], W[k + 3]
+            for j in range(row.shape[0]):
+                row[j] -= (w0 * r0[j] + w1 * r1[j]) + (w2 * r2[j] + w3 * r3[j])
+        for k in range(m - m % 4, m):
+            w0, r0 = W[k, i], W[k]
+            for j in range(row.shape[0]):
+                row[j] -= w0 * r0[j]
+    mirror_lower(P, n)
+
+
+@kernel
+def mirror_lower(P: Array, n: int) -> None:
+    """Copy the lower half of the leading n x n block of P to the upper half, in tiles that stay in the cache."""
+    for i0 in range(0, n, TILE):
+        for j0 in range(0, i0 + 1, TILE):
+            mirror_tile(P, n, i0, j0)
+
+
+@kernel
+def mirror_tile(P: Array, n: int, i0: int, j0: int) -> None:
+    """P[j,i] = P[i,j] for j < i in the tile that starts at (i0, j0)."""
+    for i in range(i0, min(i0 + TILE, n)):
+        for j in range(j0, min(j0 + TILE, i)):
+            P[j, i] = P[i, j]

@@ -1,0 +1,185 @@
+"""The filter that `riekf` and `ekf` share: state, ids and slots, and the calls of the kernels."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Self
+
+import numpy as np
+
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.data import Array, Belief, Ints, Odometry
+from mecp_env.slam.filters import compatibility, landmarks, motion
+from mecp_env.slam.filters.error_state import propagate_invariant, propagate_plain
+from mecp_env.slam.filters.measurement import joint_innovation
+from mecp_env.slam.filters.protocol import FilterError
+from mecp_env.slam.filters.update import batch_update, fuse_pair
+
+FIRST_CAPACITY = 32  # landmarks; grows by doubling
+FUSE_SIGMA_M = 1e-3
+PINNED_SIGMA = 1e-6  # m and rad
+
+
+class LandmarkFilter:
+    """Pose and point landmarks under one joint Gaussian. Internal order: heading, x, y, l1x, l1y, ...
+
+    All state is plain: numbers and arrays. `mean` (3+2C,) and `cov` (3+2C,3+2C) are preallocated for C landmarks, the
+    leading `size` numbers are in use; `cov` is that of the error `error_state` defines.
+    """
+
+    invariant: bool
+
+    def __init__(self, config: FilterConfig) -> None:
+        self.lateral_var = config.bumper_lateral_sigma_m**2
+        self.heading_var = math.radians(config.bumper_heading_sigma_deg) ** 2
+        self.closure_iterations = config.closure_iterations
+        self.max_landmarks = config.max_landmarks
+        self.count = 0
+        self.dropped = 0
+        self.slot_ids: Ints = np.empty(0, np.int64)
+        self.mean: Array = np.zeros(3)
+        self.cov: Array = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
+        self._reserve(min(FIRST_CAPACITY, self.max_landmarks))
+
+    @property
+    def size(self) -> int:
+        """Numbers in the state: 3 + 2 N."""
+        return 3 + 2 * self.count
+
+    @property
+    def ids(self) -> Ints:
+        """(N,) ids of the landmarks in the order of their birth."""
+        return self.slot_ids[: self.count].copy()
+
+    def has(self, landmark: int) -> bool:
+        """True when the filter holds a landmark with this id."""
+        return bool((self.slot_ids[: self.count] == landmark).any())
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move the pose by the increments of one period; a bumper contact adds lateral and heading variance."""
+        before = self.mean[1:3].copy()
+        slip = 1.0 if odometry.bumper else 0.0
+        lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
+        increments, covs = _array(odometry.increments), _array(odometry.cov)
+        noise = motion.integrate(self.mean, increments, covs, lateral_var, heading_var)
+        if self.invariant:
+            propagate_invariant(self.mean, self.cov, self.size, noise)
+        else:
+            propagate_plain(self.mean, self.cov, self.size, self.mean[1:3] - before, noise)
+
+    def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
+        """Correct by all pairs z[i] - ids[i] at once; z (n,2), R (2n,2n), ids (n,); FilterError: S is not positive."""
+        z, R, ids = _observations(z, R, ids)
+        if len(ids) == 0:
+            return
+        steps = self.closure_iterations if iterate else 1
+        if not batch_update(self.mean, self.cov, self.size, self._slots(ids), z, R, self.invariant, steps):
+            raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
+
+    def augment(self, z: Array, R: Array, ids: Ints) -> None:
+        """Take in new landmarks z (n,2), R (2n,2n), ids (n,), each id once; without room the last ones are dropped."""
+        z, R, ids = _observations(z, R, ids)
+        room = min(len(ids), self.max_landmarks - self.count)
+        self.dropped += len(ids) - room
+        if room == 0:
+            return
+        if len(np.unique(ids)) < len(ids) or np.isin(ids, self.slot_ids[: self.count]).any():
+            raise FilterError(f"augment: ids {ids.tolist()} must be new and differ")
+        self._reserve(self.count + room)
+        landmarks.append(self.mean, self.cov, self.size, z[:room], R, self.invariant)
+        self.slot_ids[self.count : self.count + room] = ids[:room]
+        self.count += room
+
+    def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
+        """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
+        z, R, ids = _observations(z, R, ids)
+        return joint_innovation(self.mean, self.cov, self.size, self._slots(ids), z, R, self.invariant)
+
+    def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
+        """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
+        return compatibility.pairwise_nis(self.mean, self.cov, self._slots(ids), _array(z), _array(R), self.invariant)
+
+    def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
+        """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and landmarks (maths 4.2)."""
+        z, R, ids = _observations(z, R, ids)
+        nis = compatibility.joint_cost(self.mean, self.cov, self._slots(ids), z, R, self.invariant, iterations)
+        return _finite(nis, "joint_nis")
+
+    def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
+        """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (III-B.1, eq. 2-3).
+
+        Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
+        """
+        z, R, ids = _observations(z, R, ids)
+        nis = compatibility.centre_nis(self.mean, self.cov, self._slots(ids), z, R, self.invariant, paper_S)
+        return _finite(nis, "mean_of_gaussians_nis")
+
+    def marginal(self, ids: Ints) -> tuple[Array, Array]:
+        """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
+        return landmarks.world_marginal(self.mean, self.cov, self._slots(ids), self.invariant)
+
+    def fuse(self, keep: int, drop: int) -> None:
+        """Landmarks `keep` and `drop` are one corner: l_keep - l_drop = 0 within 1 mm, then `drop` goes."""
+        kept, gone = self._slots(np.array([keep, drop]))
+        if kept == gone:
+            raise FilterError(f"fuse: {keep} with itself")
+        if not fuse_pair(self.mean, self.cov, self.size, kept, gone, FUSE_SIGMA_M**2, self.invariant):
+            raise FilterError(f"fuse: covariance of {keep} - {drop} is not positive")
+        self.remove(np.array([drop]))
+
+    def remove(self, ids: Ints) -> None:
+        """Forget the landmarks ids (m,)."""
+        kept = np.setdiff1d(np.arange(self.count), self._slots(ids))
+        landmarks.compact(self.mean, self.cov, self.slot_ids, kept)
+        self.count = len(kept)
+
+    def belief(self) -> Belief:
+        """Pose and landmarks with their own covariances, in world coordinates; a copy."""
+        pose, pose_cov = self.marginal(np.empty(0, np.int64))
+        p_map, covs = landmarks.world_blocks(self.mean, self.cov, self.count, self.invariant)
+        return Belief(pose, pose_cov, self.ids, p_map, covs)
+
+    def snapshot(self) -> Self:
+        """A deep copy."""
+        return copy.deepcopy(self)
+
+    def set_pose(self, T_map_robot: Array) -> None:
+        """The pose (3,) x, y, heading is exactly this; landmarks keep mean and world covariance."""
+        var = PINNED_SIGMA**2
+        landmarks.pin_pose(self.mean, self.cov, self.size, _array(T_map_robot), var, self.invariant)
+
+    def _slots(self, ids: Ints) -> Ints:
+        slots = landmarks.find_slots(self.slot_ids, self.count, np.ascontiguousarray(ids, np.int64))
+        if (slots < 0).any():
+            raise FilterError(f"ids {np.asarray(ids)[slots < 0].tolist()} are no landmarks of this filter")
+        return slots
+
+    def _reserve(self, landmark_count: int) -> None:
+        capacity = len(self.slot_ids)
+        if landmark_count <= capacity:
+            return
+        capacity = min(max(landmark_count, 2 * capacity), self.max_landmarks)
+        mean, cov, slot_ids = self.mean, self.cov, self.slot_ids
+        self.mean, self.cov = np.zeros(3 + 2 * capacity), np.zeros((3 + 2 * capacity, 3 + 2 * capacity))
+        self.slot_ids = np.full(capacity, -1)
+        self.mean[: len(mean)], self.cov[: len(mean), : len(mean)] = mean, cov
+        self.slot_ids[: len(slot_ids)] = slot_ids
+
+
+def _array(values: Array) -> Array:
+    return np.ascontiguousarray(values, np.float64)
+
+
+def _observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
+    z, R, ids = _array(z), _array(R), np.ascontiguousarray(ids, np.int64)
+    n = len(ids)
+    if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
+        raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
+    return z, R, ids
+
+
+def _finite(nis: float, name: str) -> float:
+    if math.isnan(nis):
+        raise FilterError(f"{name}: innovation covariance is not positive")
+    return nis

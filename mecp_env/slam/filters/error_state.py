@@ -1,0 +1,176 @@
+"""Everything by which the two filters differ: what "error of the state" means, and what follows from it.
+
+State, inside the filters only: `mean` (n,) = heading, x, y, l1x, l1y, ...; `xi` (n,) is its error in the same order.
+  invariant: x_true = exp(xi) x on SE_{N+1}(2), the right-invariant error (Barrau and Bonnabel, "An EKF-SLAM algorithm
+             with consistency properties", 2015);
+  else:      x_true = x + xi, the plain error of the paper's EKF.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.geometry import wrap_angle
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@kernel
+def left_jacobian(t: float) -> tuple[float, float, float, float]:
+    """a, b of V(t) = [[a, -b], [b, a]], a = sin t / t, b = (1 - cos t) / t, and their derivatives by t."""
+    if abs(t) < 1e-2:
+        u = t * t
+        a = 1.0 - u / 6.0 + u * u / 120.0
+        b = t * (0.5 - u / 24.0 + u * u / 720.0)
+        da = t * (-1.0 / 3.0 + u / 30.0 - u * u / 840.0)
+        db = 0.5 - u / 8.0 + u * u / 144.0
+    else:
+        a = math.sin(t) / t
+        b = 2.0 * math.sin(0.5 * t) ** 2 / t
+        da = (math.cos(t) - a) / t
+        db = (math.sin(t) - b) / t
+    return a, b, da, db
+
+
+@kernel
+def retract(mean: Array, n: int, xi: Array, invariant: bool) -> None:
+    """Replace the leading n numbers of `mean` by the state whose error was xi (n,)."""
+    heading = wrap_angle(mean[0] + xi[0])
+    if invariant:
+        c, s = math.cos(xi[0]), math.sin(xi[0])
+        a, b, _, _ = left_jacobian(xi[0])
+        for i in range(1, n, 2):  # position and landmarks alike
+            x, y = mean[i], mean[i + 1]
+            mean[i] = c * x - s * y + a * xi[i] - b * xi[i + 1]
+            mean[i + 1] = s * x + c * y + b * xi[i] + a * xi[i + 1]
+    else:
+        for i in range(1, n):
+            mean[i] += xi[i]
+    mean[0] = heading
+
+
+@kernel
+def linearise(mean: Array, xi: Array, slots: Ints, invariant: bool, h: Array, A: Array, a_heading: Array) -> None:
+    """Predict range and bearing of the landmarks at `slots` (m,) for the state with error xi, and the Jacobian by xi.
+
+    Writes h (m,2); A (m,2,2): by the landmark (and, negated, by the position); a_heading (m,2): by the heading, zero
+    at xi = 0 for the invariant error, so that the unobservable directions never change.
+    """
+    t = xi[0]
+    heading = mean[0] if invariant else mean[0] + t
+    c, s = math.cos(heading), math.sin(heading)
+    a, b, da, db = left_jacobian(t)
+    for k in range(slots.shape[0]):
+        i = 3 + 2 * slots[k]
+        dx, dy = mean[i] - mean[1], mean[i + 1] - mean[2]
+        ex, ey = xi[i] - xi[1], xi[i + 1] - xi[2]
+        if invariant:  # q = l - p + V(-t) e
+            qx, qy = dx + a * ex + b * ey, dy - b * ex + a * ey
+            tx, ty = da * ex + db * ey, -db * ex + da * ey
+        else:  # q = l - p + e; turning the robot by t turns q by -t
+            qx, qy = dx + ex, dy + ey
+            tx, ty = qy, -qx
+        r2 = qx * qx + qy * qy
+        r = math.sqrt(r2)
+        h[k, 0] = r
+        h[k, 1] = math.atan2(-s * qx + c * qy, c * qx + s * qy)
+        rx, ry = qx / r, qy / r  # derivative of the range by q
+        bx, by = -qy / r2, qx / r2  # derivative of the bearing by q
+        a_heading[k, 0], a_heading[k, 1] = rx * tx + ry * ty, bx * tx + by * ty
+        if invariant:
+            A[k, 0, 0], A[k, 0, 1] = rx * a - ry * b, rx * b + ry * a
+            A[k, 1, 0], A[k, 1, 1] = bx * a - by * b, bx * b + by * a
+        else:
+            A[k, 0, 0], A[k, 0, 1], A[k, 1, 0], A[k, 1, 1] = rx, ry, bx, by
+
+
+@kernel
+def birth_column(mean: Array, x: float, y: float, invariant: bool) -> tuple[float, float]:
+    """Derivative of a new landmark at (x, y) by the heading: J (l - p), or zero for the invariant error."""
+    if invariant:
+        return 0.0, 0.0
+    return mean[2] - y, x - mean[1]
+
+
+@kernel
+def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
+    """P += G N G^T for pose noise N (3,3) (heading, x, y in the world, at the new pose `mean`); F is the identity.
+
+    The error of the map turns with the heading: xi_p = dp - J p dtheta, xi_l = -J l dtheta, so every block gets some.
+    """
+    px, py = mean[1], mean[2]
+    G = np.array([[1.0, 0.0, 0.0], [py, 1.0, 0.0], [-px, 0.0, 1.0]])
+    GN = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            GN[i, j] = G[i, 0] * N[0, j] + G[i, 1] * N[1, j] + G[i, 2] * N[2, j]
+    for i in range(3):
+        for j in range(i + 1):
+            cov[i, j] += GN[i, 0] * G[j, 0] + GN[i, 1] * G[j, 1] + GN[i, 2] * G[j, 2]
+            cov[j, i] = cov[i, j]
+    turn = np.empty(n)
+    for i in range(3, n, 2):
+        turn[i], turn[i + 1] = mean[i + 1], -mean[i]
+    for i in range(3):
+        for j in range(3, n):
+            cov[i, j] += GN[i, 0] * turn[j]
+            cov[j, i] = cov[i, j]
+    add_outer(cov, n, turn, N[0, 0])
+
+
+@kernel
+def add_outer(cov: Array, n: int, v: Array, q: float) -> None:
+    """P += q v v^T on the landmarks' block, the same bits on both sides of the diagonal."""
+    for i in range(3, n):
+        row, v_i = cov[i], v[i]
+        for j in range(3, n):
+            row[j] += q * (v_i * v[j])
+
+
+@kernel
+def propagate_plain(mean: Array, cov: Array, n: int, moved: Array, N: Array) -> None:
+    """P_rr = F P_rr F^T + N, P_rl = F P_rl with F = [[1, 0], [J (p' - p), I]]; `moved` (2,) is p' - p, N (3,3)."""
+    fx, fy = -moved[1], moved[0]
+    for j in range(n):
+        cov[1, j] += fx * cov[0, j]
+        cov[2, j] += fy * cov[0, j]
+    for i in range(3):
+        cov[i, 1] += fx * cov[i, 0]
+        cov[i, 2] += fy * cov[i, 0]
+    for i in range(3):
+        for j in range(i + 1):
+            cov[i, j] += N[i, j]
+            cov[j, i] = cov[i, j]
+        for j in range(3, n):
+            cov[j, i] = cov[i, j]
+
+
+@kernel
+def world_jacobian(mean: Array, n: int, invariant: bool) -> Array:
+    """The heading column of T (n,) in d(heading, p, l_1, ...) = T xi: J p, J l_i under the identity; zero if plain."""
+    column = np.zeros(n)
+    if invariant:
+        for i in range(1, n, 2):
+            column[i], column[i + 1] = -mean[i + 1], mean[i]
+    return column
+
+
+@kernel
+def change_chart(cov: Array, n: int, column: Array) -> None:
+    """P := T P T^T on the leading n x n block, T the identity with `column` (n,) added to the heading's column."""
+    for j in range(n):
+        first = cov[0, j]
+        for i in range(1, n):
+            cov[i, j] += column[i] * first
+    for i in range(n):
+        row, first = cov[i], cov[i, 0]
+        for j in range(1, n):
+            row[j] += column[j] * first
+    for i in range(n):
+        for j in range(i):
+            cov[j, i] = cov[i, j]

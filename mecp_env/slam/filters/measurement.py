@@ -1,0 +1,70 @@
+"""The sparse products of a batch of range and bearing measurements: a row of H has a pose and one landmark."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.filters.error_state import linearise
+from mecp_env.slam.geometry import wrap_angle
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@kernel
+def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Array) -> Array:
+    """nu (2m,) = z - h(xi) + H xi, bearings wrapped: the innovation, referred to xi = 0."""
+    m = slots.shape[0]
+    nu = np.empty(2 * m)
+    for k in range(m):
+        i = 3 + 2 * slots[k]
+        ex, ey = xi[i] - xi[1], xi[i + 1] - xi[2]
+        nu[2 * k] = z[k, 0] - h[k, 0] + A[k, 0, 0] * ex + A[k, 0, 1] * ey + a_heading[k, 0] * xi[0]
+        bearing = wrap_angle(z[k, 1] - h[k, 1])
+        nu[2 * k + 1] = bearing + A[k, 1, 0] * ex + A[k, 1, 1] * ey + a_heading[k, 1] * xi[0]
+    return nu
+
+
+@kernel
+def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Array:
+    """H P (2m,n) from rows of the symmetric P."""
+    m = slots.shape[0]
+    HP = np.empty((2 * m, n))
+    turn, px, py = cov[0], cov[1], cov[2]
+    for k in range(m):
+        lx, ly = cov[3 + 2 * slots[k]], cov[4 + 2 * slots[k]]
+        for r in range(2):
+            row, ax, ay, at = HP[2 * k + r], A[k, r, 0], A[k, r, 1], a_heading[k, r]
+            for j in range(n):
+                row[j] = ax * (lx[j] - px[j]) + ay * (ly[j] - py[j]) + at * turn[j]
+    return HP
+
+
+@kernel
+def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array) -> Array:
+    """S (2m,2m) = H P H^T + R, symmetric to the bit."""
+    m = slots.shape[0]
+    S = np.empty((2 * m, 2 * m))
+    for b in range(m):
+        i = 3 + 2 * slots[b]
+        for s in range(2):
+            ax, ay, at = A[b, s, 0], A[b, s, 1], a_heading[b, s]
+            for a in range(2 * b + s, 2 * m):
+                total = ax * (HP[a, i] - HP[a, 1]) + ay * (HP[a, i + 1] - HP[a, 2]) + at * HP[a, 0]
+                S[a, 2 * b + s] = total + R[a, 2 * b + s]
+                S[2 * b + s, a] = S[a, 2 * b + s]
+    return S
+
+
+@kernel
+def joint_innovation(
+    mean: Array, cov: Array, n: int, slots: Ints, z: Array, R: Array, invariant: bool
+) -> tuple[Array, Array]:
+    """nu (2m,) and S (2m,2m) of z (m,2) against the landmarks at `slots`, with all cross terms."""
+    m = slots.shape[0]
+    h, A, a_heading, xi = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2)), np.zeros(n)
+    linearise(mean, xi, slots, invariant, h, A, a_heading)
+    nu = residual(z, h, A, a_heading, slots, xi)
+    return nu, innovation_cov(project(cov, n, A, a_heading, slots), A, a_heading, slots, R)

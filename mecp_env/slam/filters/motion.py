@@ -1,0 +1,64 @@
+"""Dead reckoning of one control period: the new pose and the noise it picked up (maths: MOTION, u and L)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.geometry import wrap_angle
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def integrate(mean: Array, increments: Array, covs: Array, lateral_var: float, heading_var: float) -> Array:
+    """Move the pose in `mean` along the arcs; returns the noise N (3,3) of (heading, x, y) in the world at the end.
+
+    increments (M,2): distance and turn; covs (M,2,2); lateral_var (m^2) and heading_var (rad^2) are for the whole
+    period (slip at a contact) and spread evenly over the arcs.
+    """
+    M = increments.shape[0]
+    N = np.zeros((3, 3))
+    G = np.zeros((3, 2))
+    G[0, 1] = 1.0
+    for k in range(M):
+        d, turn = increments[k, 0], increments[k, 1]
+        c, s = math.cos(mean[0] + 0.5 * turn), math.sin(mean[0] + 0.5 * turn)
+        carry_noise(N, -d * s, d * c)
+        G[1, 0], G[2, 0] = c, s
+        G[1, 1], G[2, 1] = -0.5 * d * s, 0.5 * d * c
+        add_noise(N, G, covs[k, 0, 0], covs[k, 1, 0], covs[k, 1, 1] + heading_var / M)
+        lateral = lateral_var / M
+        N[1, 1] += s * s * lateral
+        N[2, 1] -= s * c * lateral
+        N[2, 2] += c * c * lateral
+        N[1, 2] = N[2, 1]
+        mean[0] = wrap_angle(mean[0] + turn)
+        mean[1] += d * c
+        mean[2] += d * s
+    return N
+
+
+@kernel
+def carry_noise(N: Array, fx: float, fy: float) -> None:
+    """N := F N F^T with F = [[1, 0, 0], [fx, 1, 0], [fy, 0, 1]], where (fx, fy) = J (p' - p) of the arc."""
+    N[1, 1] += 2.0 * fx * N[1, 0] + fx * fx * N[0, 0]
+    N[2, 2] += 2.0 * fy * N[2, 0] + fy * fy * N[0, 0]
+    N[2, 1] += fx * N[2, 0] + fy * N[1, 0] + fx * fy * N[0, 0]
+    N[1, 0] += fx * N[0, 0]
+    N[2, 0] += fy * N[0, 0]
+    N[0, 1], N[0, 2], N[1, 2] = N[1, 0], N[2, 0], N[2, 1]
+
+
+@kernel
+def add_noise(N: Array, G: Array, q_dd: float, q_dw: float, q_ww: float) -> None:
+    """N += G Q G^T for G (3,2) and Q = [[q_dd, q_dw], [q_dw, q_ww]]."""
+    for i in range(3):
+        gq_d = G[i, 0] * q_dd + G[i, 1] * q_dw
+        gq_w = G[i, 0] * q_dw + G[i, 1] * q_ww
+        for j in range(i + 1):
+            N[i, j] += gq_d * G[j, 0] + gq_w * G[j, 1]
+            N[j, i] = N[i, j]

@@ -1,0 +1,68 @@
+"""What every filter offers: world coordinates outside, whatever suits it inside; stable ids, slots its own business."""
+
+from __future__ import annotations
+
+from typing import Protocol, Self
+
+from mecp_env.errors import MecpError
+from mecp_env.slam.data import Array, Belief, Ints, Odometry
+
+
+class FilterError(MecpError):
+    """An id the filter does not know, a wrong shape, or a covariance that is no longer positive."""
+
+
+class Filter(Protocol):
+    """A landmark filter: pose (x, y, heading) and points, measured by range and bearing.
+
+    z (n,2) m, rad is measured in the robot frame with the joint covariance R (2n,2n), order r0, b0, r1, b1, ...
+    `FilterError` is raised, and nothing repaired, when an innovation covariance is not positive.
+    """
+
+    dropped: int  # how many landmarks were not taken in because the filter was full
+
+    @property
+    def ids(self) -> Ints:
+        """(N,) ids of the landmarks in the order of their birth."""
+
+    def has(self, landmark: int) -> bool:
+        """True when the filter holds a landmark with this id."""
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move the pose by the increments of one period."""
+
+    def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
+        """Correct by a whole scan at once; `iterate` relinearises until it settles (loop closures)."""
+
+    def augment(self, z: Array, R: Array, ids: Ints) -> None:
+        """Take in new landmarks under ids never used before; those that find no room are counted in `dropped`."""
+
+    def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
+        """nu (2n,) and S (2n,2n) of the pairing z[i] - ids[i], all cross terms included."""
+
+    def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
+        """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
+
+    def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
+        """Least joint cost of the pairing over pose and landmarks (2n degrees of freedom); 1 iteration: linear."""
+
+    def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
+        """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (eq. 2, 3)."""
+
+    def marginal(self, ids: Ints) -> tuple[Array, Array]:
+        """Mean (3+2m,) x, y, heading, landmarks and its covariance, in world coordinates."""
+
+    def fuse(self, keep: int, drop: int) -> None:
+        """Make two landmarks one: `drop` is told to lie where `keep` lies, then removed."""
+
+    def remove(self, ids: Ints) -> None:
+        """Forget landmarks."""
+
+    def belief(self) -> Belief:
+        """Pose and landmarks with their own covariances, in world coordinates; a copy."""
+
+    def snapshot(self) -> Self:
+        """A deep copy."""
+
+    def set_pose(self, T_map_robot: Array) -> None:
+        """The pose is exactly this (estimator "truth"); the landmarks keep their covariance."""

@@ -1,0 +1,96 @@
+"""The batch update of a whole scan, one-shot or iterated (maths: UPDATE, ITERATED), and the fusion of two landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.filters.error_state import linearise, retract
+from mecp_env.slam.filters.measurement import innovation_cov, project, residual
+from mecp_env.slam.linalg import downdate, factor_lower, forward_rows, solve_lower
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CONVERGED = 1e-7  # m and rad: an iterated update stops when no number of the state moves by more
+
+
+@kernel
+def batch_update(
+    mean: Array, cov: Array, n: int, slots: Ints, z: Array, R: Array, invariant: bool, iterations: int
+) -> bool:
+    """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
+
+    Returns False, and leaves the state alone, when S is not positive.
+    """
+    m = slots.shape[0]
+    h, A, a_heading, xi = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2)), np.zeros(n)
+    W = np.empty((0, n))
+    for _ in range(iterations):
+        linearise(mean, xi, slots, invariant, h, A, a_heading)
+        nu = residual(z, h, A, a_heading, slots, xi)
+        W = project(cov, n, A, a_heading, slots)
+        S = innovation_cov(W, A, a_heading, slots, R)
+        if not factor_lower(S):
+            return False
+        forward_rows(S, W)  # W = L^-1 H P
+        step = combine(W, solve_lower(S, nu), xi)  # xi = P H^T S^-1 nu
+        if not step < np.inf:
+            return False
+        if step < CONVERGED:
+            break
+    return commit(mean, cov, n, W, xi, invariant)
+
+
+@kernel
+def combine(W: Array, y: Array, xi: Array) -> float:
+    """Replace xi (n,) by W^T y; returns the largest change of a number (inf when one is not finite)."""
+    new = np.zeros(xi.shape[0])
+    for k in range(W.shape[0]):
+        row, factor = W[k], y[k]
+        for j in range(new.shape[0]):
+            new[j] += factor * row[j]
+    step = 0.0
+    for j in range(new.shape[0]):
+        change = abs(new[j] - xi[j])
+        if not change < np.inf:
+            return np.inf
+        step = max(step, change)
+        xi[j] = new[j]
+    return step
+
+
+@kernel
+def commit(mean: Array, cov: Array, n: int, W: Array, xi: Array, invariant: bool) -> bool:
+    """x <- x retracted by xi, P -= W^T W; False when a variance is then not positive (the state is spoilt)."""
+    downdate(cov, n, W)
+    retract(mean, n, xi, invariant)
+    positive = True
+    for i in range(n):
+        positive = positive and cov[i, i] > 0.0
+    return positive
+
+
+@kernel
+def fuse_pair(mean: Array, cov: Array, n: int, keep: int, drop: int, var: float, invariant: bool) -> bool:
+    """Update with the pseudo-measurement l_keep - l_drop = 0 (variance `var`, m^2); False when not positive.
+
+    Differences of landmarks have the same Jacobian in both filters.
+    """
+    i, j = 3 + 2 * keep, 3 + 2 * drop
+    W, S, nu = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
+    for r in range(2):
+        nu[r] = mean[j + r] - mean[i + r]
+        for c in range(n):
+            W[r, c] = cov[i + r, c] - cov[j + r, c]
+    for r in range(2):
+        for c in range(2):
+            S[r, c] = W[r, i + c] - W[r, j + c]
+        S[r, r] += var
+    if not factor_lower(S):
+        return False
+    forward_rows(S, W)
+    xi = np.zeros(n)
+    combine(W, solve_lower(S, nu), xi)
+    return commit(mean, cov, n, W, xi, invariant)
