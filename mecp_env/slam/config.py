@@ -28,6 +28,8 @@ class ClusteringConfig(Settings):
     grazing_deg: float = Field(85.0, gt=45.0, lt=90.0)  # paper: 85
     noise_sigmas: float = Field(3.0, ge=0.0, le=10.0)  # paper: none
     fixed_m: float = Field(0.3, gt=0.0, le=5.0)
+    wall_beams: int = Field(5, ge=3, le=100)  # fewer hits, or
+    wall_extent_m: float = Field(0.25, gt=0.0, le=5.0)  # a smaller extent: something small, no wall
 
 
 class SegmentConfig(Settings):
@@ -35,11 +37,20 @@ class SegmentConfig(Settings):
 
     min_beams: int = Field(5, ge=3, le=100)
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
+    split_sigmas: float = Field(3.0, gt=0.0, le=20.0)  # Ramer-Douglas-Peucker; the paper gives no tolerance
+    merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; paper: none
+    max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
+    trim_beams: int = Field(2, ge=0, le=10)  # left out of the fit at each end, where the segment is long enough
 
 
 class CornerConfig(Settings):
     """III-A.1, crossings and free ends; door jambs (III: fixed unique width for doors)."""
 
+    min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between the lines of a crossing
+    end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a free end the next beams are farther by this, and
+    end_jump_sigmas: float = Field(4.0, ge=0.0, le=20.0)  # this many sigmas of the range
+    max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
+    floor_share: float = Field(0.1, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
     door_width_m: tuple[float, float] = (0.75, 1.05)
     door_range_m: float = Field(3.0, gt=0.0, le=30.0)
     door_incidence_deg: float = Field(30.0, gt=0.0, lt=90.0)
@@ -55,6 +66,7 @@ class PolygonConfig(Settings):
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     open_depth_m: float = Field(0.2, gt=0.0, le=2.0)
     open_width_m: float = Field(0.4, gt=0.0, le=5.0)
+    gap_width_m: tuple[float, float] = (0.65, 1.2)  # door width and what beams a third of a degree apart make of it
 
 
 class TrackConfig(Settings):
@@ -63,6 +75,10 @@ class TrackConfig(Settings):
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
     window_periods: int = Field(10, ge=1, le=1000)
+    gate_m: float = Field(0.1, ge=0.0, le=5.0)
+    gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
+    signature_deg: float = Field(40.0, gt=0.0, le=180.0)
+    fuse_m: float = Field(0.15, ge=0.0, le=2.0)  # two landmarks of one signature nearer than this may be one corner
 
 
 class AssociationConfig(Settings):
@@ -75,6 +91,12 @@ class AssociationConfig(Settings):
     gate_probability: float = Field(0.999, gt=0.5, lt=1.0)
     signature_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)
+    ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
+    rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which the second choice must be worse; paper: none
+    sharp_sigma_m: float = Field(0.15, gt=0.0, le=10.0)  # above: several first pairings are tried
+    sharp_sigma_deg: float = Field(3.0, gt=0.0, le=180.0)
+    most_seeds: int = Field(8, ge=1, le=64)
+    most_pairs: int = Field(48, ge=4, le=256)
 
 
 class FilterConfig(Settings):
@@ -98,14 +120,19 @@ class RoomConfig(Settings):
     wall_thickness_m: tuple[float, float] = (0.05, 0.4)
     hysteresis_m: float = Field(0.3, ge=0.0, le=2.0)
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)
+    recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two recognitions this far apart merge rooms
+    recognise_corners: int = Field(3, ge=1, le=100)
 
 
 class GridConfig(Settings):
     """The semantic grid."""
 
     resolution_m: float = Field(0.1, ge=0.02, le=1.0)
-    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)
+    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a key scan where no other of the room lies as near
     paint_range_m: float = Field(8.0, gt=0.0, le=100.0)
+    occupied_ratio: float = Field(0.34, gt=0.0, le=1.0)  # a cell is a wall when this share of the votes says so
+    anchors: int = Field(4, ge=2, le=16)  # landmarks that carry a key scan along when the map moves
+    doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # nearer to a door a scan says nothing about rooms
 
 
 class SlamConfig(Settings):

@@ -161,6 +161,11 @@ class Corners:
         blocks = self.cov.reshape(n, 2, n, 2)
         return blocks[np.arange(n), :, np.arange(n), :]
 
+    def measurements(self, index: Ints) -> tuple[Array, Array]:
+        """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""
+        flat = np.stack((2 * index, 2 * index + 1), axis=1).ravel()
+        return np.ascontiguousarray(self.z[index]), np.ascontiguousarray(self.cov[np.ix_(flat, flat)])
+
     def __len__(self) -> int:
         return len(self.z)
 
@@ -267,6 +272,22 @@ class RoomGraph:
         while room in self.merged:
             room = self.merged[room]
         return room
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapView:
+    """What an associator may look at: the map as it stands before the corners of this scan are known."""
+
+    period: int
+    belief: Belief  # predicted to this period
+    features: FeatureTable
+    polygons: list[KnownPolygon]
+    graph: RoomGraph
+    through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
+
+    def landmarks_only(self, polygon: KnownPolygon) -> bool:
+        """True when every vertex of `polygon` is a landmark, so that it can be matched."""
+        return bool((self.features.state[polygon.ids] == FeatureState.LANDMARK).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

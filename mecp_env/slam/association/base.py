@@ -1,0 +1,92 @@
+"""What all associators share: the interface, gates, the corner signature, one-to-one pairing (III-B)."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.data import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.filters import Filter
+from mecp_env.slam.geometry import wrap_angle
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Associator(Protocol):
+    """Decides for each corner of a scan which landmark it is, if any."""
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """One decision a corner; nothing is written to the map or the filter."""
+
+
+def chi2_gate(dof: int, probability: float) -> float:
+    """The value that a chi-square variable of `dof` degrees of freedom stays under with `probability`."""
+    return float(chdtri(dof, 1.0 - probability))
+
+
+@kernel
+def signature_compatible(
+    heading: float, convex: Bools, normals: Array, known_convex: Bools, known_normals: Array, tolerance: float
+) -> Bools:
+    """(n,N) True where corner i and landmark j can be one: both outer or both inner, and no face turned away.
+
+    `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame; at least one face must be seen in both.
+    """
+    n, m = convex.shape[0], known_convex.shape[0]
+    compatible = np.zeros((n, m), np.bool_)
+    for i in range(n):
+        for j in range(m):
+            shared, opposed = 0, 0
+            for side in range(2):
+                difference = wrap_angle(normals[i, side] + heading - known_normals[j, side])
+                if not math.isnan(difference):
+                    shared += 1
+                    opposed += abs(difference) > tolerance
+            compatible[i, j] = convex[i] == known_convex[j] and shared > 0 and opposed == 0
+    return compatible
+
+
+@kernel
+def one_to_one(cost: Array, gate: float) -> Ints:
+    """(n,) column paired with each row, or -1: smallest cost (n,N) first, each column once, none above `gate`."""
+    n, m = cost.shape
+    paired = np.full(n, -1)
+    taken = np.zeros(m, np.bool_)
+    for _ in range(min(n, m)):
+        best, row, column = gate, -1, -1
+        for i in range(n):
+            for j in range(m):
+                if paired[i] < 0 and not taken[j] and cost[i, j] < best:
+                    best, row, column = cost[i, j], i, j
+        if row < 0:
+            break
+        paired[row] = column
+        taken[column] = True
+    return paired
+
+
+def rows_of(landmarks: Ints, wanted: Ints) -> Ints:
+    """Row in `landmarks` (N,) of each id in `wanted` (any shape), all of which are in it."""
+    row = np.full(int(landmarks.max()) + 1, -1, np.int64)
+    row[landmarks] = np.arange(len(landmarks))
+    return row[wanted]
+
+
+def undecided(n: int) -> Match:
+    """A match in which each of n corners is still NEW and nothing was recognised; to be filled in by its maker."""
+    return Match(
+        ids=np.full(n, NO_ID, np.int64),
+        decision=np.full(n, int(Decision.NEW), np.int64),
+        reason=np.full(n, int(Reason.UNSEEN), np.int64),
+        nis=np.full(n, np.nan),
+        polygon=-1,
+        known=-1,
+        closure=False,
+    )

@@ -1,0 +1,172 @@
+"""Doors: a gap of door width between two collinear jambs, one pair of jambs a wall face (III)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.data import (
+    UNKNOWN_ROOM,
+    Belief,
+    Candidate,
+    CornerKind,
+    Corners,
+    Door,
+    FeatureState,
+    FeatureTable,
+    Match,
+)
+from mecp_env.slam.geometry import polar_to_points, to_map
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
+
+
+@dataclass(slots=True, eq=False)
+class DoorBook:
+    """Doors, candidates, and how often each pair of jambs was seen."""
+
+    doors: list[Door] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
+    sightings: dict[tuple[int, int], int] = field(default_factory=dict)
+    next_id: int = 0
+
+
+@kernel
+def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float) -> Ints:
+    """(n,) row of the door through which each point of `p_map` (n,2) is seen from `p_robot` (2,), or -1.
+
+    `doors` (D,5): middle x, y, unit normal x, y, half width. A point counts when the line of sight crosses the gap and
+    ends more than `margin` behind the middle of the wall.
+    """
+    row = np.full(p_map.shape[0], -1)
+    for d in range(doors.shape[0]):
+        mx, my, nx, ny, half = doors[d]
+        s0 = (p_robot[0] - mx) * nx + (p_robot[1] - my) * ny
+        side = 1.0 if s0 >= 0.0 else -1.0
+        t0 = (p_robot[0] - mx) * ny - (p_robot[1] - my) * nx
+        for i in range(p_map.shape[0]):
+            s1 = (p_map[i, 0] - mx) * nx + (p_map[i, 1] - my) * ny
+            if s1 * side >= -margin:
+                continue
+            t1 = (p_map[i, 0] - mx) * ny - (p_map[i, 1] - my) * nx
+            t = t0 + (t1 - t0) * s0 / (s0 - s1)
+            if abs(t) < half:
+                row[i] = d
+    return row
+
+
+def door_frames(doors: list[Door], belief: Belief) -> Array:
+    """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief."""
+    frames = np.empty((len(doors), 5))
+    if doors:
+        ends = _door_ends(doors, belief)
+        across = ends[:, 1] - ends[:, 0]
+        width = np.hypot(across[:, 0], across[:, 1])
+        frames[:, :2] = ends.mean(axis=1)
+        frames[:, 2] = -across[:, 1] / width
+        frames[:, 3] = across[:, 0] / width
+        frames[:, 4] = width / 2.0
+    return frames
+
+
+def _door_ends(doors: list[Door], belief: Belief) -> Array:
+    """(D,2,2) m, map: right and left end of each gap, in the middle of the wall where both faces are known."""
+    row = {landmark: i for i, landmark in enumerate(belief.ids.tolist())}
+    first = np.array([[row[j] for j in door.jambs] for door in doors])
+    second = np.array([[row[j] for j in door.other_face or door.jambs] for door in doors])
+    return (belief.p_map[first] + belief.p_map[second]) / 2.0
+
+
+def record_doorways(
+    book: DoorBook,
+    corners: Corners,
+    match: Match,
+    features: FeatureTable,
+    belief: Belief,
+    room: int,
+    through: Ints,
+    period: int,
+    config: RoomConfig,
+) -> None:
+    """Count the doorways of this scan that belong to this room; confirm doors, keep the rest as candidates; in place."""
+    p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
+    for g, pair in enumerate(corners.doorways.jambs):
+        if (through[pair] >= 0).any() or (corners.beyond[pair] >= 0).any():
+            continue
+        ids = (int(match.ids[pair[0]]), int(match.ids[pair[1]]))
+        if min(ids) >= 0 and corners.doorways.confirmable[g]:
+            book.sightings[ids] = book.sightings.get(ids, 0) + 1
+            _confirm(book, ids, features, belief, room, config)
+        _note_candidate(book, p_map[pair], belief, room, period)
+
+
+def _confirm(
+    book: DoorBook, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
+) -> None:
+    """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
+    landmarks = all(features.state[i] == int(FeatureState.LANDMARK) for i in ids)
+    if book.sightings[ids] < config.confirm_sightings or not landmarks:
+        return
+    features.kind[list(ids)] = int(CornerKind.JAMB)
+    new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
+    frame = door_frames([new], belief)[0]
+    for d, (door, other) in enumerate(zip(book.doors, door_frames(book.doors, belief), strict=True)):
+        joined = _joined(door, other, new, frame, room, config)
+        if joined is not None:
+            book.doors[d] = joined
+            return
+    book.doors.append(new)
+    book.next_id += 1
+
+
+def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomConfig) -> Door | None:
+    """The known door with this sighting added, when the new pair of jambs is one of its faces; None otherwise."""
+    if set(new.jambs) in (set(door.jambs), set(door.other_face or ())):
+        return replace(door, sightings=door.sightings + 1)
+    offset = new_frame[:2] - frame[:2]
+    alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
+    apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
+    sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
+    if abs(alike) < 0.9 or sideways > SAME_GAP_M or apart > config.wall_thickness_m[1]:
+        return None
+    if alike > 0.0 or door.other_face is not None:
+        return replace(door, sightings=door.sightings + 1)
+    beyond = room if door.rooms[1] == UNKNOWN_ROOM and room != door.rooms[0] else door.rooms[1]
+    return replace(door, other_face=(new.jambs[1], new.jambs[0]), rooms=(door.rooms[0], beyond))
+
+
+def _note_candidate(book: DoorBook, ends: Array, belief: Belief, room: int, period: int) -> None:
+    """Remember a gap until it is a door; one gap is one candidate."""
+    middle = ends.mean(axis=0)
+    doors = door_frames(book.doors, belief)
+    if len(doors) and np.hypot(*(doors[:, :2] - middle).T).min() < SAME_GAP_M:
+        book.candidates = [c for c in book.candidates if np.hypot(*(c.ends.mean(axis=0) - middle)) >= SAME_GAP_M]
+        return
+    for i, known in enumerate(book.candidates):
+        if np.hypot(*(known.ends.mean(axis=0) - middle)) < SAME_GAP_M:
+            book.candidates[i] = Candidate(ends, known.room, known.sightings + 1, period)
+            return
+    book.candidates.append(Candidate(ends, room, 1, period))
+
+
+def rename_jambs(book: DoorBook, keep: int, drop: int) -> None:
+    """Two ids are one corner: doors that named `drop` now name `keep`."""
+
+    def renamed(pair: tuple[int, int]) -> tuple[int, int]:
+        return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
+
+    book.doors = [
+        replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
+        for d in book.doors
+    ]
+    merged: dict[tuple[int, int], int] = {}
+    for pair, count in book.sightings.items():
+        merged[renamed(pair)] = merged.get(renamed(pair), 0) + count
+    book.sightings = merged

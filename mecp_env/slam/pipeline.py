@@ -1,0 +1,219 @@
+"""The estimator, in the paper's order: extract features, find polygons, associate, filter, map (III)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.association import Associator, KnownAssociator, make_associator
+from mecp_env.slam.clustering import cluster_beams
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.corners import extract_corners
+from mecp_env.slam.data import (
+    Belief,
+    Corners,
+    Decision,
+    FeatureState,
+    FeatureTable,
+    KnownPolygon,
+    MapView,
+    Match,
+    Odometry,
+    Polygon,
+    Scan,
+    StepReport,
+)
+from mecp_env.slam.doors import rename_jambs
+from mecp_env.slam.duplicates import find_duplicate
+from mecp_env.slam.filters import Filter, FilterError, make_filter
+from mecp_env.slam.geometry import inside_polygon
+from mecp_env.slam.grid import GridPainter
+from mecp_env.slam.polygon import find_polygons
+from mecp_env.slam.polygon_store import prune, remember_polygons, rename
+from mecp_env.slam.rooms import RoomKeeper
+from mecp_env.slam.segments import extract_segments
+from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.slam.tracks import forget, mark_seen, record_sightings, with_closure
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Identities = Callable[[Corners], Ints]
+
+
+@dataclass(slots=True, eq=False)
+class SlamPipeline:
+    """EKF-SLAM with MECP data association over odometry and laser scans.
+
+    The map frame is the robot's pose when `start` is called. `step` takes one control period.
+    """
+
+    config: SlamConfig
+    filter: Filter = field(init=False)
+    associator: Associator = field(init=False)
+    features: FeatureTable = field(init=False)
+    polygons: list[KnownPolygon] = field(init=False)
+    rooms: RoomKeeper = field(init=False)
+    grid: GridPainter = field(init=False)
+    period: int = field(init=False, default=0)
+    diverged: bool = field(init=False, default=False)
+
+    def __post_init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: an empty map, the robot at its origin."""
+        self.filter = make_filter(self.config.filter)
+        self.associator = make_associator(self.config.association)
+        self.features = FeatureTable()
+        self.polygons = []
+        self.rooms = RoomKeeper(self.config.rooms)
+        self.grid = GridPainter(self.config.grid)
+        self.period = 0
+        self.diverged = False
+
+    def start(self, scan: Scan, *, identities: Identities | None = None) -> StepReport:
+        """The report of a scan taken at rest: the first ones belong to the start pose, before any motion."""
+        self.period += 1
+        return self._observe(scan, identities)
+
+    def step(
+        self,
+        odometry: Odometry,
+        scan: Scan,
+        *,
+        identities: Identities | None = None,
+        T_map_robot: Array | None = None,
+    ) -> StepReport:
+        """The report of one control period: the motion, then the scan at its end.
+
+        `identities` (true corner of each corner) serves `method="known"` alone; `T_map_robot`, the true pose, replaces
+        the estimate where an upper bound is wanted.
+        """
+        self.period += 1
+        self.filter.predict(odometry)
+        if T_map_robot is not None:
+            self.filter.set_pose(T_map_robot)
+        return self._observe(scan, identities)
+
+    def visible_landmarks(self, p_map: Array) -> Ints:
+        """Ids of the landmarks that can be seen from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
+        belief = self.filter.belief()
+        row = {landmark: i for i, landmark in enumerate(belief.ids.tolist())}
+        visible: set[int] = set()
+        for polygon in self.polygons:
+            ids = polygon.ids.tolist()
+            if all(i in row for i in ids):
+                ring = np.ascontiguousarray(belief.p_map[[row[i] for i in ids]])
+                visible.update(ids if inside_polygon(float(p_map[0]), float(p_map[1]), ring) else ())
+        return np.array(sorted(visible), np.int64)
+
+    def _observe(self, scan: Scan, identities: Identities | None) -> StepReport:
+        config = self.config
+        beams = merge_sweeps(scan, config.sensor)  # III-A.1, dense scan
+        clusters = cluster_beams(beams, config.clustering, config.sensor)  # III-A.1
+        segments = extract_segments(beams, clusters, config.segments, config.sensor)
+        corners = extract_corners(beams, segments, config.corners, config.sensor)
+        predicted = self.filter.belief()
+        corners, through = self.rooms.mark_beyond(corners, predicted)
+        polygons = find_polygons(corners, beams, config.polygon)  # III-A.2
+        self._tell_identities(corners, identities)
+        match = self._associate(corners, polygons, predicted, through)  # III-B
+        match = self._correct(corners, match)
+        match = self._grow_map(corners, polygons, match, through)
+        belief = self.filter.belief()
+        graph = self.rooms.graph()
+        matched = match.ids[match.decision == int(Decision.LANDMARK)]
+        grid = self.grid.paint(belief, beams, segments, matched, self.polygons, graph)
+        return StepReport(
+            self.period,
+            beams,
+            segments,
+            corners,
+            polygons,
+            match,
+            belief,
+            graph,
+            tuple(self.polygons),
+            grid,
+            self.diverged,
+        )
+
+    def _tell_identities(self, corners: Corners, identities: Identities | None) -> None:
+        if isinstance(self.associator, KnownAssociator):
+            self.associator.identities = np.full(len(corners), -1) if identities is None else identities(corners)
+
+    def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
+        view = MapView(self.period, predicted, self.features, self.polygons, self.rooms.graph(), through)
+        return self.associator.associate(corners, polygons, view, self.filter)
+
+    def _correct(self, corners: Corners, match: Match) -> Match:
+        """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""
+        index = np.flatnonzero(match.decision == int(Decision.LANDMARK))
+        if not len(index):
+            return match
+        match = with_closure(match, self._is_closure(match.ids[index]))
+        z, R = corners.measurements(index)
+        try:
+            self.filter.update(z, R, match.ids[index], iterate=match.closure)
+        except FilterError:
+            self.diverged = True
+        variance = self.filter.belief().pose_cov.diagonal()
+        self.diverged |= not max(variance[0], variance[1]) < self.config.filter.diverged_sigma_m**2
+        return match
+
+    def _is_closure(self, ids: Ints) -> bool:
+        """True when no landmark of some room among `ids` was updated for `closure_gap_periods`."""
+        landmarks = self.features.state == int(FeatureState.LANDMARK)
+        oldest = self.period - self.config.filter.closure_gap_periods
+        for room in np.unique(self.features.room[ids]):
+            updated = self.features.last_period[landmarks & (self.features.room == room)]
+            if updated.max() < oldest:
+                return True
+        return False
+
+    def _grow_map(self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints) -> Match:
+        """Tracks, landmarks, polygons, doors and rooms after this scan."""
+        forget(self.features, self.period, self.config.tracks)
+        belief = self.filter.belief()
+        room = self.rooms.current
+        match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
+        self._remember_births(match)
+        self._adopt(corners, match, ripe)
+        mark_seen(self.features, match.ids[match.ids >= 0], self.period)
+        belief = self.filter.belief()
+        self.rooms.update(corners, match, through, self.features, belief, self.period)
+        graph = self.rooms.graph()
+        remember_polygons(self.polygons, polygons, corners, match, self.features, graph, self.period)
+        prune(self.polygons, self.features, graph, self.config.association.polygons_per_room)
+        self._fuse(match, belief)
+        return match
+
+    def _remember_births(self, match: Match) -> None:
+        if isinstance(self.associator, KnownAssociator):
+            for i in np.flatnonzero(match.decision == int(Decision.NEW)):
+                self.associator.born(int(i), int(match.ids[i]))
+
+    def _adopt(self, corners: Corners, match: Match, ripe: Ints) -> None:
+        """Tracks seen often enough become landmarks, from this sighting alone: earlier ones were not kept."""
+        room_left = self.config.filter.max_landmarks - len(self.filter.ids)
+        ripe = ripe[:room_left]
+        if len(ripe):
+            z, R = corners.measurements(ripe)
+            self.filter.augment(z, R, match.ids[ripe])
+            self.features.state[match.ids[ripe]] = int(FeatureState.LANDMARK)
+
+    def _fuse(self, match: Match, belief: Belief) -> None:
+        pair = find_duplicate(self.features, belief, match, self.config.tracks)
+        if pair is None or self.config.association.method == "known":
+            return
+        keep, drop = pair
+        self.filter.fuse(keep, drop)
+        self.features.state[drop] = int(FeatureState.DEAD)
+        self.features.seen[keep] += self.features.seen[drop]
+        self.features.last_period[keep] = self.period
+        match.ids[match.ids == drop] = keep
+        rename(self.polygons, keep, drop)
+        rename_jambs(self.rooms.book, keep, drop)

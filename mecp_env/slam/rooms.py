@@ -1,0 +1,159 @@
+"""Rooms: which one the robot is in, what lies behind each door, and when two of them are one (III, III-B, Fig. 6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.data import (
+    UNKNOWN_ROOM,
+    Belief,
+    CornerKind,
+    Corners,
+    Decision,
+    Door,
+    FeatureTable,
+    Match,
+    RoomGraph,
+)
+from mecp_env.slam.doors import DoorBook, beyond_doors, door_frames, record_doorways
+from mecp_env.slam.geometry import polar_to_points, to_map
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
+
+
+@dataclass(slots=True, eq=False)
+class RoomKeeper:
+    """The room graph as it grows."""
+
+    config: RoomConfig
+    book: DoorBook = field(default_factory=DoorBook)
+    current: int = 0
+    in_doorway: bool = False
+    rooms: list[int] = field(default_factory=lambda: [0])
+    merged: dict[int, int] = field(default_factory=dict)
+    next_room: int = 1
+    newest: int = UNKNOWN_ROOM  # the room opened by the last crossing, while the robot has not left it
+    elsewhere: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
+
+    def graph(self) -> RoomGraph:
+        """The room graph as of now."""
+        return RoomGraph(
+            self.current,
+            self.in_doorway,
+            tuple(self.rooms),
+            tuple(self.book.doors),
+            tuple(self.book.candidates),
+            dict(self.merged),
+        )
+
+    def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
+        """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
+        if not self.book.doors or not len(corners):
+            return corners, np.full(len(corners), -1, np.int64)
+        p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
+        row = beyond_doors(belief.T_map_robot[:2], p_map, door_frames(self.book.doors, belief), BEHIND_WALL_M)
+        ids = np.array([door.id for door in self.book.doors] + [-1], np.int64)
+        return replace(corners, sites=corners.sites & (row < 0)), ids[row]
+
+    def update(
+        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief, period: int
+    ) -> list[tuple[int, int]]:
+        """Record this scan's doorways, follow the robot through doors; returns rooms merged now as (old, into)."""
+        if not self.in_doorway:
+            room = self.current
+            record_doorways(self.book, corners, match, features, belief, room, through, period, self.config)
+        self._follow(belief)
+        return self._recognise(corners, match, through, features, belief)
+
+    def _follow(self, belief: Belief) -> None:
+        """Change the room when the path crosses a door or a candidate, with hysteresis."""
+        frames = door_frames(self.book.doors, belief)
+        p_map = belief.T_map_robot[:2]
+        self.in_doorway = False
+        for d, frame in enumerate(frames):
+            ahead, aside = _door_coordinates(p_map, frame)
+            if abs(aside) > frame[4] + self.config.hysteresis_m or abs(ahead) > 1.0:
+                continue
+            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < frame[4]
+            door = self.book.doors[d]
+            if self.current == door.rooms[0] and ahead < -self.config.hysteresis_m:
+                self._enter(d, door.rooms[1])
+            elif self.current == door.rooms[1] and ahead > self.config.hysteresis_m:
+                self._enter(d, door.rooms[0])
+
+    def _enter(self, d: int, room: int) -> None:
+        self.elsewhere.clear()
+        self.newest = UNKNOWN_ROOM
+        if room == UNKNOWN_ROOM:
+            room = self._open()
+            door = self.book.doors[d]
+            self.book.doors[d] = replace(door, rooms=(door.rooms[0], room))
+        self.current = room
+
+    def _open(self) -> int:
+        room = self.next_room
+        self.rooms.append(room)
+        self.next_room += 1
+        self.newest = room
+        return room
+
+    def _recognise(
+        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief
+    ) -> list[tuple[int, int]]:
+        """When what is seen belongs to another room, from two places: merge the new room into it, or go there."""
+        other = self._majority(corners, match, through, features)
+        if other == self.current or other == UNKNOWN_ROOM or self.in_doorway:
+            return []
+        x, y = belief.T_map_robot[:2]
+        seen_before = [e for e in self.elsewhere if e[0] == other]
+        if not any(np.hypot(e[1] - x, e[2] - y) >= self.config.recognise_m for e in seen_before):
+            self.elsewhere.append((other, float(x), float(y)))
+            return []
+        self.elsewhere.clear()
+        return self._become(other)
+
+    def _majority(self, corners: Corners, match: Match, through: Ints, features: FeatureTable) -> int:
+        """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
+        mine = (match.decision == int(Decision.LANDMARK)) & (through < 0) & (corners.beyond < 0)
+        ids = match.ids[mine]
+        ids = ids[features.kind[ids] != int(CornerKind.JAMB)]
+        rooms = [self.resolve(int(room)) for room in features.room[ids]]
+        if len(rooms) < self.config.recognise_corners:
+            return UNKNOWN_ROOM
+        likeliest = max(sorted(set(rooms)), key=rooms.count)
+        return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
+
+    def _become(self, other: int) -> list[tuple[int, int]]:
+        old, self.current = self.current, other
+        if old != self.newest:
+            return []
+        self.newest = UNKNOWN_ROOM
+        self.merged[old] = other
+        self.rooms.remove(old)
+        self.book.doors = [self._with_rooms_resolved(door) for door in self.book.doors]
+        # a door that leads from a room to itself is none: the gap lies inside the room
+        self.book.doors = [door for door in self.book.doors if door.rooms[0] != door.rooms[1]]
+        return [(old, other)]
+
+    def _with_rooms_resolved(self, door: Door) -> Door:
+        first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)
+        return replace(door, rooms=(first, second))
+
+    def resolve(self, room: int) -> int:
+        """The room that `room` stands for after all merges."""
+        while room in self.merged:
+            room = self.merged[room]
+        return room
+
+
+def _door_coordinates(p_map: Array, frame: Array) -> tuple[float, float]:
+    """Distance of a point in front of the door (towards its first room) and aside of its middle, in metres."""
+    dx, dy = p_map[0] - frame[0], p_map[1] - frame[1]
+    return float(dx * frame[2] + dy * frame[3]), float(dx * frame[3] - dy * frame[2])

@@ -1,0 +1,84 @@
+"""Greedy joint compatibility against plain linear algebra and exhaustive search."""
+
+import itertools
+
+import numpy as np
+
+from mecp_env.slam.association.base import chi2_gate, one_to_one, rows_of, signature_compatible
+from mecp_env.slam.association.joint import best_growth, grow
+
+
+def common_error_case(rng, wrong):
+    """Four pairings that share a large common error; `wrong` of them have an error of their own as well."""
+    count = 4
+    common = rng.normal(0.0, 1.0, 2)
+    nu = np.tile(common, count) + rng.normal(0.0, 0.01, 2 * count)
+    for p in wrong:
+        nu[2 * p : 2 * p + 2] += (0.5, -0.5)
+    S = np.kron(np.ones((count, count)), np.eye(2)) + 1e-4 * np.eye(2 * count)
+    return nu, S
+
+
+def test_chi2_gates_are_those_of_the_tables():
+    assert np.allclose([chi2_gate(2, 0.99), chi2_gate(4, 0.95), chi2_gate(12, 0.999)], [9.21, 9.49, 32.91], atol=0.005)
+
+
+def test_common_error_is_taken_out_and_the_odd_one_left():
+    rng = np.random.default_rng(0)
+    nu, S = common_error_case(rng, wrong=(2,))
+    corner = landmark = np.arange(4)
+    nis, ambiguous = best_growth(nu, S, corner, landmark, np.array([-1, 0, 1, 2, 3]), 13.8, 6.0)
+    assert np.isnan(nis).tolist() == [False, False, True, False]
+    assert not ambiguous.any()
+
+
+def test_accepted_nis_add_up_to_the_joint_nis():
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(8, 8))
+    S = A @ A.T + np.eye(8)
+    nu = 0.5 * rng.normal(size=8)
+    nis, _ = grow(nu, S, np.arange(4), np.arange(4), np.empty(0, np.int64), 1e9, 0.0)
+    assert np.isclose(nis.sum(), nu @ np.linalg.solve(S, nu))
+
+
+def test_a_corner_with_two_equal_choices_is_ambiguous_and_paired_with_neither():
+    nu = np.array([0.1, 0.0, 0.1, 0.0])
+    S = np.eye(4)
+    nis, ambiguous = grow(nu, S, np.array([0, 0]), np.array([0, 1]), np.empty(0, np.int64), 13.8, 6.0)
+    assert np.isnan(nis).all()
+    assert ambiguous.any()
+
+
+def test_no_corner_and_no_landmark_is_used_twice():
+    rng = np.random.default_rng(2)
+    corner, landmark = np.array(list(itertools.product(range(4), range(5)))).T
+    corner, landmark = np.ascontiguousarray(corner), np.ascontiguousarray(landmark)
+    A = rng.normal(size=(40, 40))
+    nis, _ = grow(rng.normal(size=40), A @ A.T + np.eye(40), corner, landmark, np.empty(0, np.int64), 13.8, 0.0)
+    kept = ~np.isnan(nis)
+    assert len(set(corner[kept])) == kept.sum() == len(set(landmark[kept]))
+
+
+def test_one_to_one_takes_the_smallest_first():
+    cost = np.array([[1.0, 2.0], [0.5, 9.0], [20.0, 20.0]])
+    assert one_to_one(cost, 13.8).tolist() == [1, 0, -1]
+
+
+def test_signature_tells_the_two_faces_of_a_wall_apart():
+    heading = 0.3
+    north, south, east = np.pi / 2, -np.pi / 2, 0.0
+    known = np.array([[north, east], [south, east], [np.nan, north]])
+    seen = np.array([[north - heading, east - heading], [np.nan, south - heading]])
+    convex = np.array([False, False])
+    compatible = signature_compatible(heading, convex, seen, np.zeros(3, np.bool_), known, np.deg2rad(40))
+    assert compatible.tolist() == [[True, False, False], [False, False, False]]
+
+
+def test_signature_wraps_at_pi():
+    seen, known = np.array([[np.pi - 0.01, np.nan]]), np.array([[-np.pi + 0.01, 0.0]])
+    assert signature_compatible(0.0, np.array([True]), seen, np.array([True]), known, 0.1).all()
+
+
+def test_rows_of_finds_ids_in_any_order():
+    landmarks = np.array([7, 2, 9])
+    assert rows_of(landmarks, np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]

@@ -1,0 +1,212 @@
+"""Door and room logic on scripted walks."""
+
+import numpy as np
+
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, Match
+from mecp_env.slam.doors import DoorBook, beyond_doors, door_frames, record_doorways, rename_jambs
+from mecp_env.slam.rooms import RoomKeeper
+
+# a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
+LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, left is -x
+UPPER = {2: (-0.45, 0.06), 3: (0.45, 0.06)}  # seen from above: right is -x
+OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (2.0, 3.0), 9: (2.0, 0.06)}
+
+
+def belief_at(x, y, heading=0.0):
+    points = {**LOWER, **UPPER, **OTHERS}
+    p_map = np.array([points[i] for i in sorted(points)])
+    return Belief(
+        np.array([x, y, heading]), np.eye(3) * 1e-6, np.arange(10), p_map, np.tile(np.eye(2) * 1e-6, (10, 1, 1))
+    )
+
+
+def features():
+    n = 10
+    table = FeatureTable()
+    table.state = np.ones(n, np.int64)
+    table.room = np.zeros(n, np.int64)
+    table.kind = np.zeros(n, np.int64)
+    table.convex = np.ones(n, np.bool_)
+    table.normals = np.zeros((n, 2))
+    table.seen = np.ones(n, np.int64)
+    table.last_period = np.zeros(n, np.int64)
+    table.p_map = np.zeros((n, 2))
+    return table
+
+
+def sighting(belief, ids, pairs=(), confirmable=True):
+    """Corners and match of a scan that sees the landmarks `ids`, `pairs` of them (positions in ids) as doorways."""
+    offset = belief.p_map[list(ids)] - belief.T_map_robot[:2]
+    z = np.stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0]) - belief.T_map_robot[2]), axis=1)
+    n = len(ids)
+    doorways = Doorways(
+        np.array(pairs, np.int64).reshape(-1, 2), np.full(len(pairs), 0.9), np.full(len(pairs), confirmable)
+    )
+    corners = Corners(
+        z,
+        np.eye(2 * n) * 1e-6,
+        np.zeros(n, np.int64),
+        np.ones(n, np.bool_),
+        np.zeros((n, 2)),
+        np.full(n, -1, np.int64),
+        np.ones(n, np.bool_),
+        doorways,
+    )
+    match = Match(
+        np.array(ids, np.int64),
+        np.full(n, int(Decision.LANDMARK), np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(n),
+        -1,
+        -1,
+        False,
+    )
+    return corners, match
+
+
+def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, period=0):
+    corners, match = sighting(belief, ids, pairs, confirmable)
+    corners, through = keeper.mark_beyond(corners, belief)
+    return keeper.update(corners, match, through, table or features(), belief, period)
+
+
+def keeper_with_door():
+    keeper = RoomKeeper(RoomConfig())
+    for _ in range(3):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    return keeper
+
+
+def walk(keeper, ys, x=0.0):
+    rooms = []
+    for y in ys:
+        look(keeper, belief_at(x, y), ())
+        rooms.append(keeper.current)
+    return rooms
+
+
+def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
+    keeper = RoomKeeper(RoomConfig())
+    for expected in (0, 0, 1):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+        assert len(keeper.book.doors) == expected
+        assert len(keeper.book.candidates) == 1 - expected
+    assert keeper.book.doors[0].rooms == (0, -1)
+
+
+def test_a_gap_seen_from_afar_stays_a_candidate():
+    keeper = RoomKeeper(RoomConfig())
+    for _ in range(10):
+        look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    assert not keeper.book.doors
+    assert len(keeper.book.candidates) == 1
+
+
+def test_crossing_the_door_opens_a_room_and_coming_back_is_the_old_one():
+    keeper = keeper_with_door()
+    assert walk(keeper, (-0.5, -0.1, 0.2, 0.5)) == [0, 0, 0, 1]
+    assert walk(keeper, (0.2, -0.1, -0.5)) == [1, 1, 0]
+    assert keeper.graph().rooms == (0, 1)
+
+
+def test_oscillation_on_the_threshold_changes_nothing():
+    keeper = keeper_with_door()
+    assert set(walk(keeper, (-0.2, 0.2) * 10)) == {0}
+    assert keeper.in_doorway
+
+
+def test_the_same_door_from_both_sides_is_one_door():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5, 1.5))
+    for _ in range(4):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert len(keeper.book.doors) == 1
+    assert keeper.book.doors[0].other_face == (3, 2)
+    assert keeper.book.doors[0].rooms == (0, 1)
+    assert np.allclose(door_frames(keeper.book.doors, belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
+
+
+def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new_room():
+    keeper = keeper_with_door()
+    keeper.current, keeper.rooms = 7, [0, 7]  # the robot came round the ring into the room above
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [7, 7, 0]
+    assert keeper.graph().rooms == (0, 7)
+
+
+def test_passing_the_wall_beside_the_door_is_no_crossing():
+    keeper = keeper_with_door()
+    assert set(walk(keeper, (-0.5, 0.0, 0.5), x=2.0)) == {0}
+
+
+def test_what_is_seen_through_a_door_is_marked_and_no_site():
+    keeper = keeper_with_door()
+    belief = belief_at(0.0, -1.5)
+    corners, _ = sighting(belief, (0, 2, 7, 8, 4))
+    marked, through = keeper.mark_beyond(corners, belief)
+    door = keeper.book.doors[0].id
+    assert through.tolist() == [-1, -1, -1, -1, -1]  # 7 and 8 lie behind the wall, not behind the gap
+    far = belief_at(0.0, -0.5)
+    marked, through = keeper.mark_beyond(sighting(far, (0, 7, 8, 4))[0], far)
+    assert through.tolist() == [-1, door, door, -1]
+    assert marked.sites.tolist() == [True, False, False, True]
+
+
+def test_beyond_doors_against_shapely():
+    from shapely.geometry import LineString
+
+    rng = np.random.default_rng(3)
+    door = np.array([[0.3, -0.2, np.cos(0.4), np.sin(0.4), 0.45]])
+    along = np.array([-np.sin(0.4), np.cos(0.4)])
+    gap = LineString([door[0, :2] - 0.45 * along, door[0, :2] + 0.45 * along])
+    for _ in range(500):
+        robot, point = rng.uniform(-3, 3, 2), rng.uniform(-3, 3, 2)
+        crosses = LineString([robot, point]).crosses(gap)
+        assert (beyond_doors(robot, point[None], door, 0.0)[0] == 0) == crosses
+
+
+def test_a_new_room_recognised_twice_from_two_places_is_merged():
+    keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2)
+    ids = (4, 5, 6)
+    assert look(keeper, belief_at(0.0, -2.0), ids) == []
+    assert look(keeper, belief_at(0.1, -2.0), ids) == []  # too near to the first place
+    assert look(keeper, belief_at(0.8, -2.0), ids) == [(1, 0)]
+    assert keeper.current == 0
+    assert keeper.graph().rooms == (0,)
+    assert keeper.graph().resolve(1) == 0
+
+
+def test_a_gap_inside_one_room_is_no_door_after_the_merge():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9))  # all of room 0 in the feature table
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9))
+    assert keeper.current == 0
+    assert keeper.graph().doors == ()
+
+
+def test_an_old_room_recognised_is_entered_not_merged():
+    keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
+    look(keeper, belief_at(0.0, -2.0), (4, 5, 6))
+    assert look(keeper, belief_at(0.8, -2.0), (4, 5, 6)) == []
+    assert keeper.current == 0
+    assert keeper.graph().rooms == (0, 1)
+
+
+def test_fused_jambs_keep_the_door():
+    book = DoorBook([Door(0, (0, 1), None, (0, -1), 3)], [], {(0, 1): 3, (9, 1): 1}, 1)
+    rename_jambs(book, 9, 0)
+    assert book.doors[0].jambs == (9, 1)
+    assert book.sightings == {(9, 1): 4}
+
+
+def test_a_candidate_goes_when_its_door_is_confirmed():
+    book = DoorBook()
+    belief = belief_at(0.0, -1.5)
+    corners, match = sighting(belief, (0, 1), ((0, 1),))
+    for period in range(4):
+        record_doorways(book, corners, match, features(), belief, 0, np.full(2, -1), period, RoomConfig())
+    assert len(book.doors) == 1
+    assert not book.candidates
