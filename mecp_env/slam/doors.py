@@ -95,7 +95,7 @@ def record_doorways(
     period: int,
     config: RoomConfig,
 ) -> None:
-    """Count the doorways of this scan that belong to this room; confirm doors, keep the rest as candidates; in place."""
+    """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
     p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
     for g, pair in enumerate(corners.doorways.jambs):
         if (through[pair] >= 0).any() or (corners.beyond[pair] >= 0).any():

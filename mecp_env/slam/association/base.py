@@ -37,7 +37,7 @@ def signature_compatible(
 ) -> Bools:
     """(n,N) True where corner i and landmark j can be one: both outer or both inner, and no face turned away.
 
-    `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame; at least one face must be seen in both.
+    `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame; one face at least is seen in both.
     """
     n, m = convex.shape[0], known_convex.shape[0]
     compatible = np.zeros((n, m), np.bool_)

@@ -66,7 +66,7 @@ class MecpAssociator:
         return _decided(match, corner, ids, nis, ambiguous, ring)
 
     def _first_pairs(self, costs: Array, corner: Ints, row: Ints, view: MapView) -> Ints:
-        """Which pairing to start from: the free choice alone while the pose is sharp, each of the likeliest otherwise."""
+        """Which pairing to start from: a free choice while the pose is sharp, each of the likeliest otherwise."""
         variance = view.belief.pose_cov.diagonal()
         sharp = max(variance[0], variance[1]) < self.config.sharp_sigma_m**2
         if sharp and variance[2] < np.deg2rad(self.config.sharp_sigma_deg) ** 2:

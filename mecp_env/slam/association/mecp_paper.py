@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(slots=True, eq=False)
 class MecpPaperAssociator:
-    """Polygon centres by the paper's own covariance (eq. 3), two vertices by NIS, the rest implicitly; then the room."""
+    """Polygon centres by the paper's covariance (eq. 3), two vertices by NIS, the rest implicitly; then the room."""
 
     config: AssociationConfig
 

@@ -101,7 +101,7 @@ def _match_ring(
 
 
 def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[int, Ints, Ints, float] | None:
-    """The best hypothesis cut down to the vertices on which all serious rivals agree; None when under three are left."""
+    """The best hypothesis, cut down to the vertices on which all serious rivals agree; None under three of them."""
     if not hypotheses:
         return None
     nis, known, ids = min(hypotheses, key=lambda h: (h[0], h[1]))
