@@ -1,0 +1,127 @@
+"""What a layout must be as geometry: simple rooms, doors in walls between their rooms, free starts, rooms in reach."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.outline import Outline, build_outline, obstacle_shape, wall_lines
+from mecp_env.world.schema import Door, Layout, Pillar
+
+ROBOT_RADIUS_M = 0.22  # rooms must be in reach of the paper's robot
+ON_LINE_M = 0.01
+SQUARE_DEG = 1.0
+OVERLAP_M2 = 0.01
+
+
+def check_geometry(layout: Layout) -> Layout:
+    """`layout` itself. Raises LayoutError with the field, the value and the bound of what is impossible."""
+    _check_rooms(layout)
+    _check_obstacles(layout)
+    _check_doors(layout)
+    outline = build_outline(layout)
+    _check_starts(layout, outline)
+    _check_reach(layout, outline)
+    return layout
+
+
+def _check_rooms(layout: Layout) -> None:
+    names = [room.name for room in layout.rooms]
+    shapes = [Polygon(room.polygon) for room in layout.rooms]
+    for i, shape in enumerate(shapes):
+        if names.index(names[i]) != i:
+            raise LayoutError(f"rooms.{i}.name: {names[i]!r} is the name of rooms.{names.index(names[i])} too")
+        _require_simple(shape, f"rooms.{i}.polygon")
+    for i, j in shapely.STRtree(shapes).query(shapes, predicate="overlaps").T.tolist():
+        shared = shapes[i].intersection(shapes[j]).area
+        if shared > OVERLAP_M2:
+            raise LayoutError(f"rooms.{i}.polygon: shares {shared:.2f} m2 with rooms.{j}, at most {OVERLAP_M2} m2")
+
+
+def _check_obstacles(layout: Layout) -> None:
+    for i, obstacle in enumerate(layout.obstacles):
+        if not isinstance(obstacle, Pillar):
+            _require_simple(obstacle_shape(obstacle), f"obstacles.{i}.points")
+
+
+def _require_simple(shape: Polygon, field: str) -> None:
+    if not shape.is_valid:
+        raise LayoutError(f"{field}: not a simple polygon ({shapely.is_valid_reason(shape)})")
+
+
+def _check_doors(layout: Layout) -> None:
+    lines, thickness = wall_lines(layout)
+    tree = shapely.STRtree(lines)
+    for i, door in enumerate(layout.doors):
+        _check_door_rooms(layout, door, i)
+        nearest = int(tree.nearest(Point(door.centre)))
+        _check_door_wall(door, lines[nearest], i)
+        _check_door_sides(layout, door, thickness[nearest], i)
+
+
+def _check_door_rooms(layout: Layout, door: Door, index: int) -> None:
+    for side, name in enumerate(door.rooms):
+        if layout.room_index(name) < 0:
+            raise LayoutError(f"doors.{index}.rooms.{side}: no room is called {name!r}")
+
+
+def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
+    """The door lies with its whole width in one straight wall, and is square to it."""
+    off = wall.distance(Point(door.centre))
+    if off > ON_LINE_M:
+        raise LayoutError(f"doors.{index}.centre: {door.centre} is {off:.3f} m from the nearest wall line, at most {ON_LINE_M}")
+    (x0, y0), (x1, y1) = wall.coords
+    square = math.degrees(math.atan2(y1 - y0, x1 - x0)) + 90.0 - door.direction_deg
+    if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
+        raise LayoutError(f"doors.{index}.direction_deg: {door.direction_deg:g} is not square to its wall within {SQUARE_DEG}")
+    room = min(math.dist(door.centre, end) for end in wall.coords)
+    if room < door.width_m / 2.0:
+        raise LayoutError(f"doors.{index}.width_m: {door.width_m:g} leaves its wall, which has {room:.3f} m beside the centre")
+
+
+def _check_door_sides(layout: Layout, door: Door, thickness: float, index: int) -> None:
+    """A step before the door lies in the first room, a step behind it in the second."""
+    step = thickness / 2.0 + 0.05
+    heading = math.radians(door.direction_deg)
+    for side, sign in enumerate((-1.0, 1.0)):
+        point = Point(door.centre[0] + sign * step * math.cos(heading), door.centre[1] + sign * step * math.sin(heading))
+        room = layout.rooms[layout.room_index(door.rooms[side])]
+        if not Polygon(room.polygon).contains(point):
+            where = f"({point.x:.2f}, {point.y:.2f})"
+            raise LayoutError(f"doors.{index}.centre: the door at {door.centre} has {where} on its side {side}, outside {room.name!r}")
+
+
+def _check_starts(layout: Layout, outline: Outline) -> None:
+    for i, start in enumerate(layout.starts):
+        point = Point(start.point)
+        if not outline.free_area.contains(point):
+            raise LayoutError(f"starts.{i}.point: {start.point} lies inside a wall or cut off from starts.0")
+        clearance = outline.free_area.boundary.distance(point)
+        if clearance < ROBOT_RADIUS_M:
+            raise LayoutError(f"starts.{i}.point: {start.point} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M} m")
+
+
+def _check_reach(layout: Layout, outline: Outline) -> None:
+    """Every room, every door and every start can be reached by the robot's centre from the first start."""
+    reach = _reachable(outline)
+    for i, room in enumerate(outline.rooms):
+        if reach.intersection(room).is_empty:
+            raise LayoutError(f"rooms.{i}: {layout.rooms[i].name!r} is out of reach for a robot of radius {ROBOT_RADIUS_M} m")
+    for i, centre in enumerate(outline.doors.centre):
+        if not reach.intersects(Point(centre)):
+            raise LayoutError(f"doors.{i}: too narrow or blocked for a robot of radius {ROBOT_RADIUS_M} m")
+    for i, start in enumerate(layout.starts):
+        if reach.distance(Point(start.point)) > ON_LINE_M:
+            raise LayoutError(f"starts.{i}.point: {start.point} cannot be reached from starts.0")
+
+
+def _reachable(outline: Outline) -> BaseGeometry:
+    """Where the robot's centre can go from the first start."""
+    parts = shapely.get_parts(outline.free_area.buffer(-ROBOT_RADIUS_M))
+    start = Point(outline.starts[0, :2])
+    return parts[int(np.argmin(shapely.distance(parts, start)))]

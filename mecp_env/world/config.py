@@ -1,0 +1,78 @@
+"""Configuration of the true world: the robot, its laser and its odometry."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from mecp_env.settings import Settings
+
+RANGE_SIGMA_M = {"paper": 0.05, "lms200": 0.01, "ideal": 0.0}  # IV: sigma_r of the paper's SICK laser is 0.05 m
+BEARING_SIGMA_DEG = {"paper": 0.3, "lms200": 0.0, "ideal": 0.0}  # IV: sigma_theta = 0.3 deg, on every beam
+
+
+class RobotConfig(Settings):
+    """A circular differential-drive robot; the defaults are those of the paper's Pioneer P3-DX."""
+
+    radius_m: float = Field(0.22, ge=0.05, le=2.0)
+    max_speed_m_s: float = Field(0.75, gt=0.0, le=5.0)
+    max_turn_rad_s: float = Field(1.75, gt=0.0, le=10.0)
+    max_acceleration_m_s2: float = Field(1.0, gt=0.0, le=100.0)
+    max_turn_acceleration_rad_s2: float = Field(5.0, gt=0.0, le=1000.0)
+    period_s: float = Field(0.4, gt=0.0, le=5.0)
+    arcs: int = Field(4, ge=1, le=64)  # odometry readings in a period
+    substeps: int = Field(5, ge=1, le=200)  # physics steps in an arc
+
+    @property
+    def substep_s(self) -> float:
+        return self.period_s / (self.arcs * self.substeps)
+
+    @model_validator(mode="after")
+    def _cannot_tunnel(self) -> Self:
+        """Within a substep the robot moves less than a tenth of its radius, so that no wall is jumped."""
+        stride = self.max_speed_m_s * self.substep_s
+        if stride > 0.1 * self.radius_m:
+            raise ValueError(f"a substep of {self.substep_s:g} s moves the robot {stride:g} m, at most a tenth of radius_m")
+        return self
+
+
+class LaserConfig(Settings):
+    """A laser scanner with full field of view that takes a burst of sweeps at the end of a period (IV, III-A.1)."""
+
+    preset: Literal["paper", "lms200", "ideal"] = "paper"
+    sweeps: int = Field(4, ge=1, le=8)
+    beams: int = Field(720, ge=8, le=7200)  # paper: 720, a beam every 0.5 deg
+    max_range_m: float = Field(30.0, gt=0.0, le=1000.0)
+
+    @property
+    def range_sigma_m(self) -> float:
+        return RANGE_SIGMA_M[self.preset]
+
+    @property
+    def bearing_sigma_deg(self) -> float:
+        return BEARING_SIGMA_DEG[self.preset]
+
+    @property
+    def bearing_sigma_rad(self) -> float:
+        return math.radians(self.bearing_sigma_deg)
+
+
+class OdometryConfig(Settings):
+    """Noise of the measured body motion: the paper's sigma_rR and sigma_thetaR (IV) in one of three readings.
+
+    `per_metre`: sigmas per square root of a metre of path; a turn of 90 deg counts as `turn_m` of path.
+    `per_step`: sigmas of every control period in which the robot moves.
+    `linear`: sigmas grow in proportion to the period's path (distance) and turn (heading).
+    """
+
+    reading: Literal["per_metre", "per_step", "linear"] = "per_metre"
+    distance_sigma_m: float = Field(0.1, ge=0.0, le=1.0)  # per sqrt(m), per period, or per metre
+    turn_sigma_deg: float = Field(1.5, ge=0.0, le=30.0)  # per sqrt(m), per period, or per 90 deg and per metre
+    turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path that a turn of 90 deg stands for
+    scale: float = Field(1.0, ge=0.0, le=10.0)  # of all sigmas: 0 is perfect odometry
+
+    @property
+    def turn_sigma_rad(self) -> float:
+        return math.radians(self.turn_sigma_deg)

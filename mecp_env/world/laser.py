@@ -1,0 +1,198 @@
+"""The laser: a true pose -> a noisy burst of sweeps, by rays cast against the faces of the outline (IV)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.errors import MecpError
+from mecp_env.kernel import kernel
+from mecp_env.slam.data import Scan
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.outline import Outline
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Noise = NDArray[np.float32]
+
+CUT_SIGMAS = 4.0  # noise is cut there: a face is looked at by its own beams and those within so many sigmas beside it
+SEEN_M = 1e-3  # a point is seen when nothing lies more than this in front of it
+MIN_RANGE_M = 1e-3
+
+
+class Laser:
+    """A laser in the world of `outline`: K sweeps of B beams with interleaved bearings, all at one pose.
+
+    Beam i of sweep k has the nominal bearing -pi + (i K + k + 1) 2 pi / (K B): the bearings of each sweep ascend in
+    (-pi, pi], and `bearings.T.ravel()` is the whole burst in order.
+    """
+
+    def __init__(self, outline: Outline, config: LaserConfig) -> None:
+        self.config = config
+        self._segments = np.ascontiguousarray(outline.segments)
+        rays = config.sweeps * config.beams
+        self._spacing = 2.0 * math.pi / rays
+        ring = -math.pi + self._spacing * np.arange(1, rays + 1)
+        ring[-1] = math.pi
+        self._table = np.stack([np.cos(ring), np.sin(ring)])
+        self._bearings = np.ascontiguousarray(ring.reshape(config.beams, config.sweeps).T)
+        self._bearings.flags.writeable = False  # shared by all scans
+
+    def scan(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
+        """A burst taken at the true pose (3,); the noise comes from `rng`."""
+        config = self.config
+        noise = self._draw(rng)
+        directions = _turn_rays(self._table, noise[0], config.bearing_sigma_rad)
+        margin = CUT_SIGMAS * config.bearing_sigma_rad
+        inverse = _cast(self._segments, T_world_robot, directions, self._spacing, margin)
+        ranges, hit = _measure(inverse, noise[1], config.range_sigma_m, config.max_range_m, config.sweeps)
+        return Scan(ranges, self._bearings, hit, config.max_range_m)
+
+    def visible(self, p_world: Array, T_world_robot: Array) -> Bools:
+        """Which points (n,2) have a free line of sight to the robot at (3,): noise and range play no part."""
+        points = np.ascontiguousarray(p_world, dtype=np.float64).reshape(-1, 2)
+        return line_of_sight(self._segments, float(T_world_robot[0]), float(T_world_robot[1]), points)
+
+    def _draw(self, rng: np.random.Generator) -> Noise:
+        """Standard normals (2,N) of bearings and ranges in the order of the burst; nothing is drawn without noise."""
+        rays = self._table.shape[1]
+        if self.config.range_sigma_m == 0.0 and self.config.bearing_sigma_rad == 0.0:
+            return np.zeros((2, rays), dtype=np.float32)
+        if self.config.bearing_sigma_rad == 0.0:
+            return np.stack([np.zeros(rays, dtype=np.float32), rng.standard_normal(rays, dtype=np.float32)])
+        return rng.standard_normal((2, rays), dtype=np.float32)
+
+
+def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
+    """Exact ranges (B,) m from a pose (3,) to the faces (S,2,2) that it sees from their left; inf where there is none.
+
+    Beam i has the bearing -pi + (i + 1) 2 pi / B in the robot's frame. Raises MecpError for wrong shapes, numbers that
+    are not finite, and fewer than three beams.
+    """
+    faces = np.ascontiguousarray(segments, dtype=np.float64)
+    pose = np.ascontiguousarray(T_world_robot, dtype=np.float64)
+    if faces.ndim != 3 or faces.shape[1:] != (2, 2) or not np.isfinite(faces).all():
+        raise MecpError(f"segments: expected finite numbers of shape (S, 2, 2), given shape {faces.shape}")
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise MecpError(f"T_world_robot: expected three finite numbers, given {pose}")
+    if beams < 3:
+        raise MecpError(f"beams: {beams}, at least 3")
+    spacing = 2.0 * math.pi / beams
+    bearings = -math.pi + spacing * np.arange(1, beams + 1)
+    inverse = _cast(faces, pose, np.stack([np.cos(bearings), np.sin(bearings)]), spacing, 0.0)
+    with np.errstate(divide="ignore"):
+        ranges: Array = 1.0 / inverse
+    return ranges
+
+
+@kernel
+def _turn_rays(table: Array, noise: Noise, sigma: float) -> Array:
+    """Directions (2,N) of the rays: the nominal ones (2,N) turned by sigma * noise (N,), which is cut at 4 sigma."""
+    if sigma == 0.0:
+        return table
+    directions = np.empty_like(table)
+    for i in range(table.shape[1]):
+        e = sigma * min(max(float(noise[i]), -CUT_SIGMAS), CUT_SIGMAS)
+        q = e * e
+        c = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+        s = e * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0)))
+        directions[0, i] = c * table[0, i] - s * table[1, i]
+        directions[1, i] = s * table[0, i] + c * table[1, i]
+    return directions
+
+
+@kernel
+def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: float, margin: float) -> Array:
+    """Inverse range (N,) along each ray, 0 where no face is met.
+
+    Ray i is nominally at the bearing -pi + (i + 1) spacing and may be off by `margin`. A face is looked at only by the
+    rays between its ends, widened by the margin; faces seen from behind are left out. On the face from a to b the
+    inverse range along d is linear in d, (u x d) / (a x b) with u = b - a negated, so the nearest face is a maximum.
+    """
+    c, s = math.cos(T_world_robot[2]), math.sin(T_world_robot[2])
+    inverse = np.zeros(directions.shape[1])
+    face = np.empty(6)
+    slack = margin + 1e-9
+    for k in range(segments.shape[0]):
+        x, y = segments[k, 0, 0] - T_world_robot[0], segments[k, 0, 1] - T_world_robot[1]
+        face[0], face[1] = c * x + s * y, c * y - s * x
+        x, y = segments[k, 1, 0] - T_world_robot[0], segments[k, 1, 1] - T_world_robot[1]
+        face[2], face[3] = c * x + s * y, c * y - s * x
+        area = face[0] * face[3] - face[1] * face[2]
+        if area < 1e-12:
+            continue
+        face[4], face[5] = (face[3] - face[1]) / area, (face[0] - face[2]) / area
+        start = math.atan2(face[1], face[0]) + math.pi
+        end = start + math.atan2(area, face[0] * face[2] + face[1] * face[3])
+        outer = math.ceil((start - slack) / spacing) - 1
+        inner = math.ceil((start + slack) / spacing) - 1
+        last_inner = math.floor((end - slack) / spacing) - 1
+        last_outer = math.floor((end + slack) / spacing) - 1
+        if last_inner < inner:
+            _meet_end(inverse, directions, face, outer, last_outer)
+        else:
+            _meet_end(inverse, directions, face, outer, inner - 1)
+            _meet(inverse, directions, face, inner, last_inner)
+            _meet_end(inverse, directions, face, last_inner + 1, last_outer)
+    return inverse
+
+
+@kernel
+def _meet(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
+    """Let the rays first..last (counted on around the ring), which surely meet the face, see it."""
+    n = inverse.shape[0]
+    begin = first % n
+    stop = begin + min(last - first + 1, n)
+    for i in range(begin, min(stop, n)):
+        inverse[i] = max(inverse[i], face[4] * directions[0, i] + face[5] * directions[1, i])
+    for i in range(stop - n):
+        inverse[i] = max(inverse[i], face[4] * directions[0, i] + face[5] * directions[1, i])
+
+
+@kernel
+def _meet_end(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
+    """Let those of the rays first..last (counted on around the ring) that pass between the face's ends see it."""
+    n = inverse.shape[0]
+    for count in range(first, min(last, first + n - 1) + 1):
+        i = count % n
+        dx, dy = directions[0, i], directions[1, i]
+        if face[0] * dy - face[1] * dx >= 0.0 and dx * face[3] - dy * face[2] >= 0.0:
+            inverse[i] = max(inverse[i], face[4] * dx + face[5] * dy)
+
+
+@kernel
+def _measure(inverse: Array, noise: Noise, sigma: float, max_range: float, sweeps: int) -> tuple[Array, Bools]:
+    """Ranges and hits (K,B) of the burst: noise added, the order of the ring undone."""
+    beams = inverse.shape[0] // sweeps
+    ranges, hit = np.full((sweeps, beams), max_range), np.zeros((sweeps, beams), np.bool_)
+    for k in range(sweeps):
+        for j in range(beams):
+            i = j * sweeps + k
+            if inverse[i] * max_range <= 1.0:
+                continue
+            measured = 1.0 / inverse[i] + sigma * min(max(float(noise[i]), -CUT_SIGMAS), CUT_SIGMAS)
+            if measured < max_range:
+                ranges[k, j], hit[k, j] = max(measured, MIN_RANGE_M), True
+    return ranges, hit
+
+
+@kernel
+def line_of_sight(segments: Array, x: float, y: float, points: Array) -> Bools:
+    """Which points (n,2) are seen from (x, y): no face (S,2,2) lies more than 1 mm in front of them."""
+    seen = np.ones(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        px, py = points[i, 0] - x, points[i, 1] - y
+        allowed = 1.0 - SEEN_M / max(math.sqrt(px * px + py * py), SEEN_M)
+        for k in range(segments.shape[0]):
+            ax, ay = segments[k, 0, 0] - x, segments[k, 0, 1] - y
+            bx, by = segments[k, 1, 0] - x, segments[k, 1, 1] - y
+            area = ax * by - ay * bx
+            if area <= 0.0 or ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
+                continue
+            across = (by - ay) * px - (bx - ax) * py
+            if area < allowed * across:
+                seen[i] = False
+                break
+    return seen

@@ -1,0 +1,97 @@
+"""Layouts by name, path, dict or object: read, checked, and refused with the field, the value and the bound."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.checks import check_geometry
+from mecp_env.world.schema import Layout
+
+LIBRARY = Path(__file__).parent / "library"
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 32
+
+__all__ = ["Layout", "load_layout", "shipped_layouts"]
+
+
+def shipped_layouts() -> tuple[str, ...]:
+    """The names of the layouts that come with the package."""
+    return tuple(sorted(path.stem for path in LIBRARY.glob("*.json")))
+
+
+def load_layout(given: str | Path | dict[str, Any] | Layout) -> Layout:
+    """The layout of a shipped name, a path to a JSON file, a dict of its fields, or a `Layout`.
+
+    Raises LayoutError naming the source, the field, the value and the bound: for a file that is missing, larger than
+    1 MB, nested deeper than 32 or no JSON; for unknown, missing or wrong fields; for impossible geometry.
+    """
+    source = str(given) if isinstance(given, str | Path) else "layout"
+    try:
+        return check_geometry(_parse(given))
+    except LayoutError as error:
+        raise LayoutError(f"{source}: {error}") from None
+
+
+def _parse(given: str | Path | dict[str, Any] | Layout) -> Layout:
+    if isinstance(given, Layout):
+        return given
+    if isinstance(given, str | Path):
+        given = _decode(_read(given))
+    if not isinstance(given, dict):
+        raise LayoutError(f"expected a name, a path, a dict or a Layout, given {type(given).__name__}")
+    _check_depth(given)
+    if not all(isinstance(key, str) for key in given):
+        raise LayoutError("keys of a layout are strings")
+    return Layout(**given)
+
+
+def _read(given: str | Path) -> bytes:
+    """The bytes of the file that a shipped name or a path stands for."""
+    shipped = LIBRARY / f"{given}.json"
+    path = shipped if str(given) in shipped_layouts() else Path(given)
+    try:
+        if not path.is_file():
+            raise LayoutError(f"no such file; shipped layouts are {', '.join(shipped_layouts())}")
+        if path.suffix != ".json":
+            raise LayoutError(f"a layout file ends in .json, given {path.suffix!r}")
+        if path.stat().st_size > MAX_BYTES:
+            raise LayoutError(f"the file has {path.stat().st_size} bytes, at most {MAX_BYTES}")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
+        raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
+
+
+def _decode(data: bytes) -> Any:
+    try:
+        return json.loads(data.decode("utf-8"), object_pairs_hook=_unique)
+    except LayoutError:
+        raise
+    except RecursionError:
+        raise LayoutError(f"nested too deeply, at most {MAX_DEPTH} levels") from None
+    except ValueError as error:  # neither UTF-8 nor JSON
+        raise LayoutError(f"no JSON: {error}") from None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise LayoutError(f"{next(key for key in keys if keys.count(key) > 1)}: given twice")
+    return document
+
+
+def _check_depth(document: dict[str, Any]) -> None:
+    level: list[Any] = [document]
+    for _ in range(MAX_DEPTH):
+        level = [child for parent in level for child in _children(parent)]
+        if not level:
+            return
+    raise LayoutError(f"nested too deeply, at most {MAX_DEPTH} levels")
+
+
+def _children(parent: Any) -> list[Any]:
+    values = parent.values() if isinstance(parent, dict) else parent
+    return [value for value in values if isinstance(value, dict | list | tuple)]

@@ -1,0 +1,259 @@
+"""The one outline of the truth: union of wall solids, doors cut out, obstacles added.
+
+Walls that the robot bumps into, faces that the laser sees and corners that the estimate is scored against all come
+from here. Only faces that bound the free space around the start are kept: the outside of the building is no one's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry.base import BaseGeometry
+from shapely.geometry.polygon import orient
+
+from mecp_env.errors import LayoutError
+from mecp_env.slam.geometry import wrap_angle
+from mecp_env.world.schema import Box, Layout, Obstacle, Pillar
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+SNAP_M = 1e-6  # the union is computed on this grid, so that touching solids leave no slivers
+SAME_M = 1e-4  # points closer than this are one
+CIRCLE_SIDES = 32  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueCorners:
+    """The corners of the building and of its obstacles; round obstacles have none."""
+
+    p_world: Array  # (n,2) m
+    convex: Bools  # (n,) the solid fills less than 180 degrees
+    faces: Array  # (n,2) m, lengths of the faces before and after
+    jamb: Bools  # (n,) post of a door
+    normals: Array  # (n,2) rad, of the faces before and after, towards free space
+    room: Ints  # (n,) index of the room it is seen from, or -1
+    door: Ints  # (n,) index of the door whose post it is, or -1
+
+    def __len__(self) -> int:
+        return len(self.p_world)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doors:
+    """The doorways."""
+
+    centre: Array  # (d,2) m
+    width: Array  # (d,) m
+    normal: Array  # (d,) rad, heading of a walk from rooms[:, 0] to rooms[:, 1]
+    rooms: Ints  # (d,2) room indices
+    thickness: Array  # (d,) m, of the wall it is cut from
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """What bounds the free space of a layout, in the world frame."""
+
+    name: str
+    segments: Array  # (S,2,2) m, start and end of each face, free space on the left
+    round: Bools  # (S,) face of a round obstacle
+    corners: TrueCorners
+    doors: Doors
+    free_area: Polygon  # what the robot's centre could see: connected, doorways included
+    rooms: tuple[Polygon, ...]  # floors, up to the middle of the walls
+    room_names: tuple[str, ...]
+    starts: Array  # (k,3) x, y, heading
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Smallest x, smallest y, largest x, largest y of the free area, m."""
+        x0, y0, x1, y1 = self.free_area.bounds
+        return x0, y0, x1, y1
+
+    def room_at(self, p_world: Array) -> Ints:
+        """Index (n,) of the room that each point (n,2) lies in, or -1."""
+        points = shapely.points(np.asarray(p_world, dtype=np.float64).reshape(-1, 2))
+        rooms = np.full(len(points), -1, dtype=np.int64)
+        for index, room in reversed(list(enumerate(self.rooms))):
+            rooms[shapely.intersects(points, room)] = index
+        return rooms
+
+
+def build_outline(layout: Layout) -> Outline:
+    """The outline of `layout`.
+
+    Raises LayoutError when the first start is not in free space, or the free space around it is not closed.
+    """
+    doors = _doors(layout)
+    free_area = _free_area(layout, doors)
+    segments, before = _faces(free_area)
+    is_round = _round_faces(layout, segments)
+    rooms = tuple(Polygon(room.polygon) for room in layout.rooms)
+    return Outline(
+        name=layout.name,
+        segments=segments,
+        round=is_round,
+        corners=_corners(segments, before, is_round, doors, rooms),
+        doors=doors,
+        free_area=free_area,
+        rooms=rooms,
+        room_names=tuple(room.name for room in layout.rooms),
+        starts=np.array([[*s.point, wrap_angle(math.radians(s.heading_deg))] for s in layout.starts]),
+    )
+
+
+def wall_lines(layout: Layout) -> tuple[list[LineString], Array]:
+    """Middle line of every straight stretch of wall, and the thickness (n,) of each."""
+    lines = [LineString(pair) for wall in layout.walls for pair in pairwise(wall.points)]
+    thickness = [wall.thickness_m for wall in layout.walls for _ in pairwise(wall.points)]
+    return lines, np.array(thickness)
+
+
+def random_free_pose(outline: Outline, rng: np.random.Generator, clearance_m: float) -> Array:
+    """A pose (3,) drawn evenly from where every wall is at least `clearance_m` away; any heading."""
+    area = outline.free_area.buffer(-clearance_m)
+    if area.is_empty:
+        raise LayoutError(f"clearance_m: no point of {outline.name!r} lies {clearance_m:g} m from every wall")
+    shapely.prepare(area)
+    x0, y0, x1, y1 = area.bounds
+    while True:
+        x, y = rng.uniform((x0, y0), (x1, y1))
+        if area.contains(Point(x, y)):
+            return np.array([x, y, rng.uniform(-math.pi, math.pi)])
+
+
+def obstacle_shape(obstacle: Obstacle) -> Polygon:
+    """The solid of an obstacle."""
+    if isinstance(obstacle, Pillar):
+        angles = np.arange(CIRCLE_SIDES) * (2.0 * math.pi / CIRCLE_SIDES)
+        return Polygon(np.array(obstacle.centre) + obstacle.radius_m * np.column_stack([np.cos(angles), np.sin(angles)]))
+    if isinstance(obstacle, Box):
+        half = np.array(obstacle.size) / 2.0
+        ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        return Polygon(np.array(obstacle.centre) + ring @ _rotation(math.radians(obstacle.turn_deg)).T)
+    return Polygon(obstacle.points)
+
+
+def _rotation(angle: float) -> Array:
+    return np.array([(math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))])
+
+
+def _doors(layout: Layout) -> Doors:
+    """The doors with the thickness of the wall that each is cut from."""
+    lines, thickness = wall_lines(layout)
+    centres = np.array([door.centre for door in layout.doors]).reshape(-1, 2)
+    _, nearest = shapely.STRtree(lines).query_nearest(shapely.points(centres), all_matches=False)
+    rooms = [(layout.room_index(door.rooms[0]), layout.room_index(door.rooms[1])) for door in layout.doors]
+    return Doors(
+        centre=centres,
+        width=np.array([door.width_m for door in layout.doors]),
+        normal=np.array([wrap_angle(math.radians(door.direction_deg)) for door in layout.doors]),
+        rooms=np.array(rooms, dtype=np.int64).reshape(-1, 2),
+        thickness=thickness[nearest],
+    )
+
+
+def _free_area(layout: Layout, doors: Doors) -> Polygon:
+    """The free space around the first start."""
+    walls = [LineString(w.points).buffer(w.thickness_m / 2.0, cap_style="square", join_style="mitre") for w in layout.walls]
+    cuts = shapely.union_all([Polygon(_door_ring(doors, i, 0.02)) for i in range(len(doors))])
+    solids = shapely.union_all(walls, grid_size=SNAP_M)
+    solids = shapely.difference(solids, cuts, grid_size=SNAP_M)
+    blocks = shapely.union_all([obstacle_shape(obstacle) for obstacle in layout.obstacles])
+    solids = shapely.union(solids, blocks, grid_size=SNAP_M)
+    x0, y0, x1, y1 = solids.bounds
+    around = box(x0 - 1.0, y0 - 1.0, x1 + 1.0, y1 + 1.0)
+    return _part_with_start(shapely.difference(around, solids, grid_size=SNAP_M), around, layout)
+
+
+def _door_ring(doors: Doors, index: int, overhang_m: float) -> Array:
+    """Corners (4,2) of the cut of a door; `overhang_m` beyond either face of the wall."""
+    half = np.array([doors.thickness[index] / 2.0 + overhang_m, doors.width[index] / 2.0])
+    ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+    turned: Array = doors.centre[index] + ring @ _rotation(float(doors.normal[index])).T
+    return turned
+
+
+def _part_with_start(free: BaseGeometry, around: Polygon, layout: Layout) -> Polygon:
+    """The connected part of `free` that holds the first start; it must not reach the outside."""
+    start = Point(layout.starts[0].point)
+    for part in shapely.get_parts(free):
+        if part.intersects(start):
+            if part.intersects(around.exterior):
+                raise LayoutError(f"starts.0.point: {layout.starts[0].point} lies outside, or the walls leave a gap there")
+            return orient(part, 1.0)
+    raise LayoutError(f"starts.0.point: {layout.starts[0].point} lies inside a wall or an obstacle")
+
+
+def _faces(area: Polygon) -> tuple[Array, Ints]:
+    """Faces (S,2,2) of all rings of `area`, which lies on their left; and the index (S,) of the face before each."""
+    rings = [_without_collinear(np.array(ring.coords)[:-1]) for ring in (area.exterior, *area.interiors)]
+    segments = np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings])
+    firsts = np.cumsum([0, *map(len, rings[:-1])])
+    before = [first + np.roll(np.arange(len(ring)), 1) for first, ring in zip(firsts, rings, strict=True)]
+    return segments, np.concatenate(before)
+
+
+def _without_collinear(ring: Array) -> Array:
+    """`ring` (n,2) without vertices that lie on the line through their neighbours."""
+    before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    kept: Array = ring[np.abs(cross) > SAME_M * np.linalg.norm(before + after, axis=1)]
+    return kept
+
+
+def _round_faces(layout: Layout, segments: Array) -> Bools:
+    """Which faces (S,) belong to a round obstacle."""
+    is_round = np.zeros(len(segments), dtype=np.bool_)
+    for pillar in (o for o in layout.obstacles if isinstance(o, Pillar)):
+        off = np.abs(np.linalg.norm(segments - np.array(pillar.centre), axis=2) - pillar.radius_m)
+        is_round |= np.all(off < SAME_M, axis=1)
+    return is_round
+
+
+def _corners(segments: Array, before: Ints, is_round: Bools, doors: Doors, rooms: tuple[Polygon, ...]) -> TrueCorners:
+    """A corner at the start of every face that follows a straight face."""
+    chosen = np.flatnonzero(~(is_round | is_round[before]))
+    first, second = segments[before[chosen]], segments[chosen]
+    u, v = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
+    p_world = np.ascontiguousarray(second[:, 0])
+    normals = np.column_stack([np.arctan2(u[:, 0], -u[:, 1]), np.arctan2(v[:, 0], -v[:, 1])])
+    towards_free = np.column_stack([np.cos(normals).sum(axis=1), np.sin(normals).sum(axis=1)])
+    door = _door_of(p_world, doors)
+    return TrueCorners(
+        p_world=p_world,
+        convex=u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0,
+        faces=np.column_stack([np.hypot(*u.T), np.hypot(*v.T)]),
+        jamb=door >= 0,
+        normals=normals,
+        room=_nearest_room(p_world + 0.005 * towards_free, rooms),
+        door=door,
+    )
+
+
+def _door_of(p_world: Array, doors: Doors) -> Ints:
+    """Index (n,) of the door that has a post at each point, or -1."""
+    door = np.full(len(p_world), -1, dtype=np.int64)
+    for index in range(len(doors)):
+        gaps = np.linalg.norm(p_world[:, None] - _door_ring(doors, index, 0.0)[None], axis=2)
+        door[np.any(gaps < SAME_M, axis=1)] = index
+    return door
+
+
+def _nearest_room(p_world: Array, rooms: tuple[Polygon, ...]) -> Ints:
+    """Index (n,) of the room nearest to each point, or -1 where none lies within 0.3 m."""
+    points = shapely.points(p_world)
+    far = np.stack([shapely.distance(points, room) for room in rooms])
+    nearest = np.argmin(far, axis=0).astype(np.int64)
+    nearest[np.min(far, axis=0) > 0.3] = -1
+    return nearest
