@@ -1,0 +1,132 @@
+"""Lines, areas and text on a pygame-ce surface that is finer than the picture it becomes. Touches no display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from mecp_env.render.palette import INK, RGB
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Place = Sequence[float] | Array
+
+FINER = 2  # pixels of the surface a pixel of the picture: smooth lines and text
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A rectangle of the picture, px."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        return self.left + self.width / 2, self.top + self.height / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Where a point of the world lies in the picture: pixels = (x, -y) * scale + offset."""
+
+    scale: float  # px / m
+    offset: tuple[float, float]  # px
+
+    @classmethod
+    def fit(cls, bounds: Array, box: Box) -> Camera:
+        """The camera that shows `bounds` (2,2) m, world frame, in the middle of `box`."""
+        size = np.maximum(bounds[1] - bounds[0], 1.0)
+        scale = 0.97 * float(min(box.width / size[0], box.height / size[1]))
+        x, y = bounds.mean(axis=0)
+        return cls(scale, (box.middle[0] - scale * x, box.middle[1] + scale * y))
+
+    def pixels(self, p_world: Array) -> Array:
+        """Points (n,2) m of the world as pixels (n,2)."""
+        pixels: Array = p_world * (self.scale, -self.scale) + self.offset
+        return pixels
+
+    def world(self, pixels: Array) -> Array:
+        """Pixels (n,2) as points (n,2) m of the world."""
+        p_world: Array = (pixels - self.offset) / (self.scale, -self.scale)
+        return p_world
+
+
+class Brush:
+    """Draws on one picture of `size` (width, height). All places and lengths are pixels of the picture."""
+
+    def __init__(self, size: tuple[int, int], background: RGB) -> None:
+        pygame.font.init()
+        self.size = size
+        self.canvas = pygame.Surface((FINER * size[0], FINER * size[1]), depth=32)
+        self.canvas.fill(background)
+        self._fonts: dict[int, pygame.font.Font] = {}
+
+    def image(self) -> Image:
+        """The picture, uint8 (height, width, 3)."""
+        small = pygame.transform.smoothscale(self.canvas, self.size)
+        return np.ascontiguousarray(pygame.surfarray.array3d(small).transpose(1, 0, 2))
+
+    @contextmanager
+    def inside(self, box: Box) -> Iterator[None]:
+        """Nothing outside `box` is drawn upon."""
+        self.canvas.set_clip((*self._fine(box), FINER * box.width, FINER * box.height))
+        yield
+        self.canvas.set_clip(None)
+
+    def area(self, ring: Array, colour: RGB, alpha: int = 255) -> None:
+        """Fill a ring (k,2)."""
+        if len(ring) < 3:
+            return
+        if alpha == 255:
+            pygame.draw.polygon(self.canvas, colour, (FINER * ring).tolist())
+            return
+        low = np.floor(FINER * ring.min(axis=0))
+        size = np.ceil(FINER * ring.max(axis=0)) - low + 1
+        layer = pygame.Surface(size.astype(int).tolist(), pygame.SRCALPHA)
+        pygame.draw.polygon(layer, (*colour, alpha), (FINER * ring - low).tolist())
+        self.canvas.blit(layer, low.tolist())
+
+    def line(self, points: Array, colour: RGB, width: float = 1.0) -> None:
+        """A line through the points (n,2)."""
+        if len(points) > 1:
+            pygame.draw.lines(self.canvas, colour, False, (FINER * points).tolist(), round(FINER * width))
+
+    def ring(self, points: Array, colour: RGB, width: float = 1.0) -> None:
+        """A closed line through the points (n,2)."""
+        self.line(np.vstack([points, points[:1]]), colour, width)
+
+    def dashes(self, start: Array, end: Array, colour: RGB, width: float = 1.5) -> None:
+        """A line of dashes of about five pixels."""
+        count = max(int(np.hypot(*(end - start)) / 10.0), 1)
+        cuts = start + np.linspace(0.0, 1.0, 2 * count)[:, None] * (end - start)
+        for dash in cuts.reshape(count, 2, 2):
+            self.line(dash, colour, width)
+
+    def dot(self, place: Place, radius: float, colour: RGB, width: float = 0.0) -> None:
+        """A disc, or with a width a circle."""
+        at = (FINER * place[0], FINER * place[1])
+        pygame.draw.circle(self.canvas, colour, at, FINER * radius, round(FINER * width))
+
+    def picture(self, pixels: Image, box: Box) -> None:
+        """A small picture (h,w,3), stretched over `box`."""
+        surface = pygame.surfarray.make_surface(pixels.transpose(1, 0, 2))
+        self.canvas.blit(pygame.transform.scale(surface, (FINER * box.width, FINER * box.height)), self._fine(box))
+
+    def text(self, words: str, place: Place, size: int, colour: RGB = INK, align: float = 0.0) -> float:
+        """Words whose left end (align 0), middle (0.5) or right end (1) is at `place`, below it; returns their width."""
+        font = self._fonts.setdefault(size, pygame.font.Font(None, FINER * size))
+        drawn = font.render(words, True, colour)
+        self.canvas.blit(drawn, (FINER * place[0] - align * drawn.get_width(), FINER * place[1]))
+        return float(drawn.get_width() / FINER)
+
+    @staticmethod
+    def _fine(box: Box) -> tuple[int, int]:
+        return FINER * box.left, FINER * box.top

@@ -1,0 +1,129 @@
+"""The two halves of a frame: the world, and what the estimator believes of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.render import palette, shapes
+from mecp_env.render.brush import Box, Brush, Camera
+from mecp_env.render.palette import RGB
+from mecp_env.render.view import View, loops, signed_area
+from mecp_env.slam.data import Cell, SemanticGrid
+from mecp_env.slam.geometry import compose, inverse, to_map
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend says so
+
+
+def draw_world(brush: Brush, view: View, box: Box) -> None:
+    """The true walls, the robot with its scan, and the way it has come."""
+    camera = Camera.fit(view.bounds, box)
+    for ring in loops(view.segments):
+        brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
+    ends, hit = shapes.beam_ends(view.report, view.T_world_robot)
+    brush.area(camera.pixels(ends), palette.BEAM, alpha=50)
+    brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
+    for pixel in camera.pixels(ends[hit]):
+        brush.dot(pixel, 1.3, palette.HIT)
+    draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
+
+
+def draw_belief(brush: Brush, view: View, box: Box) -> None:
+    """Grid, polygons, doors, landmarks, goals, the estimated way and pose, laid over the place of the world."""
+    camera = Camera.fit(view.bounds, box)
+    brush.picture(grid_picture(view.report.grid, view.T_world_map, camera, box), box)
+    _draw_polygons(brush, view, camera)
+    _draw_doors(brush, view, camera)
+    brush.line(_pixels(view, camera, view.path_map), palette.ESTIMATE, 1.5)
+    _draw_landmarks(brush, view, camera)
+    _draw_goals(brush, view, camera)
+    for room, p_map in shapes.room_labels(view.report).items():
+        colour = palette.mix(palette.room_colour(room), palette.INK, 0.4)
+        brush.text(f"room {room}", _pixels(view, camera, p_map[None])[0], 18, colour, align=0.5)
+    T_map_robot = view.report.belief.T_map_robot
+    _draw_ellipse(brush, view, camera, T_map_robot[:2], view.report.belief.pose_cov[:2, :2])
+    draw_robot(brush, compose(view.T_world_map, T_map_robot), view.robot_radius_m, camera, palette.ESTIMATE)
+
+
+def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Camera, colour: RGB) -> None:
+    """A disc with a line towards where it looks."""
+    x, y, heading = T_world_robot
+    nose = [x + radius_m * math.cos(heading), y + radius_m * math.sin(heading)]
+    pixels = camera.pixels(np.array([[x, y], nose]))
+    brush.dot(pixels[0], max(camera.scale * radius_m, 4.0), colour)
+    brush.line(pixels, palette.FREE, 2.0)
+
+
+def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Image:
+    """The semantic grid as seen by the camera, one colour a room, uint8 (box height, box width, 3)."""
+    colours = _cell_colours(grid)
+    across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
+    pixels = np.column_stack([box.left + across.ravel(), box.top + down.ravel()])
+    p_map = to_map(inverse(T_world_map), camera.world(pixels))
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+    rows, cols = cells[:, 1], cells[:, 0]
+    inside = (rows >= 0) & (rows < grid.label.shape[0]) & (cols >= 0) & (cols < grid.label.shape[1])
+    picture = np.full((len(pixels), 3), palette.UNSEEN, np.uint8)
+    picture[inside] = colours[rows[inside], cols[inside]]
+    return picture.reshape(box.height, box.width, 3)
+
+
+def _cell_colours(grid: SemanticGrid) -> Image:
+    """(H,W,3) colour of every cell."""
+    rooms = np.array([palette.mix(palette.FREE, palette.room_colour(i), 0.2) for i in range(len(palette.ROOMS))])
+    colours = np.empty((*grid.label.shape, 3), np.uint8)
+    colours[:] = palette.UNSEEN
+    free = grid.label == Cell.FREE
+    colours[free] = palette.FREE
+    named = free & (grid.room >= 0)
+    colours[named] = rooms[grid.room[named] % len(palette.ROOMS)]
+    colours[grid.label == Cell.OCCUPIED] = palette.SOLID
+    colours[grid.label == Cell.DOOR] = palette.mix(palette.DOOR, palette.FREE, 0.55)
+    return colours
+
+
+def _pixels(view: View, camera: Camera, p_map: Array) -> Array:
+    """Points (n,2) of the map as pixels."""
+    return camera.pixels(to_map(view.T_world_map, np.ascontiguousarray(p_map, dtype=np.float64)))
+
+
+def _draw_polygons(brush: Brush, view: View, camera: Camera) -> None:
+    for polygon, ring in shapes.polygon_rings(view.report):
+        colour = palette.room_colour(view.report.graph.resolve(polygon.room))
+        pixels = _pixels(view, camera, ring)
+        brush.area(pixels, colour, alpha=20)
+        brush.ring(pixels, palette.mix(colour, palette.FREE, 0.3))
+
+
+def _draw_doors(brush: Brush, view: View, camera: Camera) -> None:
+    where = shapes.positions(view.report.belief)
+    for door in view.report.graph.doors:
+        for face in shapes.door_faces(door, where):
+            brush.line(_pixels(view, camera, face), palette.DOOR, 3.0)
+    for candidate in view.report.graph.candidates:
+        start, end = _pixels(view, camera, candidate.ends)
+        brush.dashes(start, end, palette.DOOR)
+
+
+def _draw_landmarks(brush: Brush, view: View, camera: Camera) -> None:
+    belief = view.report.belief
+    for mean, cov in zip(belief.p_map, belief.covs, strict=True):
+        _draw_ellipse(brush, view, camera, mean, cov)
+    for pixel in _pixels(view, camera, belief.p_map):
+        brush.dot(pixel, 2.2, palette.LANDMARK)
+
+
+def _draw_ellipse(brush: Brush, view: View, camera: Camera, mean: Array, cov: Array) -> None:
+    ring = shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED)
+    brush.ring(_pixels(view, camera, ring), palette.LANDMARK)
+
+
+def _draw_goals(brush: Brush, view: View, camera: Camera) -> None:
+    for index, pixel in enumerate(_pixels(view, camera, view.p_goals)):
+        chosen = index == view.target
+        brush.dot(pixel, 6.0 if chosen else 4.0, palette.GOAL, width=0.0 if chosen else 1.5)

@@ -1,0 +1,73 @@
+"""Frames of an episode: left the world, right the belief, a line of figures above and a legend below."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from mecp_env.render import palette
+from mecp_env.render.brush import Box, Brush, Image
+from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_world
+from mecp_env.render.text import summary
+from mecp_env.render.view import View
+from mecp_env.settings import Settings
+
+MARGIN, HEADER, FOOTER = 12, 58, 28
+LEGEND = (
+    ("true path", palette.TRUTH, "line"),
+    ("laser hit", palette.HIT, "dot"),
+    ("estimated path", palette.ESTIMATE, "line"),
+    (f"landmark, 95 % ellipse x {ELLIPSE_MAGNIFIED:.0f}", palette.LANDMARK, "dot"),
+    ("door", palette.DOOR, "line"),
+    ("goal", palette.GOAL, "dot"),
+    ("room: one colour each", palette.ROOMS[0], "dot"),
+)
+
+
+class ScreenConfig(Settings):
+    """Size of a frame."""
+
+    width_px: int = Field(1200, ge=320, le=4096)
+    height_px: int = Field(520, ge=200, le=4096)
+
+
+class Screen:
+    """Draws frames of one size; touches no display (the window of the `human` mode is in window.py)."""
+
+    def __init__(self, config: ScreenConfig | None = None) -> None:
+        self.config = config or ScreenConfig()
+
+    def frame(self, view: View) -> Image:
+        """The picture of one moment, uint8 (height, width, 3)."""
+        brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
+        world, belief = self._panels()
+        with brush.inside(world):
+            draw_world(brush, view, world)
+        with brush.inside(belief):
+            draw_belief(brush, view, belief)
+        brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.FAINT)
+        brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.FAINT)
+        self._header(brush, view)
+        self._legend(brush)
+        return brush.image()
+
+    def _panels(self) -> tuple[Box, Box]:
+        width = (self.config.width_px - 3 * MARGIN) // 2
+        height = self.config.height_px - HEADER - FOOTER
+        return Box(MARGIN, HEADER, width, height), Box(2 * MARGIN + width, HEADER, width, height)
+
+    def _header(self, brush: Brush, view: View) -> None:
+        brush.text(view.title, (MARGIN, 10), 24)
+        x = float(self.config.width_px - MARGIN)
+        for name, value in reversed(summary(view.metrics)):
+            x -= brush.text(value, (x, 11), 22, align=1.0) + 5
+            x -= brush.text(name, (x, 13), 18, palette.FAINT, align=1.0) + 16
+
+    def _legend(self, brush: Brush) -> None:
+        x, y = float(MARGIN), self.config.height_px - FOOTER + 6
+        for name, colour, kind in LEGEND:
+            if kind == "dot":
+                brush.dot((x + 6, y + 6), 3.5, colour)
+            else:
+                brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
+            x += 18 + brush.text(name, (x + 18, y), 16, palette.FAINT) + 18

@@ -1,0 +1,61 @@
+"""Geometry that pictures need: ellipses, rooms' label places, points of a scan in the world."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.data import Belief, Door, KnownPolygon, StepReport
+from mecp_env.slam.geometry import polar_to_points, to_map
+
+Array = NDArray[np.float64]
+
+CHI2_95 = 5.991  # 2 degrees of freedom
+TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+
+
+def ellipse(mean: Array, cov: Array, magnified: float = 1.0) -> Array:
+    """Ring (32,2) of the 95 % ellipse of a point (2,) with covariance (2,2), its axes `magnified` times as long."""
+    values, axes = np.linalg.eigh(cov)
+    radii = magnified * np.sqrt(CHI2_95 * np.maximum(values, 0.0))
+    ring: Array = mean + np.column_stack([radii[0] * np.cos(TURN), radii[1] * np.sin(TURN)]) @ axes.T
+    return ring
+
+
+def beam_ends(report: StepReport, T_world_robot: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Ends of all beams (B,2) in the frame of the pose, m, and which of them hit something (B,)."""
+    z = np.column_stack([report.beams.ranges, report.beams.bearings])
+    return to_map(T_world_robot, polar_to_points(z)), report.beams.hit
+
+
+def positions(belief: Belief) -> dict[int, Array]:
+    """Landmark id -> mean (2,) m, map frame."""
+    return {int(name): mean for name, mean in zip(belief.ids, belief.p_map, strict=True)}
+
+
+def polygon_rings(report: StepReport) -> list[tuple[KnownPolygon, Array]]:
+    """Known polygons all of whose vertices are landmarks, with their rings (k,2) in the map frame, the largest first."""
+    where = positions(report.belief)
+    whole = [p for p in report.known_polygons if all(int(i) in where for i in p.ids)]
+    rings = [(p, np.array([where[int(i)] for i in p.ids])) for p in whole]
+    return sorted(rings, key=lambda pair: -float(np.ptp(pair[1], axis=0).prod()))
+
+
+def door_faces(door: Door, where: dict[int, Array]) -> list[Array]:
+    """The faces of a door as lines (2,2) between jambs that are landmarks, map frame."""
+    faces = [door.jambs] if door.other_face is None else [door.jambs, door.other_face]
+    return [np.array([where[a], where[b]]) for a, b in faces if a in where and b in where]
+
+
+def room_labels(report: StepReport) -> dict[int, Array]:
+    """Room id -> where to write its name: the middle (2,) of its cells, map frame."""
+    grid = report.grid
+    labels = {}
+    for room in report.graph.rooms:
+        rows, cols = np.nonzero(grid.room == room)
+        if len(rows):
+            middle = np.array([np.median(cols), np.median(rows)]) + 0.5
+            labels[room] = grid.origin + grid.resolution_m * middle
+    return labels

@@ -1,0 +1,66 @@
+"""What a picture is drawn from: plain data, so that no drawing code reaches into the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.data import StepReport
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One moment of an episode: the truth, what the estimator believes of it, and where the agent wants to go."""
+
+    segments: Array  # (S,2,2) m, world frame: faces of all solids, free space on the left of start -> end
+    T_world_robot: Array  # (3,) true pose
+    T_world_map: Array  # (3,) true pose at reset: where the map frame lies
+    path_world: Array  # (n,2) m, world frame: where the robot has been
+    path_map: Array  # (n,2) m, map frame: where it believed to be
+    report: StepReport
+    robot_radius_m: float = 0.22
+    p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
+    goal_kinds: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind
+    target: int = -1  # index of the goal the robot drives to, or -1
+    title: str = ""
+    metrics: Mapping[str, float] = field(default_factory=dict)  # see render.text for the names that are shown
+
+    @property
+    def bounds(self) -> Array:
+        """(2,2) m, world frame: lower left and upper right corner of the building."""
+        points = self.segments.reshape(-1, 2)
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def loops(segments: Array) -> list[Array]:
+    """Closed rings (k,2) of faces (S,2,2), the largest first; a ring around a solid is clockwise, a hole is not."""
+    starts = {tuple(np.round(start, 9)): index for index, (start, _) in enumerate(segments)}
+    left = set(range(len(segments)))
+    rings = []
+    while left:
+        ring = _follow(segments, starts, left)
+        rings.append(ring)
+    return sorted(rings, key=lambda ring: -abs(signed_area(ring)))
+
+
+def signed_area(ring: Array) -> float:
+    """Area of a ring (k,2), m^2: positive when it runs counter-clockwise."""
+    after = np.roll(ring, -1, axis=0)
+    return float(0.5 * np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
+
+
+def _follow(segments: Array, starts: dict[tuple[float, ...], int], left: set[int]) -> Array:
+    """The ring through one of the faces `left`, which it takes out."""
+    index: int | None = min(left)
+    points = []
+    while index is not None and index in left:
+        left.remove(index)
+        points.append(segments[index, 0])
+        index = starts.get(tuple(np.round(segments[index, 1], 9)))
+    return np.array(points)

@@ -1,0 +1,39 @@
+"""The window of the `human` render mode. Only here is a display touched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+
+class Window:
+    """Shows frames. When the user closes it, the episode goes on without a window."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.closed = False
+        self._surface: pygame.Surface | None = None
+
+    def show(self, frame: NDArray[np.uint8]) -> None:
+        """Show a picture (height, width, 3), opening the window before the first one."""
+        if self.closed:
+            return
+        surface = self._surface or self._open(frame.shape[1], frame.shape[0])
+        pygame.surfarray.blit_array(surface, frame.transpose(1, 0, 2))
+        pygame.display.flip()
+        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+            self.close()
+
+    def close(self) -> None:
+        """Close the window; may be called twice, and without a window."""
+        if self._surface is not None:
+            pygame.display.quit()
+        self._surface = None
+        self.closed = True
+
+    def _open(self, width: int, height: int) -> pygame.Surface:
+        pygame.display.init()
+        pygame.display.set_caption(self.title)
+        self._surface = pygame.display.set_mode((width, height))
+        return self._surface

@@ -1,0 +1,101 @@
+"""Frames: shape, type, no display touched, and the things that must be seen in them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pygame
+import pytest
+
+from mecp_env.errors import ConfigError
+from mecp_env.render import palette
+from mecp_env.render.brush import Box, Camera
+from mecp_env.render.panels import grid_picture
+from mecp_env.render.screen import Screen, ScreenConfig
+from mecp_env.render.view import loops, signed_area
+from mecp_env.render.window import Window
+from mecp_env.slam.data import Cell
+from tests.render import scene
+
+
+def share(frame: np.ndarray, colour: palette.RGB) -> float:
+    """Share of the picture's pixels that have just this colour."""
+    return float((frame == colour).all(axis=2).mean())
+
+
+def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
+    frame = Screen(ScreenConfig(width_px=800, height_px=400)).frame(scene.view())
+    assert frame.shape == (400, 800, 3)
+    assert frame.dtype == np.uint8
+    assert frame.flags.c_contiguous
+    left, right = frame[:, :400], frame[:, 400:]
+    assert share(left, palette.FREE) > 0.05
+    assert share(left, palette.SOLID) > 0.01
+    assert share(right, palette.UNSEEN) > 0.2
+    assert share(right, palette.ESTIMATE) > 0.001
+
+
+def test_the_same_moment_gives_the_same_frame_and_another_one_does_not() -> None:
+    screen = Screen()
+    first = screen.frame(scene.view())
+    assert np.array_equal(first, screen.frame(scene.view()))
+    assert not np.array_equal(first, screen.frame(scene.view(T_world_robot=np.array([1.5, 3.0, 2.0]))))
+
+
+def test_a_frame_of_an_empty_belief_can_be_drawn() -> None:
+    report = scene.report()
+    belief = replace(report.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
+    view = scene.view(report=replace(report, belief=belief, known_polygons=()), p_goals=np.empty((0, 2)), metrics={})
+    assert Screen().frame(view).any()
+
+
+def test_frames_need_no_display_and_no_window() -> None:
+    code = (
+        "import os; os.environ.pop('SDL_VIDEODRIVER', None); os.environ.pop('DISPLAY', None)\n"
+        "from mecp_env.render.screen import Screen\nfrom tests.render.scene import view\nimport pygame\n"
+        "Screen().frame(view()); assert not pygame.display.get_init(); print('drawn')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "drawn\n", done.stderr
+
+
+def test_the_window_shows_frames_and_survives_being_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    window, frame = Window("test"), Screen().frame(scene.view())
+    window.show(frame)
+    assert pygame.display.get_init()
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    window.show(frame)
+    assert window.closed
+    assert not pygame.display.get_init()
+    window.show(frame)
+    window.close()
+
+
+def test_faces_are_chained_to_rings_around_solid_and_free_space() -> None:
+    outer, inner = loops(scene.faces())
+    assert signed_area(outer) == pytest.approx(-9.3 * 4.2)
+    assert signed_area(inner) == pytest.approx(5 * 4 + 0.1 * 0.9 + 4 * 4)
+
+
+def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
+    view, box = scene.view(), Box(0, 0, 300, 200)
+    camera = Camera.fit(view.bounds, box)
+    picture = grid_picture(view.report.grid, view.T_world_map, camera, box)
+
+    def colour_at(x: float, y: float) -> tuple[int, ...]:
+        across, down = camera.pixels(np.array([[x, y]]))[0].astype(int)
+        return tuple(picture[down, across].tolist())
+
+    assert colour_at(1.0, 3.5) == palette.mix(palette.FREE, palette.room_colour(0), 0.2)
+    assert colour_at(6.5, 0.5) == palette.mix(palette.FREE, palette.room_colour(1), 0.2)
+    assert colour_at(8.5, 2.0) == palette.UNSEEN
+    assert (view.report.grid.label == Cell.DOOR).any()
+
+
+def test_sizes_out_of_bounds_are_refused() -> None:
+    with pytest.raises(ConfigError, match="width_px"):
+        ScreenConfig(width_px=10)
