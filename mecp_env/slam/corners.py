@@ -1,0 +1,130 @@
+"""Point features of one scan (III-A.1): crossings, free ends and door jambs, with their joint covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.config import CornerConfig, SensorModel
+from mecp_env.slam.crossings import MAX_REST, Found, Rules, Sight, Walls, add_crossing, empty_found
+from mecp_env.slam.data import Beams, Corners, Doorways, Segments
+from mecp_env.slam.doorways import JAMB, DoorRules, find_doorways, mark_beyond
+from mecp_env.slam.free_ends import add_free_end
+from mecp_env.slam.noise import Noise, noise_of, roll_beams
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
+    """The corners of a scan in order of bearing, with joint covariance, signature and the doorways among them.
+
+    A corner is the crossing of two consecutive segments, or the end of one that is followed by something farther
+    (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
+    corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
+    """
+    noise = noise_of(sensor)
+    polar = roll_beams(beams.ranges, beams.bearings, beams.count, segments.roll)
+    sight = Sight(polar, np.roll(beams.hit, -segments.roll), beams.raw_ranges, beams.raw_bearings, segments.roll)
+    walls = Walls(
+        segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last
+    )
+    found, cov, jambs, width, good, beyond = find_corners(sight, walls, _rules(config, noise), _doors(config), noise)
+    sites = (found.kind != JAMB) & (beyond < 0)
+    doorways = Doorways(jambs, width, good)
+    return Corners(found.z, cov, found.kind, found.convex, found.normals, beyond, sites, doorways)
+
+
+def _rules(config: CornerConfig, noise: Noise) -> Rules:
+    return Rules(
+        math.sin(math.radians(config.min_angle_deg)),
+        config.end_jump_m + config.end_jump_sigmas * noise.range_m,
+        config.max_sigma_m**2,
+        config.floor_share * noise.range_m,
+    )
+
+
+def _doors(config: CornerConfig) -> DoorRules:
+    return DoorRules(*config.door_width_m, config.door_range_m, math.cos(math.radians(config.door_incidence_deg)))
+
+
+@kernel
+def find_corners(
+    sight: Sight, walls: Walls, rules: Rules, doors: DoorRules, noise: Noise
+) -> tuple[Found, Array, Ints, Array, Bools, Ints]:
+    """Corners sorted by bearing, joint covariance, jamb pairs, widths, seen well, and beyond which gap each lies."""
+    size, beams = walls.line.shape[0], sight.polar.shape[0]
+    raw = empty_found(2 * size + 2)
+    n = 0
+    for segment in range(size):
+        following = (segment + 1) % size
+        rest = (walls.first[following] - walls.last[segment] - 1) % beams
+        known = n
+        if size > 1 and rest <= MAX_REST and walls.cluster[segment] == walls.cluster[following]:
+            n = add_crossing(raw, n, sight, walls, (segment, following), rules)
+        if n == known:
+            n = add_free_end(raw, n, sight, walls, (segment, 1), (rules, noise))
+            n = add_free_end(raw, n, sight, walls, (following, -1), (rules, noise))
+    found = sorted_by_bearing(raw, n)
+    jambs, width, good = find_doorways(found, n, sight, walls, doors)
+    for g in range(jambs.shape[0]):
+        found.kind[jambs[g, 0]] = JAMB
+        found.kind[jambs[g, 1]] = JAMB
+    return found, joint_covariance(found, walls.cov), jambs, width, good, mark_beyond(found, n, jambs)
+
+
+@kernel
+def sorted_by_bearing(raw: Found, n: int) -> Found:
+    """The first n rows of `raw` in order of bearing."""
+    found = empty_found(n)
+    order = np.argsort(raw.z[:n, 1])
+    for k in range(n):
+        row = order[k]
+        found.z[k], found.own[k], found.lines[k], found.jacobian[k] = (
+            raw.z[row],
+            raw.own[row],
+            raw.lines[row],
+            raw.jacobian[row],
+        )
+        found.kind[k], found.convex[k] = raw.kind[row], raw.convex[row]
+        found.normals[k], found.border[k] = raw.normals[row], raw.border[row]
+    return found
+
+
+@kernel
+def joint_covariance(found: Found, line_cov: Array) -> Array:
+    """(2n,2n) covariance of all z: each corner's own part, and J C J^T of the lines two corners share."""
+    n = found.z.shape[0]
+    cov = np.zeros((2 * n, 2 * n))
+    for i in range(n):
+        for j in range(i + 1):
+            block = shared_covariance(found, i, j, line_cov)
+            for row in range(2):
+                for column in range(2):
+                    total = block[row, column] + (found.own[i, row, column] if i == j else 0.0)
+                    cov[2 * i + row, 2 * j + column] = total
+                    cov[2 * j + column, 2 * i + row] = total
+    return cov
+
+
+@kernel
+def shared_covariance(found: Found, i: int, j: int, line_cov: Array) -> Array:
+    """(2,2) covariance of z of corners i and j through the lines both hang on."""
+    block = np.zeros((2, 2))
+    for a in range(2):
+        for b in range(2):
+            line = found.lines[i, a]
+            if line < 0 or line != found.lines[j, b]:
+                continue
+            left, right, middle = found.jacobian[i, a], found.jacobian[j, b], line_cov[line]
+            for row in range(2):
+                for column in range(2):
+                    for p in range(2):
+                        block[row, column] += left[row, p] * (
+                            middle[p, 0] * right[column, 0] + middle[p, 1] * right[column, 1]
+                        )
+    return block
