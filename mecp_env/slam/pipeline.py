@@ -184,7 +184,7 @@ class SlamPipeline:
         self._adopt(corners, match, ripe)
         mark_seen(self.features, match.ids[match.ids >= 0], self.period)
         belief = self.filter.belief()
-        self.rooms.update(corners, match, through, self.features, belief, self.period)
+        self.rooms.update(corners, match, through, self.features, belief, self.polygons, self.period)
         graph = self.rooms.graph()
         remember_polygons(self.polygons, polygons, corners, match, self.features, graph, self.period)
         prune(self.polygons, self.features, graph, self.config.association.polygons_per_room)

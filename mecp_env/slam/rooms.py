@@ -16,6 +16,7 @@ from mecp_env.slam.data import (
     Decision,
     Door,
     FeatureTable,
+    KnownPolygon,
     Match,
     RoomGraph,
 )
@@ -63,14 +64,22 @@ class RoomKeeper:
         return replace(corners, sites=corners.sites & (row < 0)), ids[row]
 
     def update(
-        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief, period: int
-    ) -> list[tuple[int, int]]:
-        """Record this scan's doorways, follow the robot through doors; returns rooms merged now as (old, into)."""
+        self,
+        corners: Corners,
+        match: Match,
+        through: Ints,
+        features: FeatureTable,
+        belief: Belief,
+        known: list[KnownPolygon],
+        period: int,
+    ) -> None:
+        """Record this scan's doorways, follow the robot through doors, settle what belongs to another room."""
         if not self.in_doorway:
             room = self.current
             record_doorways(self.book, corners, match, features, belief, room, through, period, self.config)
         self._follow(belief)
-        return self._recognise(corners, match, through, features, belief)
+        polygon_room = self.resolve(known[match.known].room) if match.known >= 0 else UNKNOWN_ROOM
+        self._recognise(corners, match, through, features, belief, polygon_room)
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
@@ -105,42 +114,66 @@ class RoomKeeper:
         return room
 
     def _recognise(
-        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief
-    ) -> list[tuple[int, int]]:
-        """When what is seen belongs to another room, from two places: merge the new room into it, or go there."""
-        other = self._majority(corners, match, through, features)
-        if other == self.current or other == UNKNOWN_ROOM or self.in_doorway:
-            return []
-        x, y = belief.T_map_robot[:2]
-        seen_before = [e for e in self.elsewhere if e[0] == other]
-        if not any(np.hypot(e[1] - x, e[2] - y) >= self.config.recognise_m for e in seen_before):
-            self.elsewhere.append((other, float(x), float(y)))
-            return []
-        self.elsewhere.clear()
-        return self._become(other)
+        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief, polygon_room: int
+    ) -> None:
+        """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
+        if self.in_doorway:
+            return
+        ids, rooms = self._seen_here(corners, match, through, features)
+        if polygon_room not in (UNKNOWN_ROOM, self.current):
+            self._note_elsewhere(polygon_room, belief)
+        elif self._relabel(ids, rooms, features) == 0:
+            other = self._majority(rooms)
+            if other not in (UNKNOWN_ROOM, self.current):
+                self._note_elsewhere(other, belief)
 
-    def _majority(self, corners: Corners, match: Match, through: Ints, features: FeatureTable) -> int:
-        """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
+    def _seen_here(
+        self, corners: Corners, match: Match, through: Ints, features: FeatureTable
+    ) -> tuple[Ints, list[int]]:
+        """Landmarks (v,) recognised in this scan on this side of all doors, jambs left out, and their rooms."""
         mine = (match.decision == int(Decision.LANDMARK)) & (through < 0) & (corners.beyond < 0)
         ids = match.ids[mine]
         ids = ids[features.kind[ids] != int(CornerKind.JAMB)]
-        rooms = [self.resolve(int(room)) for room in features.room[ids]]
+        return ids, [self.resolve(int(room)) for room in features.room[ids]]
+
+    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> int:
+        """Move landmarks of the rooms next door to this one, where they are seen from; how many there were.
+
+        They were first seen through a door not yet known, so that they were given to the room of the robot then.
+        """
+        neighbours = {room for door in self.book.doors if self.current in door.rooms for room in door.rooms}
+        strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in neighbours - {self.current}]
+        features.room[strayed] = self.current
+        return len(strayed)
+
+    def _majority(self, rooms: list[int]) -> int:
+        """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
         if len(rooms) < self.config.recognise_corners:
             return UNKNOWN_ROOM
         likeliest = max(sorted(set(rooms)), key=rooms.count)
         return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
 
-    def _become(self, other: int) -> list[tuple[int, int]]:
+    def _note_elsewhere(self, other: int, belief: Belief) -> None:
+        """Count a sign that this is room `other`; two of them from places apart settle it."""
+        x, y = belief.T_map_robot[:2]
+        before = [e for e in self.elsewhere if e[0] == other]
+        if any(np.hypot(e[1] - x, e[2] - y) >= self.config.recognise_m for e in before):
+            self.elsewhere.clear()
+            self._become(other)
+        else:
+            self.elsewhere.append((other, float(x), float(y)))
+
+    def _become(self, other: int) -> None:
+        """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
         old, self.current = self.current, other
         if old != self.newest:
-            return []
+            return
         self.newest = UNKNOWN_ROOM
         self.merged[old] = other
         self.rooms.remove(old)
         self.book.doors = [self._with_rooms_resolved(door) for door in self.book.doors]
         # a door that leads from a room to itself is none: the gap lies inside the room
         self.book.doors = [door for door in self.book.doors if door.rooms[0] != door.rooms[1]]
-        return [(old, other)]
 
     def _with_rooms_resolved(self, door: Door) -> Door:
         first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)

@@ -1,9 +1,11 @@
 """Door and room logic on scripted walks."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mecp_env.slam.config import RoomConfig
-from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, Match
+from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, KnownPolygon, Match
 from mecp_env.slam.doors import DoorBook, beyond_doors, door_frames, record_doorways, rename_jambs
 from mecp_env.slam.rooms import RoomKeeper
 
@@ -65,10 +67,14 @@ def sighting(belief, ids, pairs=(), confirmable=True):
     return corners, match
 
 
-def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, period=0):
+def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_room=None):
     corners, match = sighting(belief, ids, pairs, confirmable)
     corners, through = keeper.mark_beyond(corners, belief)
-    return keeper.update(corners, match, through, table or features(), belief, period)
+    known = []
+    if polygon_room is not None:
+        known = [KnownPolygon(match.ids, np.empty((0, 4)), polygon_room)]
+        match = replace(match, polygon=0, known=0)
+    keeper.update(corners, match, through, table or features(), belief, known, 0)
 
 
 def keeper_with_door():
@@ -170,27 +176,39 @@ def test_beyond_doors_against_shapely():
 def test_a_new_room_recognised_twice_from_two_places_is_merged():
     keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2)
     ids = (4, 5, 6)
-    assert look(keeper, belief_at(0.0, -2.0), ids) == []
-    assert look(keeper, belief_at(0.1, -2.0), ids) == []  # too near to the first place
-    assert look(keeper, belief_at(0.8, -2.0), ids) == [(1, 0)]
+    look(keeper, belief_at(0.0, -2.0), ids)
+    look(keeper, belief_at(0.1, -2.0), ids)  # too near to the first place
+    assert keeper.current == 1
+    look(keeper, belief_at(0.8, -2.0), ids)
     assert keeper.current == 0
     assert keeper.graph().rooms == (0,)
     assert keeper.graph().resolve(1) == 0
 
 
-def test_a_gap_inside_one_room_is_no_door_after_the_merge():
+def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_recognised():
     keeper = keeper_with_door()
     walk(keeper, (-0.5, 0.0, 0.5))
-    look(keeper, belief_at(0.0, 1.0), (7, 8, 9))  # all of room 0 in the feature table
-    look(keeper, belief_at(0.8, 1.0), (7, 8, 9))
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
     assert keeper.current == 0
     assert keeper.graph().doors == ()
+
+
+def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_in():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), table=table)
+    assert keeper.current == 1
+    assert table.room[[7, 8, 9]].tolist() == [1, 1, 1]
+    assert table.room[[4, 5, 6]].tolist() == [0, 0, 0]
+    assert len(keeper.graph().doors) == 1
 
 
 def test_an_old_room_recognised_is_entered_not_merged():
     keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
     look(keeper, belief_at(0.0, -2.0), (4, 5, 6))
-    assert look(keeper, belief_at(0.8, -2.0), (4, 5, 6)) == []
+    look(keeper, belief_at(0.8, -2.0), (4, 5, 6))
     assert keeper.current == 0
     assert keeper.graph().rooms == (0, 1)
 
