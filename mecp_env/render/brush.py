@@ -121,7 +121,7 @@ class Brush:
         self.canvas.blit(pygame.transform.scale(surface, (FINER * box.width, FINER * box.height)), self._fine(box))
 
     def text(self, words: str, place: Place, size: int, colour: RGB = INK, align: float = 0.0) -> float:
-        """Words whose left end (align 0), middle (0.5) or right end (1) is at `place`, below it; returns their width."""
+        """Words whose left end (align 0), middle (0.5) or right end (1) is at `place`; returns their width."""
         font = self._fonts.setdefault(size, pygame.font.Font(None, FINER * size))
         drawn = font.render(words, True, colour)
         self.canvas.blit(drawn, (FINER * place[0] - align * drawn.get_width(), FINER * place[1]))

@@ -36,7 +36,7 @@ def positions(belief: Belief) -> dict[int, Array]:
 
 
 def polygon_rings(report: StepReport) -> list[tuple[KnownPolygon, Array]]:
-    """Known polygons all of whose vertices are landmarks, with their rings (k,2) in the map frame, the largest first."""
+    """Known polygons of landmarks only, with their rings (k,2) m in the map frame, the largest first."""
     where = positions(report.belief)
     whole = [p for p in report.known_polygons if all(int(i) in where for i in p.ids)]
     rings = [(p, np.array([where[int(i)] for i in p.ids])) for p in whole]

@@ -26,23 +26,10 @@ from mecp_env.slam.geometry import to_robot
 Array = NDArray[np.float64]
 
 OUTER = [(-0.1, -0.1), (-0.1, 4.1), (9.2, 4.1), (9.2, -0.1)]  # around the solid: clockwise
-INNER = [
-    (0, 0),
-    (5, 0),
-    (5, 1.5),
-    (5.1, 1.5),
-    (5.1, 0),
-    (9.1, 0),
-    (9.1, 4),
-    (5.1, 4),
-    (5.1, 2.4),
-    (5, 2.4),
-    (5, 4),
-    (0, 4),
-]
-LANDMARKS = np.array(
-    [[0, 0], [5, 0], [5, 4], [0, 4], [5, 1.5], [5, 2.4], [5.1, 0], [9.1, 0], [9.1, 4], [5.1, 4]], float
-)
+INNER = [(0, 0), (5, 0), (5, 1.5), (5.1, 1.5), (5.1, 0), (9.1, 0)]
+INNER += [(9.1, 4), (5.1, 4), (5.1, 2.4), (5, 2.4), (5, 4), (0, 4)]
+LEFT, DOOR, RIGHT = [(0, 0), (5, 0), (5, 4), (0, 4)], [(5, 1.5), (5, 2.4)], [(5.1, 0), (9.1, 0), (9.1, 4), (5.1, 4)]
+LANDMARKS = np.array(LEFT + DOOR + RIGHT, float)
 METRICS = {"rooms_found": 1, "rooms": 2, "doors_found": 1, "doors": 1, "coverage": 0.731, "pose_error_m": 0.0123}
 T_WORLD_MAP = np.array([1.0, 1.0, 0.3])
 T_WORLD_ROBOT = np.array([3.0, 2.2, 0.2])
@@ -89,6 +76,21 @@ def grid(T: Array) -> SemanticGrid:
     )
 
 
+def corners() -> Corners:
+    """The four corners of the left room, seen from the robot; the last one is no site."""
+    p_robot = to_robot(T_WORLD_ROBOT, np.array(LEFT, float))
+    return Corners(
+        z=np.column_stack([np.hypot(*p_robot.T), np.arctan2(p_robot[:, 1], p_robot[:, 0])]),
+        cov=np.diag([1e-3, 1e-4] * 4),
+        kind=np.array([0, 1, 2, 0]),
+        convex=np.zeros(4, bool),
+        normals=np.zeros((4, 2)),
+        beyond=np.array([-1, -1, -1, 0]),
+        sites=np.array([True, True, True, False]),
+        doorways=Doorways(np.array([[1, 2]]), np.array([0.9]), np.array([True])),
+    )
+
+
 def report() -> StepReport:
     """What a pipeline could have said at that moment."""
     bearings = np.radians(np.arange(-179.75, 180.0, 0.5))
@@ -104,21 +106,15 @@ def report() -> StepReport:
     )
     known = KnownPolygon(np.arange(4), np.empty((0, 4)), room=0)
     right = KnownPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
-    seen = np.array([[5.0, 0.4], [4.0, 1.8]])
-    corners = Corners(
-        z=seen, cov=np.eye(4) * 1e-3, kind=np.zeros(2, np.int64), convex=np.zeros(2, bool), normals=np.zeros((2, 2)),
-        beyond=np.full(2, -1), sites=np.ones(2, bool),
-        doorways=Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, bool)),
-    )  # fmt: skip
-    none = np.full(2, -1)
+    none = np.full(4, -1)
     nothing = np.empty(0, np.int64)
     return StepReport(
         period=12,
         beams=beams,
         segments=Segments(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing, nothing, 0),
-        corners=corners,
+        corners=corners(),
         polygons=(),
-        match=Match(none, none, none, np.full(2, np.nan), -1, -1, False),
+        match=Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1, False),
         belief=belief,
         graph=RoomGraph(0, False, (0, 1), (door,), (candidate,), {}),
         known_polygons=(known, right),

@@ -1,0 +1,152 @@
+"""Figures with matplotlib: the finished map, and comparisons with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
+
+from mecp_env.render import palette, shapes
+from mecp_env.render.palette import unit
+from mecp_env.render.text import summary
+from mecp_env.render.view import View, loops
+from mecp_env.slam.geometry import to_map
+
+Array = NDArray[np.float64]
+Interval = tuple[float, float, float]  # value, lower and upper end of its 95 % interval
+
+ELLIPSE_MAGNIFIED = 5.0
+TRUTH_GREY = (0.72, 0.73, 0.75)
+
+
+def save(figure: Figure, path: Path, dpi: int = 150) -> None:
+    """Write a figure as PNG without the date, so that the same figure gives the same file."""
+    figure.savefig(path, dpi=dpi, metadata={"Software": None})
+
+
+def map_figure(view: View) -> Figure:
+    """The map at the end of an episode, laid over the truth (in grey): rooms, doors, landmarks, both paths."""
+    width, height = view.bounds[1] - view.bounds[0]
+    figure = Figure(figsize=(11.0, 11.0 * height / width + 1.6), layout="constrained")
+    axes = figure.add_subplot()
+    _draw_truth(axes, view)
+    _draw_rooms(axes, view)
+    _draw_doors(axes, view)
+    axes.plot(*view.path_world.T, color=unit(palette.INK), linewidth=2.2, alpha=0.35)
+    axes.plot(*to_map(view.T_world_map, view.path_map).T, color=unit(palette.ESTIMATE), linewidth=0.9)
+    _draw_landmarks(axes, view)
+    _name_rooms(axes, view)
+    _draw_scale(axes, view.bounds)
+    _plain(axes, view.bounds)
+    figure.suptitle(_caption(view), x=0.01, ha="left", fontsize=13)
+    figure.legend(handles=_map_legend(), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
+    return figure
+
+
+def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]) -> Figure:
+    """One panel a quantity, one line a method: the value with its 95 % interval. `measured[quantity][method]`."""
+    figure = Figure(figsize=(3.4 * len(measured), 2.9), layout="constrained")
+    panels = figure.subplots(1, len(measured), squeeze=False)[0]
+    for axes, (quantity, methods) in zip(panels, measured.items(), strict=True):
+        _draw_intervals(axes, list(methods), list(methods.values()))
+        axes.set_title(quantity, loc="left", fontsize=10)
+    figure.suptitle(title, x=0.02, ha="left", fontsize=12, fontweight="bold")
+    return figure
+
+
+def _caption(view: View) -> str:
+    return "   ·   ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
+
+
+def _draw_intervals(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:
+    for row, (value, low, high) in enumerate(values):
+        colour = unit(palette.ROOMS[row % len(palette.ROOMS)])
+        axes.plot([low, high], [row, row], color=colour, linewidth=3, solid_capstyle="round", alpha=0.5)
+        axes.plot(value, row, "o", color=colour)
+        axes.annotate(_short(value), (value, row), (0, 7), textcoords="offset points", ha="center", fontsize=8)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.6)
+    axes.margins(x=0.15)
+    axes.grid(axis="x", alpha=0.3)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+
+
+def _short(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def _draw_truth(axes: Axes, view: View) -> None:
+    rings = [np.vstack([ring, ring[:1]]) for ring in loops(view.segments)]
+    outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings))
+    axes.add_patch(PathPatch(outline, facecolor=TRUTH_GREY, edgecolor="none"))
+
+
+def _draw_rooms(axes: Axes, view: View) -> None:
+    for polygon, ring in shapes.polygon_rings(view.report):
+        colour = unit(palette.room_colour(view.report.graph.resolve(polygon.room)))
+        ring = to_map(view.T_world_map, ring)
+        axes.add_patch(Polygon(ring, facecolor=(*colour, 0.10), edgecolor=(*colour, 0.55), linewidth=0.8))
+
+
+def _draw_doors(axes: Axes, view: View) -> None:
+    where = shapes.positions(view.report.belief)
+    for door in view.report.graph.doors:
+        for face in shapes.door_faces(door, where):
+            axes.plot(*to_map(view.T_world_map, face).T, color=unit(palette.DOOR), linewidth=3.0)
+    for candidate in view.report.graph.candidates:
+        ends = to_map(view.T_world_map, candidate.ends)
+        axes.plot(*ends.T, color=unit(palette.DOOR), linewidth=1.5, linestyle=":")
+
+
+def _draw_landmarks(axes: Axes, view: View) -> None:
+    belief = view.report.belief
+    for mean, cov in zip(belief.p_map, belief.covs, strict=True):
+        ring = to_map(view.T_world_map, shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED))
+        axes.add_patch(Polygon(ring, fill=False, edgecolor=unit(palette.LANDMARK), linewidth=0.8))
+    axes.plot(*to_map(view.T_world_map, belief.p_map).T, "+", color=unit(palette.LANDMARK), markersize=5)
+
+
+def _name_rooms(axes: Axes, view: View) -> None:
+    for room, p_map in shapes.room_labels(view.report).items():
+        x, y = to_map(view.T_world_map, p_map[None])[0]
+        colour = unit(palette.mix(palette.room_colour(room), palette.INK, 0.4))
+        axes.text(x, y, f"room {room}", ha="center", va="center", color=colour, fontsize=11, fontweight="bold")
+
+
+def _draw_scale(axes: Axes, bounds: Array) -> None:
+    """A bar of two metres below the building's right corner."""
+    right, y = bounds[1, 0], bounds[0, 1] - 0.45
+    axes.plot([right - 2.0, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
+    axes.text(right - 1.0, y - 0.1, "2 m", ha="center", va="top", fontsize=9)
+
+
+def _plain(axes: Axes, bounds: Array) -> None:
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    axes.set_xlim(bounds[0, 0] - 0.5, bounds[1, 0] + 0.5)
+    axes.set_ylim(bounds[0, 1] - 1.0, bounds[1, 1] + 0.5)
+
+
+def _map_legend() -> list[Patch | Line2D]:
+    ink, blue, red, amber = (unit(c) for c in (palette.INK, palette.ESTIMATE, palette.LANDMARK, palette.DOOR))
+    room = unit(palette.ROOMS[0])
+    return [
+        Patch(color=TRUTH_GREY, label="true walls"),
+        Line2D([], [], color=ink, alpha=0.35, linewidth=2.2, label="true path"),
+        Line2D([], [], color=blue, label="estimated path"),
+        Line2D([], [], color=red, marker="+", linestyle="none", label="landmark"),
+        Line2D([], [], color=red, marker="o", fillstyle="none", linestyle="none", label=_ellipse_label()),
+        Patch(facecolor=(*room, 0.2), edgecolor=room, label="polygons of a room"),
+        Line2D([], [], color=amber, linewidth=3, label="door"),
+    ]
+
+
+def _ellipse_label() -> str:
+    return f"95 % ellipse, drawn {ELLIPSE_MAGNIFIED:.0f} times larger"

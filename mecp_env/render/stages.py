@@ -1,0 +1,154 @@
+"""One picture a stage of what becomes of one scan (docs/one-scan.md), all in the robot's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mecp_env.render import palette, shapes
+from mecp_env.render.palette import unit
+from mecp_env.slam.data import Clusters, CornerKind, Decision, EdgeLabel, Reason, Segments, StepReport
+from mecp_env.slam.geometry import polar_to_points, to_robot
+
+Array = NDArray[np.float64]
+
+MAGNIFIED = 5.0
+KINDS = {CornerKind.CROSSING: ("o", "crossing"), CornerKind.FREE_END: ("s", "free end"), CornerKind.JAMB: ("D", "jamb")}
+EDGES = {EdgeLabel.WALL: palette.SOLID, EdgeLabel.GAP: palette.DOOR, EdgeLabel.OPEN: palette.GOAL}
+DECISIONS = {
+    Decision.LANDMARK: palette.ESTIMATE,
+    Decision.PROVISIONAL: palette.DOOR,
+    Decision.NEW: palette.GOAL,
+    Decision.IGNORED: palette.FAINT,
+}
+
+
+def stage_figures(report: StepReport, clusters: Clusters) -> dict[str, Figure]:
+    """Figures by name, in the order of the stages: scan, clusters, segments, corners, polygon, association."""
+    drawers: dict[str, Callable[[Axes], None]] = {
+        "scan": lambda axes: _draw_scan(axes, report),
+        "clusters": lambda axes: _draw_clusters(axes, report, clusters),
+        "segments": lambda axes: _draw_segments(axes, report),
+        "corners": lambda axes: _draw_corners(axes, report),
+        "polygon": lambda axes: _draw_polygon(axes, report),
+        "association": lambda axes: _draw_association(axes, report),
+    }
+    return {name: _figure(draw, _hits(report)) for name, draw in drawers.items()}
+
+
+def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
+    low, high = hits.min(axis=0) - 0.4, hits.max(axis=0) + 0.4
+    figure = Figure(figsize=(8.0, 8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.3), layout="constrained")
+    axes = figure.add_subplot()
+    draw(axes)
+    axes.plot(0.0, 0.0, marker=(3, 0, -90), color=unit(palette.INK), markersize=14)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=8, colors=unit(palette.FAINT))
+    axes.spines[:].set_visible(False)
+    axes.grid(alpha=0.25)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.04), ncols=6, frameon=False, fontsize=9)
+    return figure
+
+
+def _points(report: StepReport) -> Array:
+    """(B,2) m: the merged beams' ends."""
+    return polar_to_points(np.column_stack([report.beams.ranges, report.beams.bearings]))
+
+
+def _hits(report: StepReport) -> Array:
+    hits: Array = _points(report)[report.beams.hit]
+    return hits
+
+
+def _draw_scan(axes: Axes, report: StepReport) -> None:
+    beams = report.beams
+    raw = polar_to_points(np.column_stack([beams.raw_ranges, beams.raw_bearings]))
+    label = f"{len(raw)} raw beams (dense scan)"
+    axes.plot(*raw[beams.raw_ranges < beams.max_range_m].T, ".", color=unit(palette.BEAM), markersize=2, label=label)
+    axes.plot(*_hits(report).T, ".", color=unit(palette.HIT), markersize=2.5, label="merged beams")
+
+
+def _draw_clusters(axes: Axes, report: StepReport, clusters: Clusters) -> None:
+    points = _points(report)
+    for row, (first, last) in enumerate(zip(clusters.first, clusters.last, strict=True)):
+        index = (clusters.roll + np.arange(first, last + 1)) % len(points)
+        axes.plot(*points[index].T, ".", color=unit(palette.room_colour(row)), markersize=4)
+    axes.plot([], [], " ", label=f"{len(clusters.first)} clusters, one colour each")
+
+
+def _draw_segments(axes: Axes, report: StepReport) -> None:
+    segments: Segments = report.segments
+    axes.plot(*_hits(report).T, ".", color=unit(palette.UNSEEN), markersize=3)
+    for row, ends in enumerate(segments.points):
+        axes.plot(*ends.T, color=unit(palette.room_colour(row)), linewidth=2)
+    axes.plot([], [], " ", label=f"{len(segments.points)} lines fitted")
+
+
+def _draw_walls(axes: Axes, report: StepReport) -> None:
+    for ends in report.segments.points:
+        axes.plot(*ends.T, color=unit(palette.mix(palette.SOLID, palette.FREE, 0.6)), linewidth=1.5)
+
+
+def _draw_corners(axes: Axes, report: StepReport) -> None:
+    _draw_walls(axes, report)
+    corners = report.corners
+    points = polar_to_points(corners.z)
+    for kind, (marker, name) in KINDS.items():
+        chosen = corners.kind == kind
+        axes.plot(*points[chosen].T, marker, color=unit(palette.LANDMARK), fillstyle="none", label=name)
+    for point, z, cov in zip(points, corners.z, corners.R, strict=True):
+        axes.plot(*_ring(point, z, cov).T, color=unit(palette.LANDMARK), linewidth=0.7)
+    for jambs in corners.doorways.jambs:
+        axes.plot(*points[jambs].T, color=unit(palette.DOOR), linewidth=3, label="_door")
+    behind = points[corners.beyond >= 0]
+    axes.plot(*behind.T, "x", color=unit(palette.DOOR), label="seen through a door")
+    axes.plot([], [], "-", color=unit(palette.LANDMARK), linewidth=0.7, label=f"95 %, {MAGNIFIED:.0f} times larger")
+
+
+def _ring(point: Array, z: Array, cov: Array) -> Array:
+    """The 95 % ellipse of a corner given as range and bearing, in the plane."""
+    along, across = point / z[0], np.array([-point[1], point[0]])
+    J = np.column_stack([along, across])  # d point / d (range, bearing)
+    ring = shapes.ellipse(point, J @ cov @ J.T, MAGNIFIED)
+    return np.vstack([ring, ring[:1]])
+
+
+def _draw_polygon(axes: Axes, report: StepReport) -> None:
+    _draw_walls(axes, report)
+    points = polar_to_points(report.corners.z)
+    sites = report.corners.sites
+    axes.plot(*points[sites].T, "o", color=unit(palette.LANDMARK), label="site: may be a vertex")
+    axes.plot(*points[~sites].T, "o", color=unit(palette.FAINT), fillstyle="none", label="no site")
+    for polygon in report.polygons:
+        ring = points[polygon.corners]
+        axes.fill(*ring.T, color=unit(palette.ROOMS[0]), alpha=0.12)
+        _draw_intervals(axes, ring, polygon.intervals)
+    for label, colour in EDGES.items():
+        axes.plot([], [], color=unit(colour), linewidth=3, label=label.name.lower())
+
+
+def _draw_intervals(axes: Axes, ring: Array, intervals: Array) -> None:
+    for edge, start, end, label in intervals:
+        a, b = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
+        ends = np.stack([a + start * (b - a), a + end * (b - a)])
+        axes.plot(*ends.T, color=unit(EDGES[EdgeLabel(int(label))]), linewidth=3, solid_capstyle="butt")
+
+
+def _draw_association(axes: Axes, report: StepReport) -> None:
+    _draw_walls(axes, report)
+    belief, match = report.belief, report.match
+    known = to_robot(belief.T_map_robot, np.ascontiguousarray(belief.p_map))
+    axes.plot(*known.T, "+", color=unit(palette.LANDMARK), markersize=9, label="landmark of the map")
+    points = polar_to_points(report.corners.z)
+    for decision, colour in DECISIONS.items():
+        chosen = match.decision == decision
+        axes.plot(*points[chosen].T, "o", color=unit(colour), fillstyle="none", label=decision.name.lower())
+    for point, name, reason in zip(points, match.ids, match.reason, strict=True):
+        words = f"{name} {Reason(int(reason)).name.lower()}" if name >= 0 else Reason(int(reason)).name.lower()
+        axes.annotate(words, point, (5, 5), textcoords="offset points", fontsize=7, color=unit(palette.INK))

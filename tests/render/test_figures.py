@@ -1,0 +1,66 @@
+"""Figures: they can be written, show what they must, and the same data give the same file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from mecp_env.render import shapes
+from mecp_env.render.figures import comparison_figure, map_figure, save
+from mecp_env.render.stages import stage_figures
+from mecp_env.render.text import summary
+from mecp_env.slam.data import Clusters, EdgeLabel, Polygon
+from tests.render import scene
+
+
+def words(figure: Figure) -> str:
+    legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    return " ".join([text.get_text() for text in figure.findobj(match=lambda a: hasattr(a, "get_text"))] + legends)
+
+
+def test_the_map_names_its_rooms_and_figures_and_is_written_twice_the_same(tmp_path: Path) -> None:
+    figure = map_figure(scene.view())
+    assert all(name in words(figure) for name in ("room 0", "room 1", "rooms 1/2", "coverage 73.1%", "2 m"))
+    save(figure, tmp_path / "a.png", dpi=60)
+    save(map_figure(scene.view()), tmp_path / "b.png", dpi=60)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert iio.imread(tmp_path / "a.png").std() > 10.0
+
+
+def test_a_comparison_shows_every_method_in_every_panel() -> None:
+    measured = {"coverage": {"a": (0.9, 0.8, 1.0), "b": (0.5, 0.4, 0.6)}, "steps": {"a": (800.0, 700.0, 900.0)}}
+    figure = comparison_figure("explorers", measured)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["coverage", "steps"]
+    assert [tick.get_text() for tick in figure.axes[0].get_yticklabels()] == ["a", "b"]
+
+
+def test_one_picture_a_stage() -> None:
+    edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [0, 0.5, 1.0, EdgeLabel.GAP], [1, 0.0, 1.0, EdgeLabel.OPEN]])
+    report = replace(scene.report(), polygons=(Polygon(np.array([0, 1, 2]), edges),), corners=scene.corners())
+    clusters = Clusters(0, np.array([0, 300]), np.array([299, 719]), np.zeros(2, np.int64))
+    figures = stage_figures(report, clusters)
+    assert list(figures) == ["scan", "clusters", "segments", "corners", "polygon", "association"]
+    assert all(figure.axes[0].lines for figure in figures.values())
+
+
+def test_the_ellipse_holds_95_percent_of_the_samples() -> None:
+    cov = np.array([[0.04, 0.018], [0.018, 0.01]])
+    samples = np.random.default_rng(3).multivariate_normal([1.0, 2.0], cov, 20_000)
+    ring = shapes.ellipse(np.array([1.0, 2.0]), cov)
+    after = np.roll(ring, -1, axis=0)
+    edges, to_sample = after - ring, samples[:, None] - ring
+    inside = (edges[:, 0] * to_sample[..., 1] - edges[:, 1] * to_sample[..., 0] > 0).all(axis=1)
+    mirrored = (edges[:, 0] * to_sample[..., 1] - edges[:, 1] * to_sample[..., 0] < 0).all(axis=1)
+    assert max(inside.mean(), mirrored.mean()) == pytest.approx(0.95, abs=0.01)
+
+
+def test_the_summary_leaves_out_what_is_not_known() -> None:
+    assert summary({"rooms_found": 3, "rooms": 9, "pose_error_m": 0.0204}) == [
+        ("rooms", "3/9"),
+        ("pose error", "2.0 cm"),
+    ]
