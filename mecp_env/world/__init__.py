@@ -1,0 +1,1 @@
+"""The truth: layouts, physics and sensors. Nothing of the estimator imports it."""

@@ -74,26 +74,30 @@ def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
     """The door lies with its whole width in one straight wall, and is square to it."""
     off = wall.distance(Point(door.centre))
     if off > ON_LINE_M:
-        raise LayoutError(f"doors.{index}.centre: {door.centre} is {off:.3f} m from the nearest wall line, at most {ON_LINE_M}")
+        raise LayoutError(
+            f"doors.{index}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m"
+        )
     (x0, y0), (x1, y1) = wall.coords
     square = math.degrees(math.atan2(y1 - y0, x1 - x0)) + 90.0 - door.direction_deg
     if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
-        raise LayoutError(f"doors.{index}.direction_deg: {door.direction_deg:g} is not square to its wall within {SQUARE_DEG}")
-    room = min(math.dist(door.centre, end) for end in wall.coords)
-    if room < door.width_m / 2.0:
-        raise LayoutError(f"doors.{index}.width_m: {door.width_m:g} leaves its wall, which has {room:.3f} m beside the centre")
+        raise LayoutError(f"doors.{index}.direction_deg: {door.direction_deg:g} is not square to its wall")
+    widest = 2.0 * min(math.dist(door.centre, end) for end in wall.coords)
+    if door.width_m > widest:
+        raise LayoutError(
+            f"doors.{index}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m"
+        )
 
 
 def _check_door_sides(layout: Layout, door: Door, thickness: float, index: int) -> None:
     """A step before the door lies in the first room, a step behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)
-    for side, sign in enumerate((-1.0, 1.0)):
-        point = Point(door.centre[0] + sign * step * math.cos(heading), door.centre[1] + sign * step * math.sin(heading))
-        room = layout.rooms[layout.room_index(door.rooms[side])]
-        if not Polygon(room.polygon).contains(point):
-            where = f"({point.x:.2f}, {point.y:.2f})"
-            raise LayoutError(f"doors.{index}.centre: the door at {door.centre} has {where} on its side {side}, outside {room.name!r}")
+    ahead = step * np.array([math.cos(heading), math.sin(heading)])
+    for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
+        room = layout.rooms[layout.room_index(name)]
+        if not Polygon(room.polygon).contains(Point(point)):
+            beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
+            raise LayoutError(f"doors.{index}.centre: {door.centre} is not between its rooms, {beside}")
 
 
 def _check_starts(layout: Layout, outline: Outline) -> None:
@@ -103,7 +107,9 @@ def _check_starts(layout: Layout, outline: Outline) -> None:
             raise LayoutError(f"starts.{i}.point: {start.point} lies inside a wall or cut off from starts.0")
         clearance = outline.free_area.boundary.distance(point)
         if clearance < ROBOT_RADIUS_M:
-            raise LayoutError(f"starts.{i}.point: {start.point} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M} m")
+            raise LayoutError(
+                f"starts.{i}.point: {start.point} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}"
+            )
 
 
 def _check_reach(layout: Layout, outline: Outline) -> None:
@@ -111,10 +117,12 @@ def _check_reach(layout: Layout, outline: Outline) -> None:
     reach = _reachable(outline)
     for i, room in enumerate(outline.rooms):
         if reach.intersection(room).is_empty:
-            raise LayoutError(f"rooms.{i}: {layout.rooms[i].name!r} is out of reach for a robot of radius {ROBOT_RADIUS_M} m")
+            raise LayoutError(
+                f"rooms.{i}: {layout.rooms[i].name!r} cannot be reached by a radius of {ROBOT_RADIUS_M} m"
+            )
     for i, centre in enumerate(outline.doors.centre):
         if not reach.intersects(Point(centre)):
-            raise LayoutError(f"doors.{i}: too narrow or blocked for a robot of radius {ROBOT_RADIUS_M} m")
+            raise LayoutError(f"doors.{i}: too narrow or blocked for a radius of {ROBOT_RADIUS_M} m")
     for i, start in enumerate(layout.starts):
         if reach.distance(Point(start.point)) > ON_LINE_M:
             raise LayoutError(f"starts.{i}.point: {start.point} cannot be reached from starts.0")

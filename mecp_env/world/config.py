@@ -23,7 +23,7 @@ class RobotConfig(Settings):
     max_turn_acceleration_rad_s2: float = Field(5.0, gt=0.0, le=1000.0)
     period_s: float = Field(0.4, gt=0.0, le=5.0)
     arcs: int = Field(4, ge=1, le=64)  # odometry readings in a period
-    substeps: int = Field(5, ge=1, le=200)  # physics steps in an arc
+    substeps: int = Field(4, ge=1, le=200)  # physics steps in an arc
 
     @property
     def substep_s(self) -> float:
@@ -34,7 +34,9 @@ class RobotConfig(Settings):
         """Within a substep the robot moves less than a tenth of its radius, so that no wall is jumped."""
         stride = self.max_speed_m_s * self.substep_s
         if stride > 0.1 * self.radius_m:
-            raise ValueError(f"a substep of {self.substep_s:g} s moves the robot {stride:g} m, at most a tenth of radius_m")
+            raise ValueError(
+                f"substeps: one moves the robot {stride:g} m, at most a tenth of radius_m={self.radius_m:g}"
+            )
         return self
 
 

@@ -19,7 +19,7 @@ from shapely.geometry.polygon import orient
 
 from mecp_env.errors import LayoutError
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.world.schema import Box, Layout, Obstacle, Pillar
+from mecp_env.world.schema import Box, Layout, Obstacle, Pillar, Wall
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,6 +27,7 @@ Bools = NDArray[np.bool_]
 
 SNAP_M = 1e-6  # the union is computed on this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
+SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 CIRCLE_SIDES = 32  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
 
 
@@ -136,10 +137,11 @@ def obstacle_shape(obstacle: Obstacle) -> Polygon:
     """The solid of an obstacle."""
     if isinstance(obstacle, Pillar):
         angles = np.arange(CIRCLE_SIDES) * (2.0 * math.pi / CIRCLE_SIDES)
-        return Polygon(np.array(obstacle.centre) + obstacle.radius_m * np.column_stack([np.cos(angles), np.sin(angles)]))
+        ring = obstacle.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+        return Polygon(np.array(obstacle.centre) + ring)
     if isinstance(obstacle, Box):
         half = np.array(obstacle.size) / 2.0
-        ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        ring = SQUARE * half
         return Polygon(np.array(obstacle.centre) + ring @ _rotation(math.radians(obstacle.turn_deg)).T)
     return Polygon(obstacle.points)
 
@@ -165,7 +167,7 @@ def _doors(layout: Layout) -> Doors:
 
 def _free_area(layout: Layout, doors: Doors) -> Polygon:
     """The free space around the first start."""
-    walls = [LineString(w.points).buffer(w.thickness_m / 2.0, cap_style="square", join_style="mitre") for w in layout.walls]
+    walls = [_wall_solid(wall) for wall in layout.walls]
     cuts = shapely.union_all([Polygon(_door_ring(doors, i, 0.02)) for i in range(len(doors))])
     solids = shapely.union_all(walls, grid_size=SNAP_M)
     solids = shapely.difference(solids, cuts, grid_size=SNAP_M)
@@ -176,23 +178,28 @@ def _free_area(layout: Layout, doors: Doors) -> Polygon:
     return _part_with_start(shapely.difference(around, solids, grid_size=SNAP_M), around, layout)
 
 
+def _wall_solid(wall: Wall) -> Polygon:
+    line = LineString(wall.points)
+    return line.buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
+
+
 def _door_ring(doors: Doors, index: int, overhang_m: float) -> Array:
     """Corners (4,2) of the cut of a door; `overhang_m` beyond either face of the wall."""
     half = np.array([doors.thickness[index] / 2.0 + overhang_m, doors.width[index] / 2.0])
-    ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+    ring = SQUARE * half
     turned: Array = doors.centre[index] + ring @ _rotation(float(doors.normal[index])).T
     return turned
 
 
 def _part_with_start(free: BaseGeometry, around: Polygon, layout: Layout) -> Polygon:
     """The connected part of `free` that holds the first start; it must not reach the outside."""
-    start = Point(layout.starts[0].point)
-    for part in shapely.get_parts(free):
-        if part.intersects(start):
-            if part.intersects(around.exterior):
-                raise LayoutError(f"starts.0.point: {layout.starts[0].point} lies outside, or the walls leave a gap there")
-            return orient(part, 1.0)
-    raise LayoutError(f"starts.0.point: {layout.starts[0].point} lies inside a wall or an obstacle")
+    start = layout.starts[0].point
+    part = next((part for part in shapely.get_parts(free) if part.intersects(Point(start))), None)
+    if part is None:
+        raise LayoutError(f"starts.0.point: {start} lies inside a wall or an obstacle")
+    if part.intersects(around.exterior):
+        raise LayoutError(f"starts.0.point: {start} lies outside, or the walls around it are not closed")
+    return orient(part, 1.0)
 
 
 def _faces(area: Polygon) -> tuple[Array, Ints]:
@@ -254,6 +261,6 @@ def _nearest_room(p_world: Array, rooms: tuple[Polygon, ...]) -> Ints:
     """Index (n,) of the room nearest to each point, or -1 where none lies within 0.3 m."""
     points = shapely.points(p_world)
     far = np.stack([shapely.distance(points, room) for room in rooms])
-    nearest = np.argmin(far, axis=0).astype(np.int64)
+    nearest: Ints = np.argmin(far, axis=0)
     nearest[np.min(far, axis=0) > 0.3] = -1
     return nearest

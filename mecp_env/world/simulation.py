@@ -1,10 +1,11 @@
 """The physics: a circular differential-drive robot among static walls, in a pymunk space.
 
-One `step()` is one control period. Far from every wall a compiled kernel moves the robot; near one, pymunk does, in the
-same substeps and by the same scheme. In each substep the body first moves with its velocity, then the wheels set a new
-one (towards the command, within the acceleration limits, and with no motion sideways) and contacts correct it. So the
-velocity of a body in contact never points into the wall, and what little it enters a wall when it first touches one is
-pushed out again. Nothing but the six numbers of the state outlives an arc: a restored state continues bit for bit.
+One `step()` is one control period. Away from walls a compiled kernel moves the robot; within a substep's reach of one,
+pymunk does, in the same substeps and by the same scheme. In each substep the body first moves with its velocity, then
+the wheels set a new one (towards the command, within the acceleration limits, and with no motion sideways) and contacts
+correct it. So the velocity of a body in contact never points into the wall, and what little it enters a wall when it
+first touches one is pushed out again. Nothing but the six numbers of the state outlives an arc: a restored state
+continues bit for bit.
 """
 
 from __future__ import annotations
@@ -78,15 +79,11 @@ class Simulation:
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ActionError(f"command: v={v!r}, w={w!r}, expected finite numbers")
         command = self._within_limits(v, w)
-        reach = self.config.radius_m + TOUCH_M + self.config.max_speed_m_s * self._arc_s
         increments, contact = np.empty((self.config.arcs, 2)), False
         for arc in range(self.config.arcs):
             before = self._state.copy()
-            if wall_distance(self._segments, before[0], before[1]) > reach:
-                glide(self._state, command, self._limits, self.config.substeps)
-            else:
-                contact |= self._arc_near_wall(command)
-            increments[arc] = self._increment(before)
+            contact |= self._arc(command)
+            increments[arc] = increment(before, self._state)
         return Motion(increments, contact)
 
     def get_state(self) -> dict[str, Any]:
@@ -94,10 +91,10 @@ class Simulation:
         return {"body": self._state.copy()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continues bit for bit from what `get_state` gave."""
-        body = np.array(state["body"], dtype=np.float64)
+        """Continues bit for bit from what `get_state` gave. Raises MecpError for anything else."""
+        body = np.array(state.get("body", ()), dtype=np.float64)
         if body.shape != (6,) or not np.isfinite(body).all():
-            raise MecpError(f"body: expected six finite numbers, given {state['body']!r}")
+            raise MecpError(f"body: expected six finite numbers, given {body!r}")
         self._state = body
 
     def __getstate__(self) -> dict[str, Any]:
@@ -110,17 +107,18 @@ class Simulation:
 
     def _build(self) -> None:
         """The pymunk space of the outline; it holds nothing that the state does not."""
-        config = self.config
-        self._arc_s = config.period_s / config.arcs
-        dt = config.substep_s
-        self._limits = np.array([config.max_acceleration_m_s2 * dt, config.max_turn_acceleration_rad_s2 * dt, dt])
+        config, dt = self.config, self.config.substep_s
+        moment = MASS_KG * config.radius_m**2 / 2.0
+        changes = config.max_acceleration_m_s2 * dt, config.max_turn_acceleration_rad_s2 * dt
+        self._drive = np.array([*changes, dt, MASS_KG / dt, moment / dt])
+        self._stride_m = config.max_speed_m_s * dt
         self._space = pymunk.Space()
         self._space.collision_slop = 0.0
-        self._space.collision_bias = 1.0  # off: pymunk's own way out of a wall lives on in the body, where no state sees it
-        self._space.collision_persistence = 1  # 0 would switch contacts off altogether
+        self._space.collision_bias = 1.0  # off: pymunk keeps its way out of a wall where no state sees it
+        self._space.collision_persistence = 1  # 0 switches contacts off
         for a, b in self._segments.tolist():
             self._space.add(pymunk.Segment(self._space.static_body, a, b, 0.0))
-        self._body = pymunk.Body(MASS_KG, MASS_KG * config.radius_m**2 / 2.0)
+        self._body = pymunk.Body(MASS_KG, moment)
         self._shape = pymunk.Circle(self._body, config.radius_m)  # frictionless: it slides along walls
         self._space.add(self._body, self._shape)
 
@@ -128,70 +126,88 @@ class Simulation:
         v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
         return np.array([min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)])
 
-    def _arc_near_wall(self, command: Array) -> bool:
-        """Moves by one arc in pymunk; returns whether something was touched with force."""
-        body, state = self._body, self._state
-        self._forget_contacts()
-        body.position, body.angle = (state[0], state[1]), state[2]
-        body.velocity, body.angular_velocity = (state[3], state[4]), state[5]
-        contact = False
-        for _ in range(self.config.substeps):
-            contact |= self._substep(command)
+    def _arc(self, command: Array) -> bool:
+        """Moves by one arc; returns whether something was touched with force."""
+        reach = self.config.radius_m + TOUCH_M + self._stride_m
+        contact, fresh, left = False, True, self.config.substeps
+        while left:
+            free = glide(self._segments, self._state, command, self._drive, left, reach, self._stride_m)
+            left -= free
+            if left:
+                contact |= self._substep_near_wall(command, fresh or free > 0)
+                fresh, left = False, left - 1
         return contact
 
-    def _forget_contacts(self) -> None:
-        """Takes the robot's shape out and in again: the arc starts without what pymunk remembers of the last one."""
+    def _load_body(self) -> None:
+        """Gives pymunk the state; then takes its shape out and in, so that no past contact is remembered."""
+        x, y, heading, vx, vy, w = self._state.tolist()
+        self._body.position, self._body.angle = (x, y), heading
+        self._body.velocity, self._body.angular_velocity = (vx, vy), w
         self._space.remove(self._shape)
         self._space.add(self._shape)
 
-    def _substep(self, command: Array) -> bool:
-        body, state, dt = self._body, self._state, self.config.substep_s
-        wanted = wheels(state, command, self._limits)
-        body.force = (MASS_KG * (wanted[0] - state[3]) / dt, MASS_KG * (wanted[1] - state[4]) / dt)
-        body.torque = body.moment * (wanted[2] - state[5]) / dt
-        self._space.step(dt)
-        state[0], state[1] = body.position
-        state[2] = body.angle
-        state[3], state[4] = body.velocity
-        state[5] = body.angular_velocity
-        if push_out(self._segments, state, self.config.radius_m - TOUCH_M):
-            body.position = (state[0], state[1])
-        return math.hypot(state[3] - wanted[0], state[4] - wanted[1]) > PUSHED_M_S
-
-    def _increment(self, before: Array) -> tuple[float, float]:
-        """Distance along the mean heading, and turn, since the state `before`."""
-        turn = self._state[2] - before[2]
-        mean_heading = before[2] + 0.5 * turn
-        moved = self._state[:2] - before[:2]
-        return moved[0] * math.cos(mean_heading) + moved[1] * math.sin(mean_heading), turn
+    def _substep_near_wall(self, command: Array, fresh: bool) -> bool:
+        """Moves by one substep in pymunk, which has the state already unless `fresh`."""
+        if fresh:
+            self._load_body()
+        body = self._body
+        vx, vy, w = wheels(self._state, command, self._drive)
+        body.force, body.torque = wheel_force(self._state, vx, vy, w, self._drive)
+        self._space.step(self.config.substep_s)
+        (x, y), (x_rate, y_rate) = body.position, body.velocity
+        settled = settle(self._segments, self._state, x, y, self.config.radius_m - TOUCH_M)
+        self._state[2:] = body.angle, x_rate, y_rate, body.angular_velocity
+        if not settled:
+            body.position = self._state[0], self._state[1]
+        return math.hypot(x_rate - vx, y_rate - vy) > PUSHED_M_S
 
 
 @kernel
-def wheels(state: Array, command: Array, limits: Array) -> Array:
-    """Velocity (3,) that the wheels aim at for the next substep: x, y, turn rate.
+def increment(before: Array, after: Array) -> tuple[float, float]:
+    """Distance along the mean heading, and turn, from one state (6,) to another."""
+    turn = after[2] - before[2]
+    heading = before[2] + 0.5 * turn
+    return (after[0] - before[0]) * math.cos(heading) + (after[1] - before[1]) * math.sin(heading), turn
 
-    From the speed along the heading towards the command (2,), by at most limits[0] and limits[1]; in the direction
-    that the robot will have half-way through the next substep, which begins when this one of limits[2] seconds ends.
+
+@kernel
+def wheels(state: Array, command: Array, drive: Array) -> tuple[float, float, float]:
+    """Velocity x, y and turn rate that the wheels aim at for the next substep.
+
+    From the speed along the heading towards the command (2,), by at most drive[0] and drive[1]; in the direction that
+    the robot will have half-way through the next substep, which begins when this one of drive[2] seconds ends.
     """
-    heading = state[2] + state[5] * limits[2]
     speed = math.cos(state[2]) * state[3] + math.sin(state[2]) * state[4]
-    v = speed + min(max(command[0] - speed, -limits[0]), limits[0])
-    w = state[5] + min(max(command[1] - state[5], -limits[1]), limits[1])
-    heading += 0.5 * w * limits[2]
-    wanted = np.empty(3)
-    wanted[0], wanted[1], wanted[2] = v * math.cos(heading), v * math.sin(heading), w
-    return wanted
+    v = speed + min(max(command[0] - speed, -drive[0]), drive[0])
+    w = state[5] + min(max(command[1] - state[5], -drive[1]), drive[1])
+    heading = state[2] + (state[5] + 0.5 * w) * drive[2]
+    return v * math.cos(heading), v * math.sin(heading), w
 
 
 @kernel
-def glide(state: Array, command: Array, limits: Array, substeps: int) -> None:
-    """Moves the state (6,) by an arc where nothing can be touched, as pymunk would."""
-    for _ in range(substeps):
-        wanted = wheels(state, command, limits)
-        state[0] += state[3] * limits[2]
-        state[1] += state[4] * limits[2]
-        state[2] += state[5] * limits[2]
-        state[3], state[4], state[5] = wanted[0], wanted[1], wanted[2]
+def wheel_force(state: Array, vx: float, vy: float, w: float, drive: Array) -> tuple[tuple[float, float], float]:
+    """Force and torque that give the body of the state (6,) the velocity vx, vy, w within a substep."""
+    return ((vx - state[3]) * drive[3], (vy - state[4]) * drive[3]), (w - state[5]) * drive[4]
+
+
+@kernel
+def glide(
+    segments: Array, state: Array, command: Array, drive: Array, substeps: int, reach: float, stride: float
+) -> int:
+    """Moves the state (6,) while no wall is within `reach`, as pymunk would; returns how many substeps were made."""
+    spare = wall_distance(segments, state[0], state[1]) - reach
+    for done in range(substeps):
+        if spare <= 0.0:
+            spare = wall_distance(segments, state[0], state[1]) - reach
+        if spare <= 0.0:
+            return done
+        spare -= stride
+        vx, vy, w = wheels(state, command, drive)
+        state[0] += state[3] * drive[2]
+        state[1] += state[4] * drive[2]
+        state[2] += state[5] * drive[2]
+        state[3], state[4], state[5] = vx, vy, w
+    return substeps
 
 
 @kernel
@@ -199,33 +215,33 @@ def wall_distance(segments: Array, x: float, y: float) -> float:
     """Distance from (x, y) to the nearest of the faces (S,2,2), m."""
     nearest = math.inf
     for k in range(segments.shape[0]):
-        dx, dy = _from_face(segments[k], x, y)
+        dx, dy = _from_face(segments, k, x, y)
         nearest = min(nearest, dx * dx + dy * dy)
     return math.sqrt(nearest)
 
 
 @kernel
-def push_out(segments: Array, state: Array, radius: float) -> bool:
-    """Moves the position of the state (6,) out of all walls nearer than `radius`; returns whether it moved."""
-    moved = False
+def settle(segments: Array, state: Array, x: float, y: float, radius: float) -> bool:
+    """Puts the state's position at (x, y), out of all walls nearer than `radius`; returns whether (x, y) was free."""
+    state[0], state[1] = x, y
     for _ in range(8):
-        settled = True
+        free = True
         for k in range(segments.shape[0]):
-            dx, dy = _from_face(segments[k], state[0], state[1])
+            dx, dy = _from_face(segments, k, state[0], state[1])
             distance = math.sqrt(dx * dx + dy * dy)
             if 1e-9 < distance < radius - 1e-9:
                 state[0] += dx * (radius / distance - 1.0)
                 state[1] += dy * (radius / distance - 1.0)
-                settled, moved = False, True
-        if settled:
+                free = False
+        if free:
             break
-    return moved
+    return bool(state[0] == x and state[1] == y)
 
 
 @kernel
-def _from_face(face: Array, x: float, y: float) -> tuple[float, float]:
-    """Vector to (x, y) from the nearest point of the face (2,2)."""
-    ux, uy = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1]
-    px, py = x - face[0, 0], y - face[0, 1]
-    share = min(max((px * ux + py * uy) / (ux * ux + uy * uy), 0.0), 1.0)
-    return px - share * ux, py - share * uy
+def _from_face(segments: Array, k: int, x: float, y: float) -> tuple[float, float]:
+    """Vector to (x, y) from the nearest point of face k."""
+    ax, ay = segments[k, 0, 0], segments[k, 0, 1]
+    ux, uy = segments[k, 1, 0] - ax, segments[k, 1, 1] - ay
+    share = min(max(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0), 1.0)
+    return x - ax - share * ux, y - ay - share * uy
