@@ -50,10 +50,10 @@ class CornerConfig(Settings):
     end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a free end the next beams are farther by this, and
     end_jump_sigmas: float = Field(4.0, ge=0.0, le=20.0)  # this many sigmas of the range
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
-    floor_share: float = Field(0.1, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
+    floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
     door_width_m: tuple[float, float] = (0.75, 1.05)
-    door_range_m: float = Field(3.0, gt=0.0, le=30.0)
-    door_incidence_deg: float = Field(30.0, gt=0.0, lt=90.0)
+    door_range_m: float = Field(3.5, gt=0.0, le=30.0)
+    door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)
 
 
 class PolygonConfig(Settings):
@@ -120,7 +120,8 @@ class RoomConfig(Settings):
     wall_thickness_m: tuple[float, float] = (0.05, 0.4)
     hysteresis_m: float = Field(0.3, ge=0.0, le=2.0)
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)
-    recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two recognitions this far apart merge rooms
+    recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
+    recognise_by_corners_m: float = Field(1.5, ge=0.0, le=10.0)  # the same for single corners, a weaker sign
     recognise_corners: int = Field(3, ge=1, le=100)
 
 

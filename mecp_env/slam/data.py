@@ -251,6 +251,7 @@ class Candidate:
     """A gap of door width that is not yet confirmed as a door."""
 
     ends: Array  # (2,2) m, map frame: right and left as seen from `room`
+    ids: tuple[int, int]  # feature ids of its two jambs, NO_ID where not known
     room: int
     sightings: int
     last_period: int

@@ -104,7 +104,7 @@ def record_doorways(
         if min(ids) >= 0 and corners.doorways.confirmable[g]:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, p_map[pair], belief, room, period)
+        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), belief)
 
 
 def _confirm(
@@ -139,21 +139,48 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     if alike > 0.0 or door.other_face is not None:
         return replace(door, sightings=door.sightings + 1)
     beyond = room if door.rooms[1] == UNKNOWN_ROOM and room != door.rooms[0] else door.rooms[1]
-    return replace(door, other_face=(new.jambs[1], new.jambs[0]), rooms=(door.rooms[0], beyond))
+    faces = (new.jambs[1], new.jambs[0])
+    return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _note_candidate(book: DoorBook, ends: Array, belief: Belief, room: int, period: int) -> None:
+def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    middle = ends.mean(axis=0)
     doors = door_frames(book.doors, belief)
-    if len(doors) and np.hypot(*(doors[:, :2] - middle).T).min() < SAME_GAP_M:
-        book.candidates = [c for c in book.candidates if np.hypot(*(c.ends.mean(axis=0) - middle)) >= SAME_GAP_M]
-        return
-    for i, known in enumerate(book.candidates):
-        if np.hypot(*(known.ends.mean(axis=0) - middle)) < SAME_GAP_M:
-            book.candidates[i] = Candidate(ends, known.room, known.sightings + 1, period)
-            return
-    book.candidates.append(Candidate(ends, room, 1, period))
+    is_door = len(doors) and np.hypot(*(doors[:, :2] - new.ends.mean(axis=0)).T).min() < SAME_GAP_M
+    same = [i for i, known in enumerate(book.candidates) if _middle_distance(known, new) < SAME_GAP_M]
+    if is_door:
+        book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
+    elif same:
+        known = book.candidates[same[0]]
+        ids = new.ids if min(new.ids) >= 0 else known.ids
+        book.candidates[same[0]] = replace(new, ids=ids, room=known.room, sightings=known.sightings + 1)
+    else:
+        book.candidates.append(new)
+
+
+def _middle_distance(a: Candidate, b: Candidate) -> float:
+    return float(np.hypot(*(a.ends.mean(axis=0) - b.ends.mean(axis=0))))
+
+
+def candidate_frame(candidate: Candidate) -> Array:
+    """(5,) as a row of `door_frames`: middle, unit normal towards the candidate's room, half width."""
+    across = candidate.ends[1] - candidate.ends[0]
+    width = np.hypot(*across)
+    return np.array([*candidate.ends.mean(axis=0), -across[1] / width, across[0] / width, width / 2.0])
+
+
+def anchored(candidate: Candidate, features: FeatureTable) -> bool:
+    """True when both jambs of the candidate are landmarks, so that it can become a door."""
+    return min(candidate.ids) >= 0 and bool((features.state[list(candidate.ids)] == int(FeatureState.LANDMARK)).all())
+
+
+def pass_through(book: DoorBook, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
+    """The robot drove through a candidate: it is a door, passed rather than seen."""
+    book.candidates = [c for c in book.candidates if c is not candidate]
+    features.kind[list(candidate.ids)] = int(CornerKind.JAMB)
+    rooms = (candidate.room, room_beyond)
+    book.doors.append(Door(book.next_id, candidate.ids, None, rooms, candidate.sightings))
+    book.next_id += 1
 
 
 def rename_jambs(book: DoorBook, keep: int, drop: int) -> None:
@@ -170,3 +197,4 @@ def rename_jambs(book: DoorBook, keep: int, drop: int) -> None:
     for pair, count in book.sightings.items():
         merged[renamed(pair)] = merged.get(renamed(pair), 0) + count
     book.sightings = merged
+    book.candidates = [replace(c, ids=renamed(c.ids)) for c in book.candidates]

@@ -20,7 +20,15 @@ from mecp_env.slam.data import (
     Match,
     RoomGraph,
 )
-from mecp_env.slam.doors import DoorBook, beyond_doors, door_frames, record_doorways
+from mecp_env.slam.doors import (
+    DoorBook,
+    anchored,
+    beyond_doors,
+    candidate_frame,
+    door_frames,
+    pass_through,
+    record_doorways,
+)
 from mecp_env.slam.geometry import polar_to_points, to_map
 
 Array = NDArray[np.float64]
@@ -78,6 +86,7 @@ class RoomKeeper:
             room = self.current
             record_doorways(self.book, corners, match, features, belief, room, through, period, self.config)
         self._follow(belief)
+        self._follow_candidates(features, belief)
         polygon_room = self.resolve(known[match.known].room) if match.known >= 0 else UNKNOWN_ROOM
         self._recognise(corners, match, through, features, belief, polygon_room)
 
@@ -106,6 +115,19 @@ class RoomKeeper:
             self.book.doors[d] = replace(door, rooms=(door.rooms[0], room))
         self.current = room
 
+    def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
+        """Driving through a gap that is not yet a door opens a room as well."""
+        for candidate in self.book.candidates:
+            frame = candidate_frame(candidate)
+            ahead, aside = _door_coordinates(belief.T_map_robot[:2], frame)
+            passed = abs(aside) < frame[4] and -1.0 < ahead < -self.config.hysteresis_m
+            if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
+                self.elsewhere.clear()
+                room = self._open()
+                pass_through(self.book, candidate, features, room)
+                self.current = room
+                return
+
     def _open(self) -> int:
         room = self.next_room
         self.rooms.append(room)
@@ -121,11 +143,11 @@ class RoomKeeper:
             return
         ids, rooms = self._seen_here(corners, match, through, features)
         if polygon_room not in (UNKNOWN_ROOM, self.current):
-            self._note_elsewhere(polygon_room, belief)
+            self._note_elsewhere(polygon_room, belief, self.config.recognise_m)
         elif self._relabel(ids, rooms, features) == 0:
             other = self._majority(rooms)
             if other not in (UNKNOWN_ROOM, self.current):
-                self._note_elsewhere(other, belief)
+                self._note_elsewhere(other, belief, self.config.recognise_by_corners_m)
 
     def _seen_here(
         self, corners: Corners, match: Match, through: Ints, features: FeatureTable
@@ -141,7 +163,8 @@ class RoomKeeper:
 
         They were first seen through a door not yet known, so that they were given to the room of the robot then.
         """
-        neighbours = {room for door in self.book.doors if self.current in door.rooms for room in door.rooms}
+        sure = (door for door in self.book.doors if door.sightings >= self.config.confirm_sightings)
+        neighbours = {room for door in sure if self.current in door.rooms for room in door.rooms}
         strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in neighbours - {self.current}]
         features.room[strayed] = self.current
         return len(strayed)
@@ -153,11 +176,11 @@ class RoomKeeper:
         likeliest = max(sorted(set(rooms)), key=rooms.count)
         return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
 
-    def _note_elsewhere(self, other: int, belief: Belief) -> None:
+    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float) -> None:
         """Count a sign that this is room `other`; two of them from places apart settle it."""
         x, y = belief.T_map_robot[:2]
         before = [e for e in self.elsewhere if e[0] == other]
-        if any(np.hypot(e[1] - x, e[2] - y) >= self.config.recognise_m for e in before):
+        if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
             self.elsewhere.clear()
             self._become(other)
         else:

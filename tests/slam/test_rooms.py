@@ -179,7 +179,7 @@ def test_a_new_room_recognised_twice_from_two_places_is_merged():
     look(keeper, belief_at(0.0, -2.0), ids)
     look(keeper, belief_at(0.1, -2.0), ids)  # too near to the first place
     assert keeper.current == 1
-    look(keeper, belief_at(0.8, -2.0), ids)
+    look(keeper, belief_at(1.6, -2.0), ids)
     assert keeper.current == 0
     assert keeper.graph().rooms == (0,)
     assert keeper.graph().resolve(1) == 0
@@ -208,7 +208,7 @@ def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_
 def test_an_old_room_recognised_is_entered_not_merged():
     keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
     look(keeper, belief_at(0.0, -2.0), (4, 5, 6))
-    look(keeper, belief_at(0.8, -2.0), (4, 5, 6))
+    look(keeper, belief_at(1.6, -2.0), (4, 5, 6))
     assert keeper.current == 0
     assert keeper.graph().rooms == (0, 1)
 
@@ -228,3 +228,13 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
         record_doorways(book, corners, match, features(), belief, 0, np.full(2, -1), period, RoomConfig())
     assert len(book.doors) == 1
     assert not book.candidates
+
+
+def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
+    keeper = RoomKeeper(RoomConfig())
+    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
+    assert len(keeper.book.candidates) == 1
+    assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5)) == [0, 0, 0, 1, 1]
+    assert [door.rooms for door in keeper.book.doors] == [(0, 1)]
+    assert not keeper.book.candidates
+    assert walk(keeper, (0.1, -0.5)) == [1, 0]
