@@ -1,0 +1,70 @@
+"""The command of the benchmarks: run one, write or compare its figures."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.common import RESULTS, Figures, Options, calibration_ms, failures, markdown, result, save
+
+NAMES = ("speed", "features", "association", "explorers")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit code: 0, or 1 where a gate failed, or 2 for a wrong command line."""
+    given = parser().parse_args(arguments)
+    module = importlib.import_module(f"benchmarks.{given.name}")
+    content = measure(given.name, module, Options(jobs=given.jobs, quick=given.quick))
+    report = getattr(module, "report", None)
+    page = markdown(content, report(content["figures"]) if report else None)
+    print(page)
+    if given.gate:
+        return gate(module, content, RESULTS / f"{given.name}.json")
+    if given.json or not given.quick:
+        save(content, page, given.json or RESULTS / f"{given.name}.json")
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options of the command."""
+    made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    made.add_argument("name", choices=NAMES)
+    made.add_argument("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
+    made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
+    made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
+    made.add_argument("--quick", action="store_true", help="a small sample; written only with --json")
+    return made
+
+
+def positive(text: str) -> int:
+    """The number that `text` says, at least 1."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected at least 1, given {number}")
+    return number
+
+
+def measure(name: str, module: Any, options: Options) -> Figures:
+    """Run a benchmark between two calibrations; the faster one counts."""
+    before = calibration_ms()
+    figures = module.run(options)
+    return result(name, figures, min(before, calibration_ms()))
+
+
+def gate(module: Any, content: Figures, baseline: Path) -> int:
+    """Say what got worse than the committed baseline."""
+    gates = getattr(module, "GATES", ())
+    if not gates or not baseline.is_file():
+        print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")
+        return 1
+    worse = failures(gates, content, json.loads(baseline.read_text()))
+    print("\n".join(["gate failed:", *worse]) if worse else f"gate passed: {len(gates)} figures")
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

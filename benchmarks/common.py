@@ -1,0 +1,239 @@
+"""What all benchmarks share: intervals, the calibration kernel, parallel runs, result files and the gate.
+
+A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
+It may have `GATES`, the figures that must not get worse, and `report(figures) -> str`, tables in Markdown.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mecp_env.kernel import kernel
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Figures = dict[str, Any]
+
+RESAMPLES = 2000
+NORMAL_95 = 1.959964
+RESULTS = Path(__file__).parent / "results"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line says to a benchmark."""
+
+    jobs: int = 1  # processes at the same time
+    quick: bool = False  # a small sample: does it run, roughly what does it say
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A figure that must not get worse than the baseline."""
+
+    path: str  # names joined by "/"
+    kind: Literal["time", "rate_per_s", "share", "error"]
+    slack: float  # ratio above 1 for times, speeds and errors; difference for shares
+
+
+def estimate(values: ArrayLike) -> Figures:
+    """Mean of a sample with a bootstrap 95 % interval: {value, low, high, n}; a nan counts as missing."""
+    sample = np.asarray(values, float).ravel()
+    sample = sample[np.isfinite(sample)]
+    if not len(sample):
+        return {"value": None, "low": None, "high": None, "n": 0}
+    draws = np.random.default_rng(0).integers(0, len(sample), (RESAMPLES, len(sample)))
+    low, high = np.percentile(sample[draws].mean(axis=1), [2.5, 97.5])
+    return {"value": float(sample.mean()), "low": float(low), "high": float(high), "n": len(sample)}
+
+
+def ratio(parts: ArrayLike, wholes: ArrayLike) -> Figures:
+    """sum(parts) / sum(wholes) with a bootstrap 95 % interval over the runs that each entry stands for."""
+    part, whole = np.asarray(parts, float), np.asarray(wholes, float)
+    if not whole.sum() > 0.0:
+        return {"value": None, "low": None, "high": None, "n": 0}
+    draws = np.random.default_rng(0).integers(0, len(part), (RESAMPLES, len(part)))
+    sums = whole[draws].sum(axis=1)
+    low, high = np.percentile(part[draws].sum(axis=1)[sums > 0] / sums[sums > 0], [2.5, 97.5])
+    return {"value": float(part.sum() / whole.sum()), "low": float(low), "high": float(high), "n": len(part)}
+
+
+def share(successes: Iterable[bool]) -> Figures:
+    """Share of successes with its Wilson 95 % interval: {value, low, high, n} (it has a width at 0 and 1 too)."""
+    outcomes = [bool(success) for success in successes]
+    n = len(outcomes)
+    if not n:
+        return {"value": None, "low": None, "high": None, "n": 0}
+    p, z2 = sum(outcomes) / n, NORMAL_95**2
+    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
+    half = NORMAL_95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
+    return {"value": p, "low": max(0.0, middle - half), "high": min(1.0, middle + half), "n": n}
+
+
+def in_parallel(task: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+    """The result of `task` for each item, in order; an error in a process is raised here."""
+    if jobs <= 1:
+        yield from map(task, items)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(task, items)
+
+
+def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
+    """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
+    call()
+    return min(_timed(call, calls) for _ in range(repeats)) / calls
+
+
+def _timed(call: Callable[[], object], calls: int) -> float:
+    start = time.perf_counter()
+    for _ in range(calls):
+        call()
+    return time.perf_counter() - start
+
+
+@kernel
+def _calibration(n: int) -> float:
+    """A fixed piece of work of the kind that the kernels do: trigonometry, divisions, branches, a small array."""
+    table = np.zeros(512)
+    x = 0.3
+    for i in range(n):
+        x = math.sin(x + i) * 1.7 + table[i % 512] / (1.0 + x * x)
+        table[(i * 7) % 512] = x if x > 0.0 else -0.5 * x
+    return x
+
+
+def calibration_ms() -> float:
+    """Milliseconds that this machine takes now for the calibration kernel: times are compared by ratios to it."""
+    return 1e3 * best_of(lambda: _calibration(200_000))
+
+
+def machine() -> dict[str, str]:
+    """What the figures were measured on."""
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "numba": numba.__version__,
+        "numpy": np.__version__,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+def result(name: str, figures: Figures, calibration: float) -> Figures:
+    """A result file's content: the figures with when, where and how they were measured."""
+    return {
+        "benchmark": name,
+        "date": datetime.now(UTC).date().isoformat(),
+        "command": " ".join(["python -m benchmarks", *sys.argv[1:]]),
+        "machine": machine(),
+        "calibration_ms": calibration,
+        "figures": figures,
+    }
+
+
+def flatten(figures: Any, path: str = "") -> dict[str, Any]:
+    """Path -> figure (a number, a text or an estimate)."""
+    if not isinstance(figures, dict) or {"value", "low", "high"} <= figures.keys():
+        return {path: figures}
+    flat: dict[str, Any] = {}
+    for name, inner in figures.items():
+        flat |= flatten(inner, f"{path}/{name}" if path else str(name))
+    return flat
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; numbers and estimates are written readably."""
+    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    lines += [f"| {' | '.join(readable(cell) for cell in row)} |" for row in rows]
+    return "\n".join(lines)
+
+
+def readable(figure: object) -> str:
+    """A figure as text: an estimate as `value [low, high]`."""
+    if isinstance(figure, dict):
+        if figure["value"] is None:
+            return "none"
+        return f"{readable(figure['value'])} [{readable(figure['low'])}, {readable(figure['high'])}]"
+    if isinstance(figure, float):
+        return f"{figure:,.0f}" if abs(figure) >= 1000.0 else f"{figure:.4g}"
+    return str(figure)
+
+
+def markdown(content: Figures, report: str | None) -> str:
+    """The readable page of a result: where it comes from, then the report or all figures in one table."""
+    where = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
+    body = report or table(["figure", "value [95 % interval]"], flatten(content["figures"]).items())
+    return (
+        f"# Benchmark: {content['benchmark']}\n\n"
+        f"{content['date']}, `{content['command']}`; {where}; "
+        f"calibration kernel {content['calibration_ms']:.2f} ms.\n\n{body}\n"
+    )
+
+
+def save(content: Figures, page: str, path: Path) -> None:
+    """Write the result as JSON to `path`, and the page beside it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2) + "\n")
+    path.with_suffix(".md").write_text(page)
+
+
+def failures(gates: Sequence[Gate], now: Figures, baseline: Figures) -> list[str]:
+    """What is worse in `now` than in `baseline`, one line each; a missing figure is a failure."""
+    measured, before = flatten(now["figures"]), flatten(baseline["figures"])
+    speed = now["calibration_ms"] / baseline["calibration_ms"]
+    lines = []
+    for gate in gates:
+        value, base = _better_end(measured.get(gate.path), gate), _value(before.get(gate.path))
+        if value is None or base is None:
+            lines.append(f"{gate.path}: missing in {'this run' if value is None else 'the baseline'}")
+        elif _is_worse(gate, value, base, speed):
+            lines.append(
+                f"{gate.path}: {readable(value)}, baseline {readable(base)} ({gate.kind}, slack {gate.slack:g})"
+            )
+    return lines
+
+
+def _is_worse(gate: Gate, value: float, base: float, speed: float) -> bool:
+    """True when `value` breaks the gate; `speed` is how much slower this machine is now than the baseline's was."""
+    if gate.kind == "time":
+        return value > gate.slack * base * speed
+    if gate.kind == "rate_per_s":
+        return value * gate.slack < base / speed
+    return value < base - gate.slack if gate.kind == "share" else value > gate.slack * base
+
+
+def _better_end(figure: Any, gate: Gate) -> float | None:
+    """The end of the interval that speaks for the run: a small sample alone must not fail a gate."""
+    if not isinstance(figure, dict):
+        return _value(figure)
+    return _value(figure["high" if gate.kind in ("rate_per_s", "share") else "low"])
+
+
+def _value(figure: Any) -> float | None:
+    value = figure.get("value") if isinstance(figure, dict) else figure
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None

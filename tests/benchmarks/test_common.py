@@ -1,0 +1,138 @@
+"""The frame of the benchmarks: intervals, tables, the gate and the command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks import common
+from benchmarks.common import Gate, Options
+
+GATES = (
+    Gate("scan/us", "time", 1.3),
+    Gate("steps_per_s", "rate_per_s", 1.3),
+    Gate("complete", "share", 0.05),
+    Gate("rmse_m", "error", 1.2),
+)
+FIGURES = {"scan": {"us": 10.0}, "steps_per_s": 2000.0, "complete": common.share([True] * 10), "rmse_m": 0.02}
+
+
+def content(calibration: float = 5.0, **changes: object) -> dict[str, object]:
+    return {"figures": {**FIGURES, **changes}, "calibration_ms": calibration}
+
+
+def test_the_interval_of_a_mean_covers_it_about_95_times_in_100() -> None:
+    rng = np.random.default_rng(1)
+    runs = [common.estimate(rng.normal(3.0, 2.0, 40)) for _ in range(200)]
+    covered = np.mean([run["low"] <= 3.0 <= run["high"] for run in runs])
+    assert 0.89 <= covered <= 0.98
+
+
+def test_the_interval_of_a_share_has_a_width_when_all_succeed() -> None:
+    all_of_ten = common.share([True] * 10)
+    assert all_of_ten["value"] == 1.0
+    assert all_of_ten["high"] == pytest.approx(1.0)
+    assert 0.65 < all_of_ten["low"] < 0.8
+
+
+def test_a_ratio_weighs_runs_by_their_size() -> None:
+    assert common.ratio([9, 0], [10, 1])["value"] == pytest.approx(9 / 11)
+
+
+def test_an_empty_sample_gives_no_figure() -> None:
+    assert common.estimate([])["value"] is None
+    assert common.estimate([float("nan")])["value"] is None
+    assert common.share([])["value"] is None
+    assert common.ratio([0], [0])["value"] is None
+
+
+def test_the_same_figures_pass_the_gate() -> None:
+    assert common.failures(GATES, content(), content()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"scan": {"us": 14.0}}, "scan/us"),
+        ({"steps_per_s": 1400.0}, "steps_per_s"),
+        ({"complete": common.share([False] * 10)}, "complete"),
+        ({"rmse_m": 0.03}, "rmse_m"),
+        ({"scan": {}}, "missing in this run"),
+        ({"complete": common.share([])}, "missing in this run"),
+        ({"rmse_m": float("nan")}, "missing in this run"),
+    ],
+)
+def test_a_worse_or_missing_figure_fails_the_gate(changes: dict[str, object], named: str) -> None:
+    (line,) = common.failures(GATES, content(**changes), content())
+    assert named in line
+
+
+def test_a_figure_that_the_baseline_misses_fails_the_gate() -> None:
+    (line,) = common.failures(GATES, content(), content(scan={}))
+    assert "missing in the baseline" in line
+
+
+def test_times_are_compared_by_their_ratio_to_the_calibration() -> None:
+    slow_machine = content(10.0, scan={"us": 20.0}, steps_per_s=1000.0)
+    assert common.failures(GATES, slow_machine, content()) == []
+    worse = common.failures(GATES, content(10.0, scan={"us": 27.0}, steps_per_s=700.0), content())
+    assert len(worse) == 2
+
+
+def test_parallel_runs_give_the_same_results_in_order() -> None:
+    assert list(common.in_parallel(abs, [-3, 2, -1], jobs=2)) == [3, 2, 1]
+    assert list(common.in_parallel(abs, [-3, 2, -1], jobs=1)) == [3, 2, 1]
+
+
+def test_an_error_in_a_parallel_run_is_raised() -> None:
+    with pytest.raises(TypeError):
+        list(common.in_parallel(abs, ["no number"], jobs=2))
+
+
+@pytest.fixture
+def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> types.ModuleType:
+    module = types.ModuleType("benchmarks.speed")
+    module.run = lambda options: {"steps_per_s": 100.0 if options.quick else 200.0}  # type: ignore[attr-defined]
+    module.GATES = (Gate("steps_per_s", "rate_per_s", 1.3),)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "benchmarks.speed", module)
+    monkeypatch.setattr(command, "RESULTS", tmp_path)
+    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    return module
+
+
+def test_the_command_writes_figures_and_page_and_gates_against_them(toy: types.ModuleType, tmp_path: Path) -> None:
+    assert command.main(["speed"]) == 0
+    written = json.loads((tmp_path / "speed.json").read_text())
+    assert written["figures"] == {"steps_per_s": 200.0}
+    assert {"date", "command", "machine", "calibration_ms"} <= written.keys()
+    assert "| steps_per_s | 200 |" in (tmp_path / "speed.md").read_text()
+    assert command.main(["speed", "--gate"]) == 0
+    assert command.main(["speed", "--gate", "--quick"]) == 1
+
+
+def test_a_quick_run_writes_only_where_it_is_told(toy: types.ModuleType, tmp_path: Path) -> None:
+    assert command.main(["speed", "--quick"]) == 0
+    assert not list(tmp_path.iterdir())
+    assert command.main(["speed", "--quick", "--json", str(tmp_path / "x.json")]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.json", "x.md"]
+
+
+def test_a_gate_without_a_baseline_fails(toy: types.ModuleType) -> None:
+    assert command.main(["speed", "--gate"]) == 1
+
+
+@pytest.mark.parametrize("line", [["unknown"], ["speed", "--jobs", "0"], ["speed", "--jobs", "x"], []])
+def test_a_wrong_command_line_ends_with_2(line: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main(line)
+    assert ended.value.code == 2
+
+
+def test_options_are_what_benchmarks_are_given() -> None:
+    assert Options() == Options(jobs=1, quick=False)
