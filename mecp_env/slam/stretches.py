@@ -17,19 +17,20 @@ from mecp_env.slam.noise import Noise
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
+SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
 
 
 @kernel
 def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
-    """Points (B,3): x, y and the larger variance of each; prefix sums (B+1,8) of x, y, xx, xy, yy and covariance."""
+    """Points (B,4): x, y, variances along and across the ray; prefix sums (B+1,8) of x, y, xx, xy, yy, covariance."""
     size = polar.shape[0]
-    points, sums = np.empty((size, 3)), np.zeros((size + 1, 8))
+    points, sums = np.empty((size, 4)), np.zeros((size + 1, 8))
     for i in range(size):
         c, s, r = math.cos(polar[i, 1]), math.sin(polar[i, 1]), polar[i, 0]
         along = noise.range_m**2 / polar[i, 2]
         across = (r * noise.bearing) ** 2 / polar[i, 2]
         x, y = r * c, r * s
-        points[i, 0], points[i, 1], points[i, 2] = x, y, max(along, across)
+        points[i, 0], points[i, 1], points[i, 2], points[i, 3] = x, y, along, across
         sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + x, sums[i, 1] + y
         sums[i + 1, 2], sums[i + 1, 3], sums[i + 1, 4] = sums[i, 2] + x * x, sums[i, 3] + x * y, sums[i, 4] + y * y
         sums[i + 1, 5] = sums[i, 5] + along * c * c + across * s * s
@@ -91,15 +92,17 @@ def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
     """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far."""
     dx, dy = points[high, 0] - points[low, 0], points[high, 1] - points[low, 1]
     length2 = dx * dx + dy * dy
+    closed = length2 < 1e-12  # a ring starts where it ends: no chord
     farthest, worst = -1, sigmas * sigmas
     for i in range(low + 1, high):
-        px, py = points[i, 0] - points[low, 0], points[i, 1] - points[low, 1]
-        cross = dx * py - dy * px
-        distance2 = px * px + py * py  # a closed ring starts where it ends: no chord
-        if length2 > 1e-12:
-            distance2 = cross * cross / length2
-        if distance2 > worst * points[i, 2]:
-            farthest, worst = i, distance2 / points[i, 2]
+        x, y = points[i, 0], points[i, 1]
+        px, py = x - points[low, 0], y - points[low, 1]
+        cross, ahead = dx * py - dy * px, dx * y - dy * x
+        distance2 = px * px + py * py if closed else cross * cross  # all times length2, to save divisions
+        steep = 1.0 if closed else ahead * ahead / (x * x + y * y)
+        variance = points[i, 2] * steep + points[i, 3] * (length2 - steep)
+        if distance2 > worst * variance:
+            farthest, worst = i, distance2 / variance
     return farthest
 
 
@@ -151,10 +154,34 @@ def refine_breaks(sums: Array, first: int, ends: Ints, size: int, window: int) -
 
 
 @kernel
+def absorb_slivers(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
+    """Shares the few positions between two longer stretches out between them, where that costs less than `gain`."""
+    k = 1
+    while k < size - 1:
+        low, start, high = start_of(first, ends, k - 1), ends[k - 1] + 1, ends[k + 1]
+        apart = stretch_cost(sums, low, start - 1) + stretch_cost(sums, start, ends[k])
+        apart += stretch_cost(sums, ends[k] + 1, high)
+        best, best_cost = -1, apart + gain
+        for last in range(start - 1, ends[k] + 1 if ends[k] - start < SLIVER else start - 1):
+            cost = stretch_cost(sums, low, last) + stretch_cost(sums, last + 1, high)
+            if cost < best_cost:
+                best, best_cost = last, cost
+        if best < 0:
+            k += 1
+            continue
+        ends[k - 1] = best
+        for m in range(k, size - 1):
+            ends[m] = ends[m + 1]
+        size -= 1
+    return size
+
+
+@kernel
 def straighten(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
-    """Merges and refines until the number of stretches stands, twice at most: coarse breaks first, then fine ones."""
+    """Merges and refines: coarse breaks first, then fine ones."""
     size = merge_stretches(sums, first, ends, size, gain)
     refine_breaks(sums, first, ends, size, 12)
+    size = absorb_slivers(sums, first, ends, size, gain)
     size = merge_stretches(sums, first, ends, size, gain)
     refine_breaks(sums, first, ends, size, 4)
     return size
