@@ -1,0 +1,182 @@
+"""The configuration tree of the environment: frozen, validated, unknown names refused, JSON both ways."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from typing import Any, Literal, Self, TypeVar
+
+from pydantic import Field
+
+from mecp_env.errors import ConfigError
+from mecp_env.planning.config import PlanningConfig
+from mecp_env.settings import Settings
+from mecp_env.slam.config import SlamConfig
+from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
+
+
+class ObservationConfig(Settings):
+    """Parts of the observation that are left out by default."""
+
+    map: bool = False  # a coarse grid, 64 x 64 cells of 0.8 m
+    scan: bool = False  # the ranges of the merged beams
+
+
+class RewardConfig(Settings):
+    """Weight of each term of the reward; the unit of the term stands beside it (see rewards.py)."""
+
+    source: Literal["belief", "truth"] = "belief"  # what the area and the completion are measured on
+    area: float = 0.1  # a m^2 newly mapped
+    pose_information: float = 0.05  # a nat: the drop of 0.5 log det of the pose covariance
+    landmark_information: float = 0.05  # a m^2: the drop of the trace of the landmarks' covariances
+    contact: float = -0.1  # a period in which the robot touched something
+    time: float = -0.005  # a period
+    completion: float = 10.0  # once, when the task ends by itself
+
+
+class EndConfig(Settings):
+    """When an episode ends before its limit; without a coverage it ends when no goal is left in the belief."""
+
+    coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the truth's free area that must have been seen
+
+
+class EnvConfig(Settings):
+    """The whole environment; every field may be given to `gymnasium.make` as a keyword."""
+
+    layout: str | dict[str, Any] = "two_rooms"  # shipped name, path of a file, or a layout as a dict
+    estimator: Literal["slam", "known", "truth"] = "slam"
+    actions: Literal["velocity", "discrete", "goal"] = "velocity"
+    max_periods: int = Field(3000, ge=1, le=10_000_000)
+    start: Literal["layout", "random"] | tuple[float, float, float] = "layout"  # or x, y (m), heading (rad), world
+    robot: RobotConfig = RobotConfig()
+    laser: LaserConfig = LaserConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    slam: SlamConfig = SlamConfig()
+    planning: PlanningConfig = PlanningConfig()
+    goal_periods: int = Field(5, ge=1, le=1000)  # goals are looked for at most this often (1: every period)
+    observation: ObservationConfig = ObservationConfig()
+    reward: RewardConfig = RewardConfig()
+    end: EndConfig = EndConfig()
+
+    @classmethod
+    def build(cls, config: Self | Mapping[str, Any] | None = None, **keywords: Any) -> Self:
+        """The configuration that `config` (an `EnvConfig`, a dict or None) and the keywords over it stand for.
+
+        Sections are merged field by field. Raises `ConfigError` for an unknown name at any level (with the nearest
+        known one), a wrong type or a value out of bounds.
+        """
+        fields = merge(plain(config, cls.__name__), {name: plain_value(value) for name, value in keywords.items()})
+        refuse_unknown(cls, fields, cls.__name__)
+        return cls(**fields)
+
+    @classmethod
+    def paper(cls, **keywords: Any) -> Self:
+        """The whole pipeline to the letter of the paper (2010), in one switch; keywords override it.
+
+        Every deviation of ours is switched off in the estimator by `SlamConfig.paper()`; the laser has the noise of
+        section IV on every beam and takes one sweep a period.
+        """
+        return cls.build({"laser": {"preset": "paper", "sweeps": 1}, "slam": SlamConfig.paper()}, **keywords)
+
+    @property
+    def estimator_config(self) -> SlamConfig:
+        """`slam` as the estimator gets it: the sensor follows the laser unless set, "known" has its own associator."""
+        laser = self.laser
+        sensor = {"range_sigma_m": laser.range_sigma_m, "bearing_sigma_deg": laser.bearing_sigma_deg}
+        slam = self.slam.model_copy(update={"sensor": following(self.slam.sensor, sensor)})
+        if self.estimator != "known":
+            return slam
+        return slam.model_copy(update={"association": slam.association.model_copy(update={"method": "known"})})
+
+    @property
+    def planning_config(self) -> PlanningConfig:
+        """`planning` as the planner gets it: size and limits follow the robot unless set."""
+        robot, planning = self.robot, self.planning
+        control = {
+            "speed_m_s": robot.max_speed_m_s,
+            "turn_rad_s": robot.max_turn_rad_s,
+            "acceleration_m_s2": robot.max_acceleration_m_s2,
+            "period_s": robot.period_s,
+        }
+        paths = following(planning.paths, {"radius_m": robot.radius_m})
+        return planning.model_copy(update={"paths": paths, "control": following(planning.control, control)})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON data from which `build` makes an equal configuration."""
+        return dump(self)
+
+    def to_json(self) -> str:
+        """`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=2)
+
+
+S = TypeVar("S", bound=Settings)
+
+# fields that follow from another section as long as nobody sets them
+FOLLOWING = {
+    ("slam", "sensor"): ("range_sigma_m", "bearing_sigma_deg"),
+    ("planning", "paths"): ("radius_m",),
+    ("planning", "control"): ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "period_s"),
+}
+
+
+def following(section: S, values: dict[str, float]) -> S:
+    """`section` with those of `values` that nobody set in it."""
+    return section.model_copy(update={k: v for k, v in values.items() if k not in section.model_fields_set})
+
+
+def dump(config: EnvConfig) -> dict[str, Any]:
+    """`config` as plain data; what nobody set and follows from another section is left out, so that it still does."""
+    data: dict[str, Any] = config.model_dump(mode="json")
+    for (outer, inner), names in FOLLOWING.items():
+        known = getattr(getattr(config, outer), inner).model_fields_set
+        for name in set(names) - known:
+            del data[outer][inner][name]
+    return data
+
+
+def plain_value(value: Any) -> Any:
+    """`value` as plain data: a configuration or layout as a dict (of a part of one only what was set)."""
+    if isinstance(value, EnvConfig):
+        return dump(value)
+    if hasattr(value, "model_dump"):
+        return value.model_dump(mode="json", exclude_unset=True)
+    return {name: plain_value(item) for name, item in value.items()} if isinstance(value, Mapping) else value
+
+
+def plain(config: Any, where: str) -> dict[str, Any]:
+    """The fields of a configuration given as an object, a dict or None."""
+    if config is None:
+        return {}
+    if not isinstance(config, Mapping | EnvConfig):
+        raise ConfigError(f"config: expected a dict, {where} or None, given {type(config).__name__}")
+    fields = plain_value(config)
+    assert isinstance(fields, dict)
+    return fields
+
+
+def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """`above` over `below`, section by section; a layout is one value, not a section."""
+    merged = dict(below)
+    for name, value in above.items():
+        both = isinstance(value, dict) and isinstance(merged.get(name), dict) and name != "layout"
+        merged[name] = merge(merged[name], value) if both else value
+    return merged
+
+
+def refuse_unknown(section: type[Settings], fields: Mapping[str, Any], where: str) -> None:
+    """Raise `ConfigError` for the first name that `section` (or a section in it) does not have."""
+    for name, value in fields.items():
+        if name not in section.model_fields:
+            raise ConfigError(unknown(name, list(section.model_fields), where))
+        kind = section.model_fields[name].annotation
+        if isinstance(kind, type) and issubclass(kind, Settings) and isinstance(value, Mapping):
+            refuse_unknown(kind, value, f"{where}.{name}")
+
+
+def unknown(name: object, known: list[str], where: str) -> str:
+    """What to say about an unknown name: the nearest known one, and all of them."""
+    nearest = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+    guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return f"{where}.{name}: no such field{guess} (fields: {', '.join(known)})"

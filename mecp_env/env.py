@@ -1,0 +1,432 @@
+"""The environment: simulate, sense, estimate, observe, reward. No maths, no drawing, no physics of its own."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from mecp_env.actions import make_actions
+from mecp_env.config import EnvConfig, plain_value
+from mecp_env.errors import ConfigError
+from mecp_env.metrics import EpisodeMetrics, figures
+from mecp_env.observations import Observer, Trail
+from mecp_env.planning.goals import GoalBook, Goals, find_goals
+from mecp_env.render.view import View
+from mecp_env.rewards import TERMS, RewardMemory, quantities, remember, weigh
+from mecp_env.slam.data import Corners, StepReport
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.start import check_start, parse_options, start_pose
+from mecp_env.state import StateError, decode, encode, generator_data, make_generator
+from mecp_env.truth import CELL_M, Truth
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout
+from mecp_env.world.odometry import measure
+from mecp_env.world.outline import build_outline
+from mecp_env.world.simulation import Motion, Simulation
+from mecp_env.wrappers import GoalActions
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Observation = dict[str, NDArray[Any]]
+
+SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 1
+RENDER_MODES = ["human", "rgb_array"]
+
+
+@dataclass(slots=True, eq=False)
+class Episode:
+    """All that lives over the periods of an episode beside the body and the random numbers; plain state."""
+
+    pipeline: SlamPipeline
+    report: StepReport
+    metrics: EpisodeMetrics
+    book: GoalBook = field(default_factory=GoalBook)
+    goals: Goals = field(default_factory=Goals)
+    goals_period: int = -1  # when they were looked for
+    goals_version: int = -1  # of the grid they were looked for on
+    memory: RewardMemory = field(default_factory=RewardMemory)
+    path_map: Trail = field(default_factory=Trail)
+    path_world: Trail = field(default_factory=Trail)
+    target: int = -1  # index of the goal that the robot drives to, or -1
+    contact: bool = False
+    saturated: int = 0  # values of the observation cut to their bounds, rows left out
+    over: bool = False
+
+
+class MecpEnv(gymnasium.Env[Observation, Any]):
+    """An indoor robot that explores a building by its own map.
+
+    ## Description
+
+    A circular robot with a differential drive (Pioneer P3-DX) stands in a building it does not know. Every step is
+    one control period of 0.4 s: the robot moves, its odometry and its laser measure with noise, and a complete
+    EKF-SLAM with Maximum Empty Convex Polygon data association (Kosuru, Pedduri, Krishna, 2010) updates pose,
+    landmarks, rooms, doors and a semantic grid. The agent is given that belief, never the truth. The map frame is the
+    robot's true pose at reset.
+
+    ## Action Space
+
+    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, the shares of the largest speed (0.75 m/s) and of
+      the largest turn rate (1.75 rad/s, counter-clockwise).
+    - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (the turns at half of the largest rate).
+    - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
+      `action_masks()` tells which rows are goals; a masked choice is one period of waiting.
+
+    An action outside its space raises `ActionError` and leaves the environment as it was.
+
+    ## Observation Space
+
+    A `Dict` of float32 arrays of fixed shape (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
+    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,).
+    Values beyond their bounds are cut to them, and rows beyond the table left out; `info["saturated"]` counts both.
+
+    ## Rewards
+
+    The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): area
+    newly mapped (m^2), pose information (nat), landmark information (m^2), contact, time, completion. They are
+    measured on the belief; `reward={"source": "truth"}` measures the area on the truth.
+
+    ## Starting State
+
+    The first start pose of the layout, at rest, with three scans taken; `start="random"` draws a pose anywhere in
+    free space, `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode. Any
+    other option is refused.
+
+    ## Episode End
+
+    Terminated: no goal is left in the belief, or the share `end={"coverage": ...}` of the true free area has been
+    seen. Truncated: `max_periods` periods are over (default 3,000), or the filter diverged (`info["diverged"]`).
+
+    ## Arguments
+
+    `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
+    as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
+    `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `EnvConfig.paper()` is the paper to the
+    letter. With `estimator="known"` association is told the true identities, with `"truth"` the filter is told the
+    true pose. Unknown names raise `ConfigError` at every level.
+
+    ## Vectorized environment
+
+    `gymnasium.make_vec(id, num_envs=n, vectorization_mode="sync" | "async")`; `info` has fixed keys and shapes.
+
+    ## Version History
+
+    - v0: first release.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": RENDER_MODES,
+        "render_fps": 10,
+    }
+
+    def __init__(
+        self, config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
+        self.config = EnvConfig.build(config, **keywords)
+        self.render_mode = render_mode
+        self._outline = build_outline(load_layout(self.config.layout))
+        self._start = check_start(self.config.start, self._outline, self.config.robot)
+        self._truth = Truth(self._outline, self.config.laser.max_range_m)
+        self._laser = Laser(self._outline, self.config.laser)
+        self._simulation = Simulation(self._outline, self.config.robot)
+        self._actions = make_actions(self.config.actions)
+        self.action_space = self._actions.space
+        self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
+        self._slam, self._planning = self.config.estimator_config, self.config.planning_config
+        self._episode: Episode | None = None
+        self._screen: Any = None
+        self._window: Any = None
+        self._spec: EnvSpec | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """The first observation of a new episode, and its info.
+
+        `options` may hold `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame. Raises
+        `ConfigError` for any other option, or a pose that is not free; nothing is changed then.
+        """
+        start = parse_options(options, self._start, self._outline, self.config.robot)
+        super().reset(seed=seed)
+        self._simulation.reset(start_pose(start, self._outline, self.config.robot, self.np_random))
+        self._observer = self._new_observer()
+        episode = self._begin()
+        observation = self._observe(episode)
+        self._show()
+        return observation, self._info(episode, dict.fromkeys(TERMS, 0.0))
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control period: observation, reward, terminated, truncated, info.
+
+        Raises `ActionError`; the environment is then as it was. Raises `ResetNeeded` before `reset` and after the end.
+        """
+        shares = self._actions.shares(action)
+        episode = self._running()
+        motion = self._act(shares)
+        episode.report = self._estimate(episode, motion)
+        self._find_goals(episode)
+        self._compare(episode, motion)
+        terminated, truncated = self._ends(episode)
+        terms = self._rewards(episode, terminated)
+        observation = self._observe(episode)
+        self._show()
+        return observation, sum(terms.values()), terminated, truncated, self._info(episode, terms)
+
+    def render(self) -> Any:
+        """A frame (H,W,3) uint8 in "rgb_array" mode, else None; the "human" window draws itself."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() without a render_mode: give one to gymnasium.make, e.g. "rgb_array"')
+            return None
+        return self._paint() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one; may be called twice."""
+        if self._window is not None:
+            self._window.close()
+        self._window = None
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episode as plain versioned data (numbers, strings, arrays, lists, dicts; no pickle).
+
+        It shares no memory with the environment. Raises `ResetNeeded` before the first `reset`.
+        """
+        if self._episode is None:
+            raise ResetNeeded("get_state() before reset()")
+        return {
+            "format": STATE_FORMAT,
+            "version": STATE_VERSION,
+            "config": self.config.to_json(),
+            "random": generator_data(self.np_random),
+            "seed": self._np_random_seed,
+            "simulation": encode(self._simulation.get_state()),
+            "episode": encode(self._episode),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue bit for bit from what `get_state` gave, in an environment of the same configuration.
+
+        Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
+        """
+        check_state(state, self.config)
+        generator, body, episode = (
+            make_generator(state["random"]),
+            decode(state["simulation"]),
+            decode(state["episode"]),
+        )
+        if not isinstance(episode, Episode):
+            raise StateError(f"state.episode: expected an Episode, given {type(episode).__name__}")
+        self._simulation.set_state(body)
+        self._np_random, self._np_random_seed = generator, state["seed"]
+        self._observer, self._episode = self._new_observer(), episode
+
+    def view(self) -> View:
+        """The present moment as plain data for a picture: truth and belief."""
+        episode = self._started()
+        return View(
+            segments=self._outline.segments,
+            T_world_robot=self._simulation.T_world_robot,
+            T_world_map=episode.metrics.T_world_map,
+            path_world=episode.path_world.points[: episode.path_world.count].copy(),
+            path_map=episode.path_map.points[: episode.path_map.count].copy(),
+            report=episode.report,
+            robot_radius_m=self.config.robot.radius_m,
+            p_goals=episode.goals.p_map,
+            goal_kinds=np.asarray(episode.goals.kind, np.int64),
+            target=episode.target,
+            title=f"{self._outline.name}, {self.config.estimator}",
+            metrics=figures(episode.metrics, self._truth, episode.report),
+        )
+
+    def summary(self) -> dict[str, float]:
+        """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`)."""
+        episode = self._started()
+        return episode.metrics.summary(self._truth, episode.report)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The specification that `gymnasium.make` made this from; its keywords are plain data."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = copy.copy(spec)
+        if self._spec is not None:
+            self._spec.kwargs = plain_value(self._spec.kwargs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle and deepcopy: what this was made from, and the state of the running episode."""
+        spaces = {"action_space": self.action_space, "observation_space": self.observation_space}
+        made_from = {"config": self.config.to_dict(), "render_mode": self.render_mode, "spec": self._spec}
+        random = {"_np_random": self._np_random, "_np_random_seed": self._np_random_seed}
+        return made_from | {"attributes": spaces | random, "state": self.get_state() if self._episode else None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        MecpEnv.__init__(self, state["config"], state["render_mode"])
+        self.spec = state["spec"]
+        self.__dict__.update(state["attributes"])
+        if state["state"] is not None:
+            self.set_state(state["state"])
+
+    def _running(self) -> Episode:
+        episode = self._started()
+        if episode.over:
+            raise ResetNeeded("step() after the end of the episode; call reset()")
+        return episode
+
+    def _started(self) -> Episode:
+        if self._episode is None:
+            raise ResetNeeded("call reset() first")
+        return self._episode
+
+    def _new_observer(self) -> Observer:
+        parts = self.config.observation
+        return Observer(parts.map, self.config.laser.beams if parts.scan else 0, self.config.laser.max_range_m)
+
+    def _begin(self) -> Episode:
+        """A new episode at the simulation's pose, with its scans at rest."""
+        pose = self._simulation.T_world_robot
+        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose)
+        for _ in range(SCANS_AT_REST):
+            report = pipeline.start(self._laser.scan(pose, self.np_random), identities=self._identities(pose))
+            metrics.look(self._truth, pose, report)
+        self._episode = episode = Episode(pipeline, report, metrics)
+        self.refresh_goals()
+        remember(episode.memory, report.belief, report.grid, self._true_area(episode))
+        self._follow(episode)
+        return episode
+
+    def _act(self, shares: tuple[float, float]) -> Motion:
+        robot = self.config.robot
+        return self._simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
+
+    def _estimate(self, episode: Episode, motion: Motion) -> StepReport:
+        """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
+        pose = self._simulation.T_world_robot
+        odometry = measure(motion, self.config.odometry, self.np_random)
+        scan = self._laser.scan(pose, self.np_random)
+        exact = episode.metrics.T_map_robot(pose) if self.config.estimator == "truth" else None
+        return episode.pipeline.step(odometry, scan, identities=self._identities(pose), T_map_robot=exact)
+
+    def _identities(self, T_world_robot: Array) -> Callable[[Corners], Ints] | None:
+        """How to identify corners, where the estimator is told."""
+        if self.config.estimator != "known":
+            return None
+        return partial(self._truth.identify, T_world_robot=T_world_robot)
+
+    def _find_goals(self, episode: Episode) -> None:
+        """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
+        report = episode.report
+        due = report.period - episode.goals_period >= self.config.goal_periods
+        changed = report.grid.version != episode.goals_version
+        if (due and changed) or not len(episode.goals.p_map):
+            self.refresh_goals()
+
+    def refresh_goals(self) -> None:
+        """Look for goals now, however lately that was done."""
+        episode = self._started()
+        episode.goals = find_goals(episode.report, episode.book, self._planning)
+        episode.goals_period, episode.goals_version = episode.report.period, episode.report.grid.version
+
+    def _compare(self, episode: Episode, motion: Motion) -> None:
+        """Hold the belief against the truth."""
+        episode.contact = motion.contact
+        episode.metrics.move(motion.increments, motion.contact)
+        episode.metrics.look(self._truth, self._simulation.T_world_robot, episode.report)
+        self._follow(episode)
+
+    def _follow(self, episode: Episode) -> None:
+        episode.path_map.add(episode.report.belief.T_map_robot)
+        episode.path_world.add(self._simulation.T_world_robot)
+
+    def _ends(self, episode: Episode) -> tuple[bool, bool]:
+        """Whether the task is done, and whether the episode is cut short."""
+        enough = self.config.end.coverage
+        done = not len(episode.goals.p_map) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
+        cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
+        episode.over = done or cut
+        return done, cut
+
+    def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:
+        """The terms of this period's reward, weighted."""
+        report = episode.report
+        measured = quantities(episode.memory, report.belief, report.grid, self._true_area(episode))
+        facts = {"contact": float(episode.contact), "time": 1.0, "completion": float(terminated)}
+        return weigh(self.config.reward, measured | facts)
+
+    def _true_area(self, episode: Episode) -> float | None:
+        return episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
+
+    def _observe(self, episode: Episode) -> Observation:
+        features = episode.pipeline.features
+        observation, episode.saturated = self._observer.observe(
+            episode.report, features, episode.goals, episode.path_map
+        )
+        return observation
+
+    def _info(self, episode: Episode, terms: dict[str, float]) -> dict[str, Any]:
+        """Truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
+        pose = self._simulation.T_world_robot
+        return {
+            "period": episode.metrics.periods,
+            "event": "",
+            "truth_pose": episode.metrics.T_map_robot(pose),
+            "truth_room": self._truth.room_at(pose[:2]),
+            "goals": len(episode.goals.p_map),
+            "contact": episode.contact,
+            "diverged": episode.report.diverged,
+            "saturated": episode.saturated,
+            **figures(episode.metrics, self._truth, episode.report),
+            **{f"reward_{name}": value for name, value in terms.items()},
+        }
+
+    def _paint(self) -> NDArray[np.uint8]:
+        from mecp_env.render.screen import Screen  # pygame is loaded only where a picture is wanted
+
+        self._screen = self._screen or Screen()
+        frame: NDArray[np.uint8] = self._screen.frame(self.view())
+        return frame
+
+    def _show(self) -> None:
+        """Draw the window of the "human" mode."""
+        if self.render_mode == "human":
+            from mecp_env.render.window import Window
+
+            self._window = self._window or Window(str(self._outline.name))
+            self._window.show(self._paint())
+
+
+def check_state(state: Any, config: EnvConfig) -> None:
+    """Raise `StateError` unless `state` is of this format, version and configuration."""
+    if not isinstance(state, dict) or state.get("format") != STATE_FORMAT:
+        raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
+    if state.get("version") != STATE_VERSION:
+        raise StateError(f"state.version: {state.get('version')!r}, this is version {STATE_VERSION}")
+    missing = {"config", "random", "seed", "simulation", "episode"} - set(state)
+    if missing:
+        raise StateError(f"state: without {', '.join(sorted(missing))}")
+    if state["config"] != config.to_json():
+        raise StateError("state.config: the state is of an environment with another configuration")
+
+
+def make(
+    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The registered entry point: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
+    env = MecpEnv(config, render_mode, **keywords)
+    return GoalActions(env) if env.config.actions == "goal" else env
+
+
+make.metadata = MecpEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make asks its entry point for the render modes

@@ -1,0 +1,97 @@
+"""The map held against the truth: rooms and doors found, and how well the grid covers the free area."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.data import Belief, Cell, Door, SemanticGrid, StepReport
+from mecp_env.slam.geometry import inverse, to_map
+from mecp_env.truth import Truth
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DOOR_GATE_M = 0.3
+
+
+def doors_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[int, int]:
+    """How many true doors are in the map (its centre within 0.3 m, one to one), and how many doors there are none.
+
+    A door of the map whose jambs are no longer landmarks counts as none.
+    """
+    centres = [door_centre(door, report.belief) for door in report.graph.doors]
+    p_map = np.array(centres).reshape(-1, 2)
+    far = distances(to_map(T_world_map, p_map), truth.outline.doors.centre)
+    found = len(nearest_pairs(far, DOOR_GATE_M))
+    return found, len(centres) - found
+
+
+def door_centre(door: Door, belief: Belief) -> Array:
+    """(2,) m, map frame: the middle of the door's jambs; nan where none of them is a landmark."""
+    ids = door.jambs + (door.other_face or ())
+    rows = [int(row) for jamb in ids for row in np.flatnonzero(belief.ids == jamb)]
+    centre: Array = belief.p_map[rows].mean(axis=0) if rows else np.full(2, np.nan)
+    return centre
+
+
+def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[int, int]:
+    """How many true rooms hold the centre of a room of the map (one to one), and how many rooms hold none.
+
+    The centre of a room of the map is that cell of it which lies nearest to the mean of its cells, so that the centre
+    of an L-shaped room lies in it. A room that no cell was painted of yet counts as neither.
+    """
+    centres = [centre for room in report.graph.rooms if (centre := room_centre(report.grid, room)) is not None]
+    if not centres:
+        return 0, 0
+    rooms = truth.outline.room_at(to_map(T_world_map, np.array(centres)))
+    found = len({int(room) for room in rooms if room >= 0})
+    return found, len(centres) - found
+
+
+def room_centre(grid: SemanticGrid, room: int) -> Array | None:
+    """(2,) m, map frame: the cell of `room` nearest to the mean of its cells, or None without a cell."""
+    cells = np.argwhere(grid.room == room)
+    if not len(cells):
+        return None
+    nearest = cells[np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1))]
+    centre: Array = grid.origin + (nearest[::-1] + 0.5) * grid.resolution_m
+    return centre
+
+
+def grid_iou(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> float:
+    """Intersection over union of the free cells (doors included) of the map's grid and of the truth.
+
+    Counted on the truth's raster, which reaches 1 m beyond the building.
+    """
+    p_map = to_map(inverse(T_world_map), truth.centres.reshape(-1, 2))
+    believed = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
+    true = truth.free.reshape(-1)
+    return float((believed & true).sum()) / float((believed | true).sum())
+
+
+def labels_at(grid: SemanticGrid, p_map: Array) -> NDArray[np.uint8]:
+    """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+    rows, cols = grid.label.shape
+    inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
+    labels = np.full(len(p_map), int(Cell.UNKNOWN), np.uint8)
+    labels[inside] = grid.label[cells[inside, 1], cells[inside, 0]]
+    return labels
+
+
+def distances(a: Array, b: Array) -> Array:
+    """(n,m) m, of the points a (n,2) from the points b (m,2)."""
+    far: Array = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=2))
+    return far
+
+
+def nearest_pairs(far: Array, gate: float) -> list[tuple[int, int]]:
+    """Pairs (row, column) nearest first, one to one, none as far as `gate`."""
+    far = np.where(np.isnan(far), np.inf, far).copy()
+    pairs = []
+    while far.size and far.min() < gate:
+        row, column = np.unravel_index(np.argmin(far), far.shape)
+        pairs.append((int(row), int(column)))
+        far[row, :] = far[:, column] = np.inf
+    return pairs

@@ -1,0 +1,241 @@
+"""How well an episode went, measured on the truth. The agent is given none of this but through `info`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env import metric_kernels as kernels
+from mecp_env.map_scores import doors_found, grid_iou, rooms_found
+from mecp_env.slam.data import Belief, Decision, StepReport
+from mecp_env.slam.geometry import compose, inverse, wrap_angle
+from mecp_env.slam.linalg import mahalanobis
+from mecp_env.truth import Truth, identify
+
+__all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SWEEP_STEP_M = 0.05  # what is in sight is looked up again when the robot moved by so much
+ROOMS_REFRESH_PERIODS = 25  # rooms are held against the truth when the room graph changed, and this often
+
+
+@dataclass(slots=True, eq=False)
+class AssociationLog:
+    """Pairs of true corner and feature, scan by scan (maths 4.6)."""
+
+    true_corners: int
+    votes: NDArray[np.int32] = field(init=False)  # (F,G) how often feature f was seen as true corner g
+    identity: Ints = field(init=False)  # (F,) the majority so far, -1 without one
+    birth: Ints = field(init=False)  # (F,) period in which the feature became a landmark, or a very large number
+    counts: Ints = field(init=False)  # (4,) TP, FP, FN, TN by the majority at the time
+    rows: Ints = field(init=False)  # (capacity,4) period, true corner, feature or -1, matched
+    used: int = 0
+
+    def __post_init__(self) -> None:
+        self.votes = np.zeros((64, self.true_corners), np.int32)
+        self.identity = np.full(64, -1, np.int64)
+        self.birth = np.full(64, NEVER, np.int64)
+        self.counts = np.zeros(4, np.int64)
+        self.rows = np.empty((1024, 4), np.int64)
+
+    def record(self, report: StepReport, truth: Ints) -> None:
+        """Add a scan whose corners truly are `truth` (n,)."""
+        matched = report.match.decision == int(Decision.LANDMARK)
+        self._reserve(report.match.ids, report.belief.ids)
+        kernels.count_votes(self.votes, self.identity, report.match.ids, truth)
+        landmarks = np.flatnonzero(self.birth < report.period)
+        known = np.zeros(self.true_corners + 1, np.bool_)  # the last one takes the landmarks that are no corner
+        known[self.identity[landmarks]] = True
+        known[-1] = False
+        self.counts += kernels.score(matched, report.match.ids, truth, self.identity, known)
+        self._append(report.period, truth, report.match.ids, matched)
+        ids = report.belief.ids
+        self.birth[ids] = np.minimum(self.birth[ids], report.period)
+
+    def duplicates(self, landmarks: Ints) -> int:
+        """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
+        corners = self.identity[landmarks]
+        corners = corners[corners >= 0]
+        return int(len(corners) - np.count_nonzero(np.bincount(corners))) if len(corners) else 0
+
+    def final_counts(self) -> Ints:
+        """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
+        period, truth, feature, matched = self.rows[: self.used].T
+        real = truth >= 0
+        first = np.full(self.true_corners + 1, NEVER)  # period of the first landmark of each true corner
+        np.minimum.at(first, self.identity, self.birth)
+        right = real & (feature >= 0) & (self.identity[feature] == truth)
+        missed = real & (first[truth] < period)
+        hit = matched.astype(np.bool_)
+        return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
+
+    def _reserve(self, features: Ints, landmarks: Ints) -> None:
+        """Make room for the largest id."""
+        needed = 1 + max(int(features.max(initial=-1)), int(landmarks.max(initial=-1)))
+        while len(self.identity) < needed:
+            self.votes = np.concatenate([self.votes, np.zeros_like(self.votes)])
+            self.identity = np.concatenate([self.identity, np.full_like(self.identity, -1)])
+            self.birth = np.concatenate([self.birth, np.full_like(self.birth, NEVER)])
+
+    def _append(self, period: int, truth: Ints, ids: Ints, matched: NDArray[np.bool_]) -> None:
+        if self.used + len(truth) > len(self.rows):
+            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+        block = self.rows[self.used : self.used + len(truth)]
+        block[:, 0], block[:, 1], block[:, 2], block[:, 3] = period, truth, ids, matched
+        self.used += len(truth)
+
+
+NEVER = 2**40
+
+
+@dataclass(slots=True, eq=False)
+class EpisodeMetrics:
+    """The truth metrics of one episode, brought up to date every period; plain state."""
+
+    T_world_map: Array  # (3,) true pose at reset: where the map frame lies
+    seen: NDArray[np.bool_]  # (H,W) free cells the robot has seen
+    association: AssociationLog
+    swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
+    seen_cells: int = 0
+    new_cells: int = 0  # seen for the first time in this period
+    periods: int = 0
+    contacts: int = 0  # periods with a contact
+    metres: float = 0.0
+    pose_error_m: float = 0.0
+    heading_error_rad: float = 0.0
+    nees: float = 0.0  # of the pose, 3 degrees of freedom
+    squared_error_sum: float = 0.0
+    worst_error_m: float = 0.0
+    nees_sum: float = 0.0
+    rooms: tuple[int, int] = (0, 0)  # found, false
+    doors: tuple[int, int] = (0, 0)  # found, false
+    compared_graph: tuple[int, int, int] = (-1, -1, -1)
+
+    @classmethod
+    def begin(cls, truth: Truth, T_world_robot: Array) -> EpisodeMetrics:
+        """The metrics of an episode that starts at the true pose (3,)."""
+        return cls(T_world_robot.copy(), np.zeros_like(truth.free), AssociationLog(len(truth.outline.corners)))
+
+    def look(self, truth: Truth, T_world_robot: Array, report: StepReport) -> None:
+        """Take in what the robot sees and believes at the true pose (3,)."""
+        self._sweep(truth, T_world_robot)
+        self.association.record(report, truth.identify(report.corners, T_world_robot))
+        self._compare_pose(T_world_robot, report.belief)
+        self._compare_map(truth, report)
+
+    def move(self, increments: Array, contact: bool) -> None:
+        """Count one control period: the true increments (M,2) of the body and whether it touched something."""
+        self.periods += 1
+        self.contacts += contact
+        self.metres += float(np.abs(increments[:, 0]).sum())
+
+    def coverage(self, truth: Truth) -> float:
+        """Share of the true free area that the robot has seen."""
+        return self.seen_cells / truth.free_cells
+
+    def T_map_robot(self, T_world_robot: Array) -> Array:
+        """The true pose (3,) in the map frame."""
+        return compose(inverse(self.T_world_map), T_world_robot)
+
+    def _sweep(self, truth: Truth, T_world_robot: Array) -> None:
+        self.new_cells = 0
+        if math.dist(self.swept_from, T_world_robot[:2]) >= SWEEP_STEP_M:
+            self.swept_from = T_world_robot[:2].copy()
+            self.new_cells = int(truth.sweep(T_world_robot, self.seen))
+            self.seen_cells += self.new_cells
+
+    def _compare_pose(self, T_world_robot: Array, belief: Belief) -> None:
+        error = self.T_map_robot(T_world_robot) - belief.T_map_robot
+        error[2] = wrap_angle(error[2])
+        self.pose_error_m = math.sqrt(error[0] ** 2 + error[1] ** 2)
+        self.heading_error_rad = abs(float(error[2]))
+        self.nees = pose_nees(error, belief.pose_cov)
+        self.squared_error_sum += self.pose_error_m**2
+        self.nees_sum += self.nees
+        self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
+
+    def _compare_map(self, truth: Truth, report: StepReport) -> None:
+        graph = (len(report.graph.rooms), len(report.graph.doors), len(report.graph.merged))
+        if graph != self.compared_graph or report.period % ROOMS_REFRESH_PERIODS == 0:
+            self.compared_graph = graph
+            self.rooms = rooms_found(truth, report, self.T_world_map)
+            self.doors = doors_found(truth, report, self.T_world_map)
+
+    def summary(self, truth: Truth, report: StepReport) -> dict[str, float]:
+        """The figures of the episode so far; lengths in metres, NEES of 3 degrees of freedom (3 expected)."""
+        tp, fp, fn, _ = (int(count) for count in self.association.final_counts())
+        rooms, rooms_false = rooms_found(truth, report, self.T_world_map)
+        doors, doors_false = doors_found(truth, report, self.T_world_map)
+        looks = max(1, report.period)
+        return {
+            "periods": self.periods,
+            "metres": self.metres,
+            "contacts": self.contacts,
+            "coverage": self.coverage(truth),
+            "rooms": len(truth.outline.rooms),
+            "rooms_found": rooms,
+            "rooms_false": rooms_false,
+            "doors": len(truth.outline.doors),
+            "doors_found": doors,
+            "doors_false": doors_false,
+            "grid_iou": grid_iou(truth, report.grid, self.T_world_map),
+            "pose_rmse_m": math.sqrt(self.squared_error_sum / looks),
+            "pose_error_final_m": self.pose_error_m,
+            "pose_error_worst_m": self.worst_error_m,
+            "heading_error_final_rad": self.heading_error_rad,
+            "nees_mean": self.nees_sum / looks,
+            "landmarks": len(report.belief.ids),
+            "duplicates": self.association.duplicates(report.belief.ids),
+            "association_precision": share(tp, fp),
+            "association_recall": share(tp, fn),
+            "association_false": fp,
+            "association_pairs": tp + fp,
+        }
+
+
+def figures(metrics: EpisodeMetrics, truth: Truth, report: StepReport) -> dict[str, float]:
+    """The figures of this period, cheap enough for every step; the association counts go by the majority so far."""
+    tp, fp, fn, tn = metrics.association.counts.tolist()
+    return {
+        "coverage": metrics.coverage(truth),
+        "pose_error_m": metrics.pose_error_m,
+        "heading_error_rad": metrics.heading_error_rad,
+        "nees": metrics.nees,
+        "landmarks": len(report.belief.ids),
+        "duplicates": metrics.association.duplicates(report.belief.ids),
+        "association_tp": tp,
+        "association_fp": fp,
+        "association_fn": fn,
+        "association_tn": tn,
+        "rooms": len(truth.outline.rooms),
+        "rooms_found": metrics.rooms[0],
+        "rooms_false": metrics.rooms[1],
+        "doors": len(truth.outline.doors),
+        "doors_found": metrics.doors[0],
+        "doors_false": metrics.doors[1],
+        "contacts": metrics.contacts,
+        "metres": metrics.metres,
+    }
+
+
+def share(part: int, rest: int) -> float:
+    """part / (part + rest); 1 where there is neither."""
+    return part / (part + rest) if part + rest else 1.0
+
+
+def pose_nees(error: Array, cov: Array) -> float:
+    """Normalised squared error of the pose (3,) under its covariance (3,3), at most 1e9; 0 at an exact pose."""
+    if not error.any():
+        return 0.0
+    try:
+        return min(float(mahalanobis(error, np.ascontiguousarray(cov))), NEES_MAX)
+    except ValueError:  # the filter diverged: its covariance is no longer positive
+        return NEES_MAX
+
+
+NEES_MAX = 1e9

@@ -1,0 +1,175 @@
+"""Compiled kernels of the observation: grid windows, landmark and goal rows, bounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
+LAYERS = ("free", "polygon", "occupied", "unknown", "door", "room", "frontier", "path")
+
+
+@kernel
+def borders_unknown(label: Bytes, row: int, col: int) -> bool:
+    """True when a neighbour above, below, left or right is UNKNOWN or outside the grid."""
+    rows, cols = label.shape
+    if row == 0 or col == 0 or row == rows - 1 or col == cols - 1:
+        return True
+    return bool(
+        label[row - 1, col] == 0 or label[row + 1, col] == 0 or label[row, col - 1] == 0 or label[row, col + 1] == 0
+    )
+
+
+@kernel
+def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: int) -> Bytes:
+    """(H,W) one bit a layer (the path left out) for each cell of the semantic grid.
+
+    A door is free too; a frontier cell is FREE with an UNKNOWN cell beside it.
+    """
+    codes = np.zeros(label.shape, np.uint8)
+    of_label = np.array([UNKNOWN, FREE, OCCUPIED, FREE | DOOR], np.uint8)  # in the order of Cell
+    for i in range(label.shape[0]):
+        for j in range(label.shape[1]):
+            code = of_label[label[i, j]]
+            if label[i, j] == 1 and borders_unknown(label, i, j):
+                code |= FRONTIER
+            if polygon[i, j]:
+                code |= POLYGON
+            if room[i, j] == current and current >= 0:
+                code |= ROOM
+            codes[i, j] = code
+    return codes
+
+
+@kernel
+def pool_codes(codes: Bytes, width: int) -> Bytes:
+    """(H+w-1,W+w-1) the bits of the `width` x `width` cells up to and with cell [i, j]; unknown outside the grid."""
+    rows, cols = codes.shape
+    tall = np.full((rows + width - 1, cols), UNKNOWN, np.uint8)
+    tall[width - 1 : rows] = 0
+    for i in range(rows):
+        for a in range(width):
+            for j in range(cols):
+                tall[i + a, j] |= codes[i, j]
+    pooled = np.full((rows + width - 1, cols + width - 1), UNKNOWN, np.uint8)
+    pooled[:, width - 1 : cols] = 0
+    for i in range(rows + width - 1):
+        for a in range(width):
+            for j in range(cols):
+                pooled[i, j + a] |= tall[i, j]
+    return pooled
+
+
+@kernel
+def sample_window(pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float]) -> Bytes:
+    """(n,n) what the pooled codes hold around `pose`: the first row lies ahead of the robot, the first column left.
+
+    `corner` (2,) is the lower left corner of the grid of pooled codes, `size` holds n and the side of a window cell
+    in metres. Outside the grid everything is unknown.
+    """
+    n, side = size
+    rows, cols = pooled.shape
+    c, s = math.cos(pose[2]) * side / resolution, math.sin(pose[2]) * side / resolution
+    half = 0.5 * (n - 1)
+    x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
+    y = (pose[1] - corner[1]) / resolution + s * half + c * half
+    window = np.empty((n, n), np.uint8)
+    for i in range(n):
+        for j in range(n):
+            u, v = x - c * i + s * j, y - s * i - c * j
+            inside = u >= 0.0 and v >= 0.0 and u < cols and v < rows
+            window[i, j] = pooled[int(v), int(u)] if inside else UNKNOWN
+    return window
+
+
+@kernel
+def mark_path(window: Bytes, points: Array, count: int, pose: Array, cell: float) -> None:
+    """Set the path bit in `window` (n,n) where one of the first `count` points (m,2) of the path lies."""
+    n = window.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(count):
+        dx, dy = points[k, 0] - pose[0], points[k, 1] - pose[1]
+        i = math.floor(0.5 * n - (c * dx + s * dy) / cell)
+        j = math.floor(0.5 * n - (-s * dx + c * dy) / cell)
+        if i >= 0 and j >= 0 and i < n and j < n:
+            window[i, j] |= PATH
+
+
+@kernel
+def unpack_layers(window: Bytes) -> Bytes:
+    """(8,n,n) 255 where the bit of the layer is set in `window` (n,n), else 0."""
+    n = window.shape[0]
+    layers = np.empty((8, n, n), np.uint8)
+    for layer in range(8):
+        for i in range(n):
+            for j in range(n):
+                layers[layer, i, j] = ((window[i, j] >> layer) & 1) * 255
+    return layers
+
+
+@kernel
+def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: Ints, order: Ints, rows: Floats) -> None:
+    """Fill `rows` (R,8) with landmarks in `order`: x, y, cov xx, xy, yy in robot axes, room, kind, valid.
+
+    `labels` (N,2) holds room and kind of each landmark.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(min(order.shape[0], rows.shape[0])):
+        i = order[k]
+        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
+        xx, xy, yy = covs[i, 0, 0], covs[i, 0, 1], covs[i, 1, 1]
+        rows[k, 0] = c * dx + s * dy
+        rows[k, 1] = -s * dx + c * dy
+        rows[k, 2] = c * c * xx + 2.0 * c * s * xy + s * s * yy
+        rows[k, 3] = c * s * (yy - xx) + (c * c - s * s) * xy
+        rows[k, 4] = s * s * xx - 2.0 * c * s * xy + c * c * yy
+        rows[k, 5] = labels[i, 0]
+        rows[k, 6] = labels[i, 1]
+        rows[k, 7] = 1.0
+
+
+@kernel
+def goal_rows(pose: Array, p_map: Array, lengths: Array, labels: Ints, rows: Floats) -> None:
+    """Fill `rows` (R,9) with goals: x, y in the robot frame, path length, size, kind, room, level, visits, valid.
+
+    `lengths` (g,2) holds path length and size, `labels` (g,4) kind, room, level and visits.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for i in range(min(p_map.shape[0], rows.shape[0])):
+        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
+        rows[i, 0] = c * dx + s * dy
+        rows[i, 1] = -s * dx + c * dy
+        rows[i, 2] = lengths[i, 0]
+        rows[i, 3] = lengths[i, 1]
+        for k in range(4):
+            rows[i, 4 + k] = labels[i, k]
+        rows[i, 8] = 1.0
+
+
+@kernel
+def saturate(rows: Floats, low: Floats, high: Floats) -> int:
+    """Bring `rows` (n,k) within `low` and `high` (n,k) in place (nan becomes 0); how many values were outside."""
+    outside = 0
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            value = rows[i, j]
+            if math.isnan(value):
+                rows[i, j] = 0.0
+                outside += 1
+            elif value < low[i, j]:
+                rows[i, j] = low[i, j]
+                outside += 1
+            elif value > high[i, j]:
+                rows[i, j] = high[i, j]
+                outside += 1
+    return outside

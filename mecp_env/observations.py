@@ -1,0 +1,180 @@
+"""What the agent is given: the belief, in arrays of fixed shape. Nothing here knows the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from mecp_env import observation_kernels as kernels
+from mecp_env.planning.goals import Goals
+from mecp_env.slam.data import Belief, FeatureTable, RoomGraph, SemanticGrid, StepReport
+
+Array = NDArray[np.float64]
+
+LANDMARKS, GOALS = 128, 32  # rows
+GRID = (96, 0.2)  # cells along a side, m a cell
+MAP = (64, 0.8)
+EXTENT_M = 200.0  # bound of every position and length
+COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
+LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
+TRAIL_STEP_M = 0.1
+
+
+@dataclass(slots=True, eq=False)
+class Trail:
+    """Where the robot believed to be, a point every 0.1 m, in the map frame; not redrawn by a loop closure."""
+
+    points: Array = field(default_factory=lambda: np.zeros((256, 2)))  # (capacity,2) m
+    count: int = 0
+
+    def add(self, T_map_robot: Array) -> None:
+        """Append the position unless it is near the last one."""
+        if self.count and math.dist(self.points[self.count - 1], T_map_robot[:2]) < TRAIL_STEP_M:
+            return
+        if self.count == len(self.points):
+            self.points = np.concatenate([self.points, np.zeros_like(self.points)])
+        self.points[self.count] = T_map_robot[:2]
+        self.count += 1
+
+
+def bounds(rows: int, low: list[float], high: list[float]) -> spaces.Box:
+    """A float32 box of `rows` rows with the bounds of each column."""
+    return spaces.Box(
+        np.tile(np.array(low, np.float32), (rows, 1)), np.tile(np.array(high, np.float32), (rows, 1)), dtype=np.float32
+    )
+
+
+def make_space(with_map: bool, beams: int, max_range_m: float) -> spaces.Dict:
+    """The observation space; `beams` is 0 without the scan."""
+    far, cov, label = EXTENT_M, COV_MAX, LABEL_MAX
+    parts: dict[str, spaces.Space[Any]] = {
+        "pose": spaces.Box(np.array([-far, -far, -1, -1], np.float32), np.array([far, far, 1, 1], np.float32)),
+        "pose_cov": spaces.Box(
+            np.array([0, -cov, -cov, 0, -cov, 0], np.float32), np.full(6, cov, np.float32), dtype=np.float32
+        ),
+        "landmarks": bounds(LANDMARKS, [-far, -far, 0, -cov, 0, -1, 0, 0], [far, far, cov, cov, cov, label, 2, 1]),
+        "goals": bounds(GOALS, [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]),
+        "grid": spaces.Box(0, 255, (len(kernels.LAYERS), GRID[0], GRID[0]), np.uint8),
+    }
+    if with_map:
+        parts["map"] = spaces.Box(0, 255, (len(kernels.LAYERS), MAP[0], MAP[0]), np.uint8)
+    if beams:
+        parts["scan"] = spaces.Box(0.0, max_range_m, (beams,), np.float32)
+    return spaces.Dict(parts)
+
+
+class Observer:
+    """Makes observations; keeps nothing but a cache that follows from the grid's version, so it is no state.
+
+    The parts of an observation (float32 unless said otherwise):
+
+    - `pose` (4): x, y, cos and sin of the heading, map frame.
+    - `pose_cov` (6): xx, xy, x heading, y y, y heading, heading heading.
+    - `landmarks` (128,8), the nearest first: x, y in the robot frame, covariance xx, xy, yy in the robot's axes, room,
+      kind (0 crossing, 1 free end, 2 jamb), valid.
+    - `goals` (32,9), in the order of `find_goals`: x, y in the robot frame, path length, size, kind (0 open edge,
+      1 candidate door, 2 frontier, 3 door), room, level, visits, valid.
+    - `grid` (8,96,96) uint8, 0.2 m a cell, the robot in the middle and its heading up: 255 where any cell
+      of the semantic grid in it is free, in a polygon, occupied, unknown, a door, in the current room, a frontier, or
+      on the path travelled.
+    - `map` (8,64,64) uint8, on request: the same at 0.8 m a cell.
+    - `scan` (B,), on request: ranges of the merged beams, the longest range where nothing was hit.
+    """
+
+    def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:
+        self.space = make_space(with_map, beams, max_range_m)
+        self._bounds = {name: box_bounds(box) for name, box in self.space.items() if box.dtype == np.float32}
+        self._key = (-1, -1)
+        self._cache: dict[int, NDArray[np.uint8]] = {}  # pool width -> codes
+
+    def observe(
+        self, report: StepReport, features: FeatureTable, goals: Goals, trail: Trail
+    ) -> tuple[dict[str, NDArray[Any]], int]:
+        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
+        belief = report.belief
+        pose = np.ascontiguousarray(belief.T_map_robot)
+        observation: dict[str, NDArray[Any]] = {
+            "pose": pose_row(pose),
+            "pose_cov": belief.pose_cov[np.triu_indices(3)].astype(np.float32),
+            "landmarks": landmark_table(belief, features, report.graph),
+            "goals": goal_table(pose, goals),
+            "grid": self._window(report, trail, GRID),
+        }
+        if "map" in self.space.spaces:
+            observation["map"] = self._window(report, trail, MAP)
+        if "scan" in self.space.spaces:
+            observation["scan"] = report.beams.ranges.astype(np.float32)
+        left_out = max(0, len(belief.ids) - LANDMARKS) + max(0, len(goals.p_map) - GOALS)
+        return observation, left_out + self._saturate(observation)
+
+    def _window(self, report: StepReport, trail: Trail, size: tuple[int, float]) -> NDArray[np.uint8]:
+        grid, pose = report.grid, np.ascontiguousarray(report.belief.T_map_robot)
+        width = max(1, round(size[1] / grid.resolution_m))
+        corner = grid.origin - 0.5 * (width - 1) * grid.resolution_m
+        pooled = self._pooled(grid, report.graph.current, width)
+        window = kernels.sample_window(pooled, corner, grid.resolution_m, pose, size)
+        kernels.mark_path(window, trail.points, trail.count, pose, size[1])
+        return kernels.unpack_layers(window)
+
+    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> NDArray[np.uint8]:
+        if self._key != (grid.version, room):
+            self._key = (grid.version, room)
+            self._cache = {}
+        if width not in self._cache:
+            codes = kernels.cell_codes(grid.label, grid.polygon, grid.room, room)
+            self._cache[width] = kernels.pool_codes(codes, width)
+        return self._cache[width]
+
+    def _saturate(self, observation: dict[str, NDArray[Any]]) -> int:
+        outside = 0
+        for name, (low, high) in self._bounds.items():
+            part = observation[name]
+            outside += kernels.saturate(part if part.ndim == 2 else part[None], low, high)
+        return outside
+
+
+def box_bounds(box: spaces.Space[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lower and upper bounds of a box as tables (n,k)."""
+    assert isinstance(box, spaces.Box)
+    low, high = np.atleast_2d(box.low), np.atleast_2d(box.high)
+    return np.ascontiguousarray(low, np.float32), np.ascontiguousarray(high, np.float32)
+
+
+def pose_row(T_map_robot: Array) -> NDArray[np.float32]:
+    """(4,) x, y, cos and sin of the heading."""
+    x, y, heading = T_map_robot
+    return np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
+
+
+def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> NDArray[np.float32]:
+    """(128,8) the landmarks nearest to the robot, the nearest first."""
+    rows = np.zeros((LANDMARKS, 8), np.float32)
+    pose = np.ascontiguousarray(belief.T_map_robot)
+    apart = belief.p_map - pose[:2]
+    order = np.argsort(apart[:, 0] ** 2 + apart[:, 1] ** 2, kind="stable")
+    labels = np.empty((len(belief.ids), 2), np.int64)
+    labels[:, 0] = resolved(features.room[belief.ids], graph)
+    labels[:, 1] = features.kind[belief.ids]
+    kernels.landmark_rows(pose, belief.p_map, belief.covs, labels, order, rows)
+    return rows
+
+
+def resolved(rooms: NDArray[np.int64], graph: RoomGraph) -> NDArray[np.int64]:
+    """The rooms (N,) that `rooms` stand for after all merges."""
+    for room in graph.merged:
+        rooms[rooms == room] = graph.resolve(room)
+    return rooms
+
+
+def goal_table(T_map_robot: Array, goals: Goals) -> NDArray[np.float32]:
+    """(32,9) the first goals of the list."""
+    rows = np.zeros((GOALS, 9), np.float32)
+    lengths = np.stack([goals.path_m, goals.size_m], axis=1).astype(np.float64)
+    labels = np.stack([goals.kind, goals.room, goals.level, goals.visits], axis=1).astype(np.int64)
+    kernels.goal_rows(T_map_robot, goals.p_map, lengths, labels, rows)
+    return rows
