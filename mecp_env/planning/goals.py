@@ -1,0 +1,281 @@
+"""Where there is something left to see (design 4.12): open edges, door candidates, frontiers, unexplored doors.
+
+A goal lies in a room and has a level, so that a policy can explore breadth first. What cannot be reached, or is not
+settled by going there, is given up and remembered. Without a goal the exploration is complete, and only then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from mecp_env.planning import path_kernels as kernels
+from mecp_env.planning.config import GoalsConfig, PlanningConfig
+from mecp_env.planning.levels import door_levels, polygon_levels
+from mecp_env.planning.paths import WayField, way_field
+from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Belief, Door, EdgeLabel, Ints, RoomGraph, StepReport
+
+
+class GoalKind(IntEnum):
+    """What there is to see, in the order of the list."""
+
+    OPEN = 0  # the floor beyond an open edge of a polygon
+    CANDIDATE = 1  # a gap that may be a door
+    FRONTIER = 2  # unknown cells beside the known floor of a room
+    DOOR = 3  # a door nobody has gone through
+
+
+LOCAL = (GoalKind.OPEN, GoalKind.CANDIDATE, GoalKind.FRONTIER)  # a room is complete without these
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goals:
+    """What is left to see: the current room first, in the order of kinds; then doors; then what other rooms hold."""
+
+    p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
+    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind
+    size_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) width of the opening
+    room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) on this side
+    level: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) of the polygon; door: of the room
+    path_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) length of the way there
+    visits: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) drives that ended there or were refused
+    door: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) door id, NO_ID for the other kinds
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def take(self, rows: Ints) -> Goals:
+        """The goals of some rows (n,), in that order."""
+        return Goals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(slots=True, eq=False)
+class Remembered:
+    """What became of the drives to one goal."""
+
+    kind: int
+    p_map: Array  # (2,) m
+    visits: int = 0
+    refusals: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class GoalBook:
+    """Memory over the periods of an episode: drives, and where each room was entered."""
+
+    drives: list[Remembered] = field(default_factory=list)
+    entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, where the robot first stood in it
+    first_room: int = UNKNOWN_ROOM
+
+    def notice(self, report: StepReport) -> None:
+        """Remember where a room was entered."""
+        room = report.graph.resolve(report.graph.current)
+        if room not in self.entry:
+            self.entry[room] = report.belief.T_map_robot[:2].copy()
+        if self.first_room == UNKNOWN_ROOM:
+            self.first_room = room
+
+    def record(self, goals: Goals, row: int, reached: bool, apart_m: float = 0.5) -> None:
+        """Remember that a drive to a goal ended: there, or refused."""
+        remembered = self.find(int(goals.kind[row]), goals.p_map[row], apart_m)
+        if remembered is None:
+            remembered = Remembered(int(goals.kind[row]), goals.p_map[row].copy())
+            self.drives.append(remembered)
+        remembered.visits += int(reached)
+        remembered.refusals += int(not reached)
+
+    def find(self, kind: int, p_map: Array, apart_m: float) -> Remembered | None:
+        """What is remembered of a goal: the drive to one of its kind nearest to it, within `apart_m`."""
+        same = [drive for drive in self.drives if drive.kind == kind]
+        if not same:
+            return None
+        distance = [float(np.hypot(*(drive.p_map - p_map))) for drive in same]
+        nearest = int(np.argmin(distance))
+        return same[nearest] if distance[nearest] <= apart_m else None
+
+
+def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
+    """All goals of a step that can be reached and are not given up; see `Goals` for their order."""
+    book.notice(report)
+    if not report.grid.label.size:
+        return Goals()
+    field_ = way_field(report.grid, report.belief.T_map_robot, config.paths)
+    found = [
+        open_goals(report, config.goals),
+        candidate_goals(report, config.goals),
+        frontier_goals(report, config.goals),
+        door_goals(report, config.goals),
+    ]
+    goals = join(found)
+    goals = with_paths(goals, field_, config.goals)
+    goals = without_given_up(goals, book, config.goals)
+    goals = with_levels(goals, report, book)
+    return in_order(goals, report.graph.resolve(report.graph.current))
+
+
+def complete_rooms(goals: Goals, book: GoalBook, graph: RoomGraph) -> tuple[int, ...]:
+    """Rooms entered that hold no goal of the first three kinds any more."""
+    busy = {int(room) for room, kind in zip(goals.room, goals.kind, strict=True) if kind in LOCAL}
+    entered = {graph.resolve(room) for room in book.entry}
+    return tuple(sorted(entered - busy - {UNKNOWN_ROOM}))
+
+
+def make_goals(kind: GoalKind, p_map: Array, size_m: Array, room: Ints, door: Ints | None = None) -> Goals:
+    """Goals of one kind; levels, ways and visits are not known yet."""
+    n = len(p_map)
+    zeros = np.zeros(n, np.int64)
+    doors = np.full(n, NO_ID) if door is None else door
+    return Goals(p_map, np.full(n, int(kind)), size_m, room, zeros, np.zeros(n), zeros.copy(), doors)
+
+
+def join(parts: list[Goals]) -> Goals:
+    """All goals in one list."""
+    return Goals(*(np.concatenate([getattr(part, name) for part in parts]) for name in Goals.__dataclass_fields__))
+
+
+def positions(belief: Belief, ids: Ints) -> Array:
+    """(n,2) m, map frame: where the landmarks `ids` (n,) lie; nan for what is no landmark."""
+    last = max(int(ids.max(initial=-1)), int(belief.ids.max(initial=-1)))
+    p_map = np.full((last + 1, 2), np.nan)
+    p_map[belief.ids] = belief.p_map
+    return p_map[ids]
+
+
+def open_goals(report: StepReport, config: GoalsConfig) -> Goals:
+    """A goal beyond each wide open interval of a known polygon, unless another polygon covers the strip there.
+
+    Differs from the design: FREE cells do not close an open edge, or every edge would be closed by the scan that saw
+    it; the paper asks for rooms divided into polygons, so that only a polygon does (front-end notes, section 3).
+    """
+    rows = [
+        (beyond, width, report.graph.resolve(polygon.room))
+        for polygon in report.known_polygons
+        for beyond, width in open_strips(positions(report.belief, polygon.ids), polygon.intervals, config)
+        if not covered(report, beyond)
+    ]
+    rows.sort(key=lambda row: -row[1])
+    kept: list[tuple[Array, float, int]] = []
+    for beyond, width, room in rows:
+        if all(np.hypot(*(beyond[1] - other[0][1])) > config.apart_m for other in kept):
+            kept.append((beyond, width, room))
+    p_map = np.array([beyond[1] for beyond, _, _ in kept]).reshape(-1, 2)
+    rooms = np.array([room for _, _, room in kept], np.int64)
+    return make_goals(GoalKind.OPEN, p_map, np.array([width for _, width, _ in kept]), rooms)
+
+
+def open_strips(ring: Array, intervals: Array, config: GoalsConfig) -> list[tuple[Array, float]]:
+    """Of each wide open interval of a polygon (k,2): three points (3,2) of the strip beyond it, and its width, m."""
+    strips: list[tuple[Array, float]] = []
+    for edge, first, last, label in intervals.tolist():
+        start, end = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
+        along = end - start
+        length = float(np.hypot(*along))
+        width = length * (last - first)
+        if label != EdgeLabel.OPEN or not width >= config.open_width_m:
+            continue
+        outward = np.array([along[1], -along[0]]) / length
+        shares = first + (last - first) * np.array([0.3, 0.5, 0.7])
+        strips.append((start + shares[:, None] * along + config.open_beyond_m * outward, width))
+    return strips
+
+
+def covered(report: StepReport, p_map: Array) -> bool:
+    """True when polygons cover most of the points (n,2) m."""
+    grid = report.grid
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+    inside = ((cells >= 0) & (cells < np.array(grid.polygon.shape[::-1]))).all(axis=1)
+    hits = grid.polygon[cells[inside, 1], cells[inside, 0]]
+    return bool(2 * hits.sum() > len(p_map))
+
+
+def candidate_goals(report: StepReport, config: GoalsConfig) -> Goals:
+    """A place in front of each gap that may be a door."""
+    candidates = report.graph.candidates
+    ends = np.array([candidate.ends for candidate in candidates]).reshape(-1, 2, 2)
+    along = ends[:, 1] - ends[:, 0]  # from right to left as seen from the room
+    width = np.hypot(along[:, 0], along[:, 1])
+    back = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(width, 1e-9)[:, None]
+    rooms = np.array([report.graph.resolve(candidate.room) for candidate in candidates], np.int64)
+    return make_goals(GoalKind.CANDIDATE, ends.mean(axis=1) + config.candidate_m * back, width, rooms)
+
+
+def door_middle(door: Door, belief: Belief) -> tuple[Array, Array]:
+    """Middle (2,) m of a door, map frame, and the unit normal (2,) from its first room into the next."""
+    p_jamb = positions(belief, np.array(door.jambs))
+    along = p_jamb[1] - p_jamb[0]
+    middle = p_jamb.mean(axis=0)
+    if door.other_face is not None:
+        other = positions(belief, np.array(door.other_face))
+        middle = 0.5 * (middle + other.mean(axis=0)) if np.isfinite(other).all() else middle
+    return middle, np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
+
+
+def door_goals(report: StepReport, config: GoalsConfig) -> Goals:
+    """A place beyond each door behind which nobody has been."""
+    doors = [door for door in report.graph.doors if door.rooms[1] == UNKNOWN_ROOM]
+    places = [door_middle(door, report.belief) for door in doors]
+    p_map = np.array([middle + config.door_beyond_m * onward for middle, onward in places]).reshape(-1, 2)
+    p_jamb = positions(report.belief, np.array([door.jambs for door in doors], np.int64).reshape(-1, 2))
+    width = np.asarray(np.hypot(*(p_jamb[:, 0] - p_jamb[:, 1]).T), np.float64)
+    rooms = np.array([report.graph.resolve(door.rooms[0]) for door in doors], np.int64)
+    return make_goals(GoalKind.DOOR, p_map, width, rooms, np.array([door.id for door in doors], np.int64))
+
+
+def frontier_goals(report: StepReport, config: GoalsConfig) -> Goals:
+    """The middle of each frontier between the floor of a room and unknown cells, away from doors and candidates."""
+    grid, graph = report.grid, report.graph
+    doors = [door_middle(door, report.belief)[0] for door in graph.doors]
+    gaps = [candidate.ends.mean(axis=0) for candidate in graph.candidates]
+    middles = (np.array([*doors, *gaps]).reshape(-1, 2) - grid.origin) / grid.resolution_m
+    cells = kernels.frontier_cells(grid.label, grid.room, middles, config.door_clear_m / grid.resolution_m)
+    found = kernels.frontier_clusters(cells, grid.room, config.frontier_cells)
+    p_map = grid.origin + (found[:, 1::-1] + 0.5) * grid.resolution_m
+    rooms = np.array([graph.resolve(room) for room in found[:, 3].tolist()], np.int64)
+    return make_goals(GoalKind.FRONTIER, p_map, found[:, 2] * grid.resolution_m, rooms)
+
+
+def with_paths(goals: Goals, field_: WayField, config: GoalsConfig) -> Goals:
+    """The goals that can be reached, with the length of the way. A door counts from its near side."""
+    cells = [field_.nearest(p_map, reach_of(kind, config)) for p_map, kind in zip(goals.p_map, goals.kind, strict=True)]
+    rows = np.array([row for row, cell in enumerate(cells) if cell is not None], np.int64)
+    goals = goals.take(rows)
+    goals.path_m[:] = [field_.length_m(cell) for cell in cells if cell is not None]
+    return goals
+
+
+def reach_of(kind: int, config: GoalsConfig) -> float:
+    """How near the robot must come, m: what lies beyond a door need not be known yet, its near side must be."""
+    return config.reach_m + (config.door_beyond_m if kind == GoalKind.DOOR else 0.0)
+
+
+def without_given_up(goals: Goals, book: GoalBook, config: GoalsConfig) -> Goals:
+    """The goals that are not given up, with their visits."""
+    memory = [book.find(int(k), p, config.apart_m) for k, p in zip(goals.kind, goals.p_map, strict=True)]
+    alive = [m is None or (m.refusals < config.refusals and m.visits < config.visits) for m in memory]
+    goals = goals.take(np.flatnonzero(alive))
+    goals.visits[:] = [0 if m is None else m.visits + m.refusals for m, a in zip(memory, alive, strict=True) if a]
+    return goals
+
+
+def with_levels(goals: Goals, report: StepReport, book: GoalBook) -> Goals:
+    """The goals with their level: of the polygon nearest to them, or of the room for a door."""
+    rooms = door_levels(report.graph, book.first_room)
+    for row in range(len(goals)):
+        room = int(goals.room[row])
+        if goals.kind[row] == GoalKind.DOOR:
+            goals.level[row] = rooms.get(room, len(rooms))
+    for room in sorted({int(r) for r, k in zip(goals.room, goals.kind, strict=True) if k != GoalKind.DOOR}):
+        centres, levels = polygon_levels(report, room, book.entry.get(room))
+        rows = np.flatnonzero((goals.room == room) & (goals.kind != GoalKind.DOOR))
+        if len(centres):
+            far = np.hypot(*(goals.p_map[rows, None] - centres[None]).transpose(2, 0, 1))
+            goals.level[rows] = levels[far.argmin(axis=1)]
+    return goals
+
+
+def in_order(goals: Goals, current: int) -> Goals:
+    """Of the current room first, by kind; then doors; then what is left in other rooms; nearest level and way first."""
+    elsewhere = (goals.room != current) & (goals.kind != GoalKind.DOOR)
+    return goals.take(np.lexsort((goals.path_m, goals.level, goals.kind, elsewhere)))

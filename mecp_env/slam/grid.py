@@ -1,0 +1,142 @@
+"""The semantic grid (design 4.11): cells with a label, a room and the paper's polygon layer, painted from the belief.
+
+Nothing is painted in ink: a key scan hangs on landmarks, a polygon on its vertices, a door on its jambs. When one of
+them moves by more than half a cell, its votes are taken off the grid and cast again where it is now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from mecp_env.slam import grid_kernels as kernels
+from mecp_env.slam import grid_scans as scans
+from mecp_env.slam.config import GridConfig
+from mecp_env.slam.data import (
+    UNKNOWN_ROOM,
+    Array,
+    Beams,
+    Belief,
+    Ints,
+    KnownPolygon,
+    RoomGraph,
+    Segments,
+    SemanticGrid,
+)
+from mecp_env.slam.grid_canvas import Canvas, empty_grid
+from mecp_env.slam.grid_layers import DoorLayer, PolygonLayer, ScanLayer, free_and_walls
+
+
+class GridPainter:
+    """Paints a `SemanticGrid`, once a period; every attribute is plain state.
+
+    A cell is OCCUPIED when at least `occupied_ratio` of the key scans that say something about it found a wall there,
+    FREE when they looked through it, DOOR between the jambs of a door, OCCUPIED too when it is an unknown pocket of a
+    completed room, else UNKNOWN.
+    """
+
+    def __init__(self, config: GridConfig) -> None:
+        self.config = config
+        self.canvas = Canvas(config.resolution_m, empty_grid(config.resolution_m))
+        self.scans = ScanLayer()
+        self.polygons = PolygonLayer()
+        self.doors = DoorLayer()
+        self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
+        self.merges = 0
+        self.completed: tuple[int, ...] = ()
+
+    def paint(
+        self,
+        belief: Belief,
+        beams: Beams,
+        segments: Segments,
+        matched_ids: Ints,
+        known_polygons: Sequence[KnownPolygon],
+        graph: RoomGraph,
+        completed_rooms: Collection[int] = (),
+    ) -> SemanticGrid:
+        """The grid after this period.
+
+        `matched_ids` (n,): the landmarks this scan was matched to; `completed_rooms`: rooms with nothing left to see.
+        """
+        p_landmark = self._landmarks(belief)
+        change = self._look(p_landmark)
+        self._update_polygons(p_landmark, tuple(known_polygons), change)
+        stale = self._follow(p_landmark, graph, change)
+        self._add_key_scan(belief, beams, segments, graph)
+        self.scans.hang_up(p_landmark, matched_ids, belief)
+        self._update_rooms(graph, stale)
+        self._update_pockets(graph, completed_rooms, stale)
+        return self.canvas.publish(self.config.occupied_ratio)
+
+    def _landmarks(self, belief: Belief) -> Array:
+        """(F,2) m landmark positions by id, nan where an id is none."""
+        last = int(belief.ids.max()) + 1 if len(belief.ids) else 0
+        p_landmark = np.full((max(last, len(self.p_landmark)), 2), np.nan)
+        p_landmark[belief.ids] = belief.p_map
+        return p_landmark
+
+    def _look(self, p_landmark: Array) -> int:
+        """What happened to the landmarks since the last look (`scans.MOVED`, `CAME`, `WENT`)."""
+        change: int = scans.landmark_changes(p_landmark, self.p_landmark, 0.25 * self.config.resolution_m)
+        if change & (scans.MOVED | scans.WENT):
+            self.p_landmark = p_landmark
+        elif change & scans.CAME:
+            before = np.full_like(p_landmark, np.nan)
+            before[: len(self.p_landmark)] = self.p_landmark
+            self.p_landmark = np.where(np.isnan(before), p_landmark, before)
+        return change
+
+    def _update_polygons(self, p_landmark: Array, known: tuple[KnownPolygon, ...], change: int) -> None:
+        """Bring the polygons on the grid in line with the known ones."""
+        differs = known != self.polygons.known or bool(change & scans.WENT)
+        if differs:
+            self.polygons.compare(self.canvas, known)
+        if differs or change & scans.CAME:
+            self.polygons.paint_waiting(self.canvas, p_landmark)
+
+    def _follow(self, p_landmark: Array, graph: RoomGraph, change: int) -> bool:
+        """Paint anew what moved; True when rooms must be painted anew."""
+        moved = bool(change & (scans.MOVED | scans.WENT))
+        scans_moved = moved and self.scans.follow(self.canvas, p_landmark)
+        if moved:
+            self.polygons.follow(self.canvas, p_landmark)
+        doors_moved = self.doors.update(self.canvas, graph, p_landmark, moved)
+        return scans_moved or doors_moved or len(graph.merged) != self.merges
+
+    def _add_key_scan(self, belief: Belief, beams: Beams, segments: Segments, graph: RoomGraph) -> None:
+        """Paint this scan when no key scan of the room lies near."""
+        pose = belief.T_map_robot
+        room = UNKNOWN_ROOM if self._in_doorway(pose, graph) else graph.resolve(graph.current)
+        if self.scans.wants(pose, room, self.config):
+            outline, strips = free_and_walls(beams, segments, self.config)
+            self.scans.add(self.canvas, pose.copy(), room, outline, strips, self.config.anchors)
+
+    def _in_doorway(self, T_map_robot: Array, graph: RoomGraph) -> bool:
+        """True where a scan says nothing about rooms: in a door, or too near to one to tell its sides apart."""
+        middles = self.doors.quads.mean(axis=1)
+        distance = np.hypot(middles[:, 0] - T_map_robot[0], middles[:, 1] - T_map_robot[1])
+        return graph.in_doorway or bool((distance < self.config.doorway_m).any())
+
+    def _update_rooms(self, graph: RoomGraph, stale: bool) -> None:
+        """Write the room of new key scans, or all rooms anew after a door, a merge or a move."""
+        if stale:
+            self.merges = len(graph.merged)
+            self.scans.room = np.array([graph.resolve(int(room)) for room in self.scans.room], np.int64)
+            self.scans.with_room = 0
+            self.canvas.layers[kernels.ROOM] = UNKNOWN_ROOM
+            self.polygons.paint_rooms(self.canvas, graph)
+            self.canvas.everything_dirty()
+        if self.scans.with_room < len(self.scans.room):
+            self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
+
+    def _update_pockets(self, graph: RoomGraph, completed_rooms: Collection[int], stale: bool) -> None:
+        """Turn unknown pockets of completed rooms into walls, when the rooms or the map changed."""
+        completed = tuple(sorted({graph.resolve(room) for room in completed_rooms}))
+        if completed == self.completed and not (stale and completed):
+            return
+        flags = np.zeros(max(completed, default=-1) + 1, np.bool_)
+        flags[list(completed)] = True
+        self.canvas.find_pockets(flags, self.config.occupied_ratio)
+        self.completed = completed

@@ -1,0 +1,261 @@
+"""Kernels of the semantic grid: polygons filled by cell centres, the outline of a scan, doors that cut a room.
+
+A cell belongs to a polygon when its centre does: painting is unbiased, whatever the angle between wall and grid.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Layer = NDArray[np.int16]
+Bytes = NDArray[np.uint8]
+
+FREE, HITS, COVER, COVER_ROOM, ROOM, DOOR, POCKET = range(7)  # the layers of a grid
+UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, DOOR_CELL = range(4)  # as in mecp_env.slam.data.Cell
+
+
+class Brush(NamedTuple):
+    """What every painting kernel needs: scratch space, where the grid lies on the lattice, and what was touched."""
+
+    mask: Bytes  # (H,W+1) all zero between calls
+    lattice: Ints  # (2,) column and row of cell [0, 0] on the lattice of the map frame
+    dirty: Ints  # (4,) first row, last row + 1, first column, last column + 1 touched so far
+    box: Ints  # (4,) scratch, the same of the last polygon
+
+
+@kernel
+def to_cells(points: Array, T_map_robot: Array, resolution: float) -> Array:
+    """Points (n,2) of the robot frame on the lattice (n,2), column and row; cell centres lie at halves."""
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    cells = np.empty_like(points)
+    for i in range(points.shape[0]):
+        cells[i, 0] = (T_map_robot[0] + c * points[i, 0] - s * points[i, 1]) / resolution
+        cells[i, 1] = (T_map_robot[1] + s * points[i, 0] + c * points[i, 1]) / resolution
+    return cells
+
+
+@kernel
+def toggle_edges(ring: Array, mask: Bytes, lattice: Ints, box: Ints) -> None:
+    """Flip `mask` right of every crossing of the ring's edges with the centre lines of the rows of `box`.
+
+    Crossings are computed on the lattice, not on the grid: a polygon covers the same cells before and after growth.
+    """
+    width = mask.shape[1] - 1
+    for i in range(ring.shape[0]):
+        x0, y0, x1, y1 = ring[i - 1, 0], ring[i - 1, 1], ring[i, 0], ring[i, 1]
+        if y0 > y1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        first = max(math.ceil(y0 - 0.5), box[0] + lattice[1])
+        last = min(math.ceil(y1 - 0.5), box[1] + lattice[1])
+        for row in range(first, last):
+            x = x0 + (x1 - x0) * (row + 0.5 - y0) / (y1 - y0)
+            column = math.ceil(x - 0.5) - lattice[0]
+            mask[row - lattice[1], min(max(column, 0), width)] ^= 1
+
+
+@kernel
+def mark(ring: Array, brush: Brush) -> None:
+    """Set the mask, zero before, to 1 inside the ring (k,2) of the lattice; the brush's box tells where to look."""
+    mask, lattice, box = brush.mask, brush.lattice, brush.box
+    height, width = mask.shape[0], mask.shape[1] - 1
+    low_x, low_y, high_x, high_y = math.inf, math.inf, -math.inf, -math.inf
+    for i in range(ring.shape[0]):
+        low_x, high_x = min(low_x, ring[i, 0]), max(high_x, ring[i, 0])
+        low_y, high_y = min(low_y, ring[i, 1]), max(high_y, ring[i, 1])
+    box[0] = max(math.floor(low_y) - lattice[1], 0)
+    box[1] = min(math.floor(high_y) + 1 - lattice[1], height)
+    box[2] = max(math.floor(low_x) - lattice[0], 0)
+    box[3] = min(math.floor(high_x) + 1 - lattice[0], width)
+    toggle_edges(ring, mask, lattice, box)
+    for row in range(box[0], box[1]):
+        inside = np.uint8(0)
+        for column in range(box[2], box[3]):
+            inside ^= mask[row, column]
+            mask[row, column] = inside
+        mask[row, max(box[3], 0)] = 0
+
+
+@kernel
+def widen(brush: Brush) -> None:
+    """Let the dirty window contain the brush's box."""
+    dirty, box = brush.dirty, brush.box
+    dirty[0], dirty[1] = min(dirty[0], box[0]), max(dirty[1], box[1])
+    dirty[2], dirty[3] = min(dirty[2], box[2]), max(dirty[3], box[3])
+
+
+@kernel
+def add_polygon(layer: Layer, ring: Array, delta: int, brush: Brush) -> None:
+    """Add `delta` to the cells whose centre lies in the ring (k,2) of the lattice."""
+    mark(ring, brush)
+    for row in range(brush.box[0], brush.box[1]):
+        for column in range(brush.box[2], brush.box[3]):
+            layer[row, column] += np.int16(delta * brush.mask[row, column])
+            brush.mask[row, column] = 0
+    widen(brush)
+
+
+@kernel
+def set_polygon(layer: Layer, ring: Array, value: int, brush: Brush) -> None:
+    """Write `value` into the cells whose centre lies in the ring (k,2) of the lattice."""
+    mark(ring, brush)
+    for row in range(brush.box[0], brush.box[1]):
+        for column in range(brush.box[2], brush.box[3]):
+            if brush.mask[row, column]:
+                layer[row, column] = np.int16(value)
+            brush.mask[row, column] = 0
+    widen(brush)
+
+
+@kernel
+def paint_scan(layers: Layer, outline: Array, strips: Array, delta: int, brush: Brush) -> None:
+    """Vote (or take the vote back): cells inside the outline (m,2) free, cells of the strips (s,4,2) hit; lattice."""
+    add_polygon(layers[FREE], outline, delta, brush)
+    for i in range(strips.shape[0]):
+        add_polygon(layers[HITS], strips[i], delta, brush)
+
+
+@kernel
+def shadow(door: Array, eye: Array, reach: float) -> Array:
+    """The quadrilateral (4,2) behind `door` (2,2) as seen from `eye` (2,), as far as `reach`."""
+    quad = np.empty((4, 2))
+    for i in range(2):
+        dx, dy = door[i, 0] - eye[0], door[i, 1] - eye[1]
+        stretch = 2.0 * reach / max(math.hypot(dx, dy), 1e-6)
+        quad[i, 0], quad[i, 1] = door[i, 0], door[i, 1]
+        quad[3 - i, 0], quad[3 - i, 1] = eye[0] + stretch * dx, eye[1] + stretch * dy
+    return quad
+
+
+@kernel
+def sees_through(eye: Array, x: float, y: float, door: Array) -> bool:
+    """True when the line from `eye` (2,) to (x, y) crosses the segment `door` (2,2)."""
+    ax, ay = door[0, 0] - eye[0], door[0, 1] - eye[1]
+    bx, by = door[1, 0] - eye[0], door[1, 1] - eye[1]
+    px, py = x - eye[0], y - eye[1]
+    if (ax * py - ay * px > 0.0) == (bx * py - by * px > 0.0) or ax * px + ay * py <= 0.0:
+        return False
+    side_eye = (bx - ax) * -ay - (by - ay) * -ax
+    side_point = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+    return bool((side_eye > 0.0) != (side_point > 0.0))
+
+
+@kernel
+def paint_room(
+    layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array, float], brush: Brush
+) -> None:
+    """Write `room` into the cells inside the outline (m,2) and of the strips (s,4,2), as far as doors let see.
+
+    `view`: the eye (2,), the doors (d,2,2), and how far the eye sees.
+    """
+    eye, doors, reach = view
+    behind = np.zeros_like(brush.mask) if doors.shape[0] else brush.mask
+    for i in range(doors.shape[0]):
+        set_behind(behind, shadow(doors[i], eye, reach), brush)
+    mark(outline, brush)
+    for row in range(brush.box[0], brush.box[1]):
+        for column in range(brush.box[2], brush.box[3]):
+            if brush.mask[row, column] and (doors.shape[0] == 0 or not behind[row, column]):
+                layer[row, column] = np.int16(room)
+            brush.mask[row, column] = 0
+    widen(brush)
+    for i in range(strips.shape[0]):
+        x, y = 0.5 * (strips[i, 0, 0] + strips[i, 1, 0]), 0.5 * (strips[i, 0, 1] + strips[i, 1, 1])
+        through = False
+        for j in range(doors.shape[0]):
+            through = through or sees_through(eye, x, y, doors[j])
+        if not through:
+            set_polygon(layer, strips[i], room, brush)
+
+
+@kernel
+def set_behind(behind: Bytes, quad: Array, brush: Brush) -> None:
+    """Write 1 into `behind` where the quadrilateral (4,2) of the lattice lies."""
+    mark(quad, brush)
+    for row in range(brush.box[0], brush.box[1]):
+        for column in range(brush.box[2], brush.box[3]):
+            behind[row, column] |= brush.mask[row, column]
+            brush.mask[row, column] = 0
+
+
+@kernel
+def compose(
+    layers: Layer, occupied_ratio: float, label: Bytes, polygon: Bools, room: Layer, dirty: Ints
+) -> int:
+    """Bring the published arrays up to date inside the window `dirty`; returns how many cells changed."""
+    changed = 0
+    for row in range(max(dirty[0], 0), min(dirty[1], label.shape[0])):
+        for column in range(max(dirty[2], 0), min(dirty[3], label.shape[1])):
+            free, hits = layers[FREE, row, column], layers[HITS, row, column]
+            value = UNKNOWN_CELL
+            if layers[DOOR, row, column] > 0:
+                value = DOOR_CELL
+            elif hits > 0 and hits >= occupied_ratio * (free + hits):
+                value = OCCUPIED_CELL
+            elif free > 0:
+                value = FREE_CELL
+            elif layers[POCKET, row, column] > 0:
+                value = OCCUPIED_CELL
+            covered = layers[COVER, row, column] > 0
+            owner = layers[COVER_ROOM, row, column] if covered else layers[ROOM, row, column]
+            if label[row, column] != value or polygon[row, column] != covered or room[row, column] != owner:
+                changed += 1
+            label[row, column], polygon[row, column], room[row, column] = value, covered, owner
+    return changed
+
+
+@kernel
+def find_pockets(label: Bytes, room: Layer, complete: Bools, pocket: Layer) -> None:
+    """Write 1 into `pocket` at unknown cells that only the walls and the floor of completed rooms surround, else 0.
+
+    A component of unknown cells is a pocket when it does not reach the border of the grid, touches no door and touches
+    cells of one room only, and that room is complete (`complete` (r,) by room id).
+    """
+    height, width = label.shape
+    queue = np.empty((height * width, 2), np.int64)
+    state = np.zeros((height, width), np.uint8)
+    pocket[:, :] = 0
+    for cell in range(height * width):
+        row, column = cell // width, cell % width
+        if label[row, column] != UNKNOWN_CELL or state[row, column]:
+            continue
+        size, owner = flood_unknown(label, room, state, queue, row, column)
+        if 0 <= owner < complete.shape[0] and complete[owner]:
+            for i in range(size):
+                pocket[queue[i, 0], queue[i, 1]] = 1
+
+
+@kernel
+def flood_unknown(
+    label: Bytes, room: Layer, state: Bytes, queue: Ints, row: int, column: int
+) -> tuple[int, int]:
+    """Size of the unknown component around a cell (its cells in `queue`) and the one room around it (-2: not one)."""
+    height, width = label.shape
+    queue[0, 0], queue[0, 1] = row, column
+    state[row, column] = 1
+    size, head, owner = 1, 0, -1
+    while head < size:
+        r, c = queue[head, 0], queue[head, 1]
+        head += 1
+        if r == 0 or c == 0 or r == height - 1 or c == width - 1:
+            owner = -2
+            continue
+        for k in range(4):
+            nr, nc = r + (k == 0) - (k == 1), c + (k == 2) - (k == 3)
+            if label[nr, nc] == UNKNOWN_CELL and not state[nr, nc]:
+                state[nr, nc] = 1
+                queue[size, 0], queue[size, 1] = nr, nc
+                size += 1
+            elif label[nr, nc] == DOOR_CELL:
+                owner = -2
+            elif label[nr, nc] != UNKNOWN_CELL and room[nr, nc] >= 0 and owner != room[nr, nc]:
+                owner = int(room[nr, nc]) if owner == -1 else -2
+    return size, owner

@@ -1,0 +1,252 @@
+"""What is painted on the canvas: key scans, known polygons, doors. Each knows where it stands, and moves on demand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mecp_env.slam import grid_kernels as kernels
+from mecp_env.slam import grid_scans as scans
+from mecp_env.slam.config import GridConfig
+from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Beams, Belief, Bools, Ints, KnownPolygon, RoomGraph, Segments
+from mecp_env.slam.geometry import to_robot
+from mecp_env.slam.grid_canvas import Canvas
+
+LEVER_M = 3.0  # a turn of a scan counts as the shift it causes at this distance
+LOOSE_MARGIN_M = 0.05  # free space ends this far before a hit that lies on no line
+WALL_M = 0.15  # depth of a door of which only one face is known
+SIDE_M = 0.1  # a door cuts the sight a little beyond its jambs
+DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
+
+
+@dataclass(slots=True, eq=False)
+class ScanLayer:
+    """The key scans: row = scan, in order of time."""
+
+    T_map_robot: Array = field(default_factory=lambda: np.empty((0, 3)))  # (n,3) pose each is painted at
+    room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) UNKNOWN_ROOM when taken in a doorway
+    anchor: Ints = field(default_factory=lambda: np.empty((0, 0), np.int64))  # (n,k) landmark ids, NO_ID: none
+    p_robot: Array = field(default_factory=lambda: np.empty((0, 0, 2)))  # (n,k,2) m, the anchors in the scan's frame
+    outline: list[Array] = field(default_factory=list)  # (m,2) m, free space, robot frame
+    strips: list[Array] = field(default_factory=list)  # (s,4,2) m, walls, robot frame
+    with_room: int = 0  # so many scans have their room on the canvas
+
+    def wants(self, T_map_robot: Array, room: int, config: GridConfig) -> bool:
+        """True when no key scan of this room lies near."""
+        near = scans.nearest_of_room(self.T_map_robot, self.room, T_map_robot[0], T_map_robot[1], room)
+        return bool(near > config.key_scan_m)
+
+    def add(self, canvas: Canvas, T_map_robot: Array, room: int, outline: Array, strips: Array, anchors: int) -> None:
+        """Paint a scan; it hangs on nothing yet."""
+        n = len(self.room)
+        self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
+        self.room = np.append(self.room, room)
+        self.anchor = np.concatenate([self.anchor.reshape(n, anchors), np.full((1, anchors), NO_ID)])
+        self.p_robot = np.concatenate([self.p_robot.reshape(n, anchors, 2), np.zeros((1, anchors, 2))])
+        self.outline.append(outline)
+        self.strips.append(strips)
+        self._vote(canvas, n, 1)
+
+    def _vote(self, canvas: Canvas, row: int, delta: int) -> None:
+        """Cast the votes of a scan (`delta` 1) or take them back (-1)."""
+        outline, strips = self._cells(canvas, row)
+        canvas.contain(outline)
+        canvas.contain(strips.reshape(-1, 2))
+        kernels.paint_scan(canvas.layers, outline, strips, delta, canvas.brush())
+
+    def _cells(self, canvas: Canvas, row: int) -> tuple[Array, Array]:
+        """Outline and strips of a scan on the lattice."""
+        pose = self.T_map_robot[row]
+        return canvas.cells(self.outline[row], pose), canvas.cells(self.strips[row], pose)
+
+    def hang_up(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
+        """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
+        loose = np.flatnonzero(self.anchor[:, :1] == NO_ID)
+        known = matched_ids[np.isfinite(p_landmark[matched_ids, 0])] if len(loose) else matched_ids[:0]
+        if len(known) < 2:
+            return
+        rows = np.flatnonzero(np.isin(belief.ids, known))
+        spread = np.trace(belief.covs[rows], axis1=1, axis2=2)
+        surest = belief.ids[rows[np.argsort(spread, kind="stable")]][: self.anchor.shape[1]]
+        for row in loose:
+            self.anchor[row, : len(surest)] = surest
+            self.p_robot[row, : len(surest)] = to_robot(self.T_map_robot[row], p_landmark[surest])
+
+    def follow(self, canvas: Canvas, p_landmark: Array) -> bool:
+        """Move the scans whose landmarks moved, drop those whose landmarks are gone; True when something changed."""
+        poses, present = scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
+        step = poses - self.T_map_robot
+        turn = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
+        moved = np.hypot(step[:, 0], step[:, 1]) + LEVER_M * turn > 0.5 * canvas.resolution_m
+        lost = (self.anchor[:, :1] != NO_ID).any(axis=1) & (present == 0)
+        for row in np.flatnonzero(moved | lost).tolist():
+            self._vote(canvas, row, -1)
+        self.T_map_robot[moved] = poses[moved]
+        for row in np.flatnonzero(moved & ~lost).tolist():
+            self._vote(canvas, row, 1)
+        if lost.any():
+            self._keep(~lost)
+        return bool(moved.any() or lost.any())
+
+    def _keep(self, rows: Bools) -> None:
+        """Forget the scans that `rows` (n,) does not name."""
+        self.T_map_robot, self.room = self.T_map_robot[rows], self.room[rows]
+        self.anchor, self.p_robot = self.anchor[rows], self.p_robot[rows]
+        self.outline = [self.outline[row] for row in np.flatnonzero(rows)]
+        self.strips = [self.strips[row] for row in np.flatnonzero(rows)]
+
+    def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
+        """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""
+        lines = canvas.cells(cuts)
+        for row in range(self.with_room, len(self.room)):
+            if self.room[row] != UNKNOWN_ROOM:
+                self._paint_room(canvas, row, lines)
+        self.with_room = len(self.room)
+
+    def _paint_room(self, canvas: Canvas, row: int, lines: Array) -> None:
+        """Write the room of one scan; `lines` (d,2,2) of the lattice."""
+        outline, strips = self._cells(canvas, row)
+        eye = self.T_map_robot[row, :2] / canvas.resolution_m
+        reach = float(np.hypot(*(outline - eye).T).max())
+        near = np.hypot(*(lines.mean(axis=1) - eye).T) < reach
+        view = (eye, np.ascontiguousarray(lines[near]), reach)
+        kernels.paint_room(canvas.layers[kernels.ROOM], int(self.room[row]), outline, strips, view, canvas.brush())
+
+
+def free_and_walls(beams: Beams, segments: Segments, config: GridConfig) -> tuple[Array, Array]:
+    """Outline (m,2) of the free space and strips (s,4,2) of wall of a scan, m, robot frame.
+
+    Free space ends, and walls begin, at the fitted lines, not at the noisy ranges; a strip is one cell deep.
+    """
+    reach, depth = config.paint_range_m, config.resolution_m
+    ranges, owner = scans.fitted_ranges(
+        beams.ranges, beams.bearings, segments.line, segments.first, segments.last, segments.roll
+    )
+    limits = np.array([LOOSE_MARGIN_M, reach])
+    outline = scans.scan_outline(ranges, beams.bearings, beams.hit, owner, limits)
+    loose = scans.loose_strips(ranges, beams.bearings, beams.hit, owner, depth, reach)
+    return outline, np.concatenate([scans.wall_strips(segments.points, depth, reach), loose])
+
+
+@dataclass(slots=True, eq=False)
+class PaintedPolygon:
+    """A known polygon as it stands on the grid."""
+
+    ring: Array  # (k,2) m, map frame
+    room: int  # before merges
+
+
+@dataclass(slots=True, eq=False)
+class PolygonLayer:
+    """The interiors of the known polygons: the paper's layer."""
+
+    painted: dict[tuple[int, ...], PaintedPolygon] = field(default_factory=dict)  # by vertex ids
+    waiting: list[KnownPolygon] = field(default_factory=list)  # with a vertex that is no landmark yet
+    known: tuple[KnownPolygon, ...] = ()  # the polygons looked at last
+
+    def compare(self, canvas: Canvas, known: tuple[KnownPolygon, ...]) -> None:
+        """Take off what is no longer known; what is new waits to be painted."""
+        wanted = {tuple(polygon.ids.tolist()): polygon for polygon in known}
+        for ids in [ids for ids in self.painted if ids not in wanted]:
+            self._stamp(canvas, self.painted.pop(ids), -1)
+        self.waiting = [polygon for ids, polygon in wanted.items() if ids not in self.painted]
+        self.known = known
+
+    def paint_waiting(self, canvas: Canvas, p_landmark: Array) -> None:
+        """Paint those that wait and now have landmarks at all their vertices."""
+        still: list[KnownPolygon] = []
+        for polygon in self.waiting:
+            if polygon.ids.max() >= len(p_landmark) or np.isnan(p_landmark[polygon.ids]).any():
+                still.append(polygon)
+                continue
+            painted = PaintedPolygon(p_landmark[polygon.ids], polygon.room)
+            self.painted[tuple(polygon.ids.tolist())] = painted
+            self._stamp(canvas, painted, 1)
+        self.waiting = still
+
+    def follow(self, canvas: Canvas, p_landmark: Array) -> None:
+        """Move the polygons of which a vertex moved by more than half a cell."""
+        if not self.painted:
+            return
+        keys = list(self.painted)
+        first = np.cumsum([0, *map(len, keys[:-1])])
+        ids = np.array([i for key in keys for i in key], np.int64)
+        rings = np.concatenate([polygon.ring for polygon in self.painted.values()])
+        shifts = scans.ring_shifts(p_landmark, ids, rings, first)
+        for row in np.flatnonzero(shifts > 0.5 * canvas.resolution_m):
+            polygon = self.painted[keys[row]]
+            self._stamp(canvas, polygon, -1)
+            polygon.ring = p_landmark[list(keys[row])]
+            self._stamp(canvas, polygon, 1)
+
+    def paint_rooms(self, canvas: Canvas, graph: RoomGraph) -> None:
+        """Write the rooms anew after a merge."""
+        for polygon in self.painted.values():
+            polygon.room = graph.resolve(polygon.room)
+            self._write_room(canvas, polygon)
+
+    def _stamp(self, canvas: Canvas, polygon: PaintedPolygon, delta: int) -> None:
+        """Paint a polygon (`delta` 1) or take it off (-1)."""
+        cells = canvas.cells(polygon.ring)
+        canvas.contain(cells)
+        kernels.add_polygon(canvas.layers[kernels.COVER], cells, delta, canvas.brush())
+        if delta > 0:
+            self._write_room(canvas, polygon)
+
+    def _write_room(self, canvas: Canvas, polygon: PaintedPolygon) -> None:
+        """Give the cells of a polygon its room."""
+        layer = canvas.layers[kernels.COVER_ROOM]
+        kernels.set_polygon(layer, canvas.cells(polygon.ring), polygon.room, canvas.brush())
+
+
+@dataclass(slots=True, eq=False)
+class DoorLayer:
+    """The cells between the jambs of the doors, and the lines that part the rooms."""
+
+    key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
+    quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
+
+    def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> bool:
+        """Paint new doors, move those that moved by more than half a cell; True when the doors changed."""
+        key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
+        if key == self.key and not moved:
+            return False
+        quads = np.array([door_quad(p_landmark, *k[1:]) for k in key]).reshape(-1, 4, 2)
+        if key == self.key and not (np.abs(quads - self.quads) > 0.5 * canvas.resolution_m).any():
+            return False
+        self._stamp(canvas, -1)
+        self.key, self.quads = key, quads
+        self._stamp(canvas, 1)
+        return True
+
+    def _stamp(self, canvas: Canvas, delta: int) -> None:
+        """Paint the doors (`delta` 1) or take them off (-1)."""
+        for cells in canvas.cells(self.quads[np.isfinite(self.quads).all(axis=(1, 2))]):
+            canvas.contain(cells)
+            kernels.add_polygon(canvas.layers[kernels.DOOR], cells, delta, canvas.brush())
+
+    def cuts(self, graph: RoomGraph) -> Array:
+        """(d,2,2) m, the lines that part the rooms: through the middle of each door, and across each candidate."""
+        quads = self.quads[np.isfinite(self.quads).all(axis=(1, 2))]
+        middles = 0.5 * (quads[:, :2] + quads[:, 3:1:-1])
+        gaps = np.array([candidate.ends for candidate in graph.candidates]).reshape(-1, 2, 2)
+        lines = np.concatenate([middles, gaps])
+        along = lines[:, 1] - lines[:, 0]
+        side = SIDE_M * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
+        return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
+
+
+def door_quad(p_landmark: Array, jambs: tuple[int, int], other_face: tuple[int, int] | None) -> Array:
+    """The cells' quadrilateral (4,2) m of a door: right and left jamb, then left and right of the other face.
+
+    With one face known the door is as deep as a thin wall; half a cell more on both sides joins it to the floor.
+    """
+    right, left = p_landmark[jambs[0]], p_landmark[jambs[1]]
+    along = (left - right) / max(float(np.hypot(*(left - right))), 1e-9)
+    onward = np.array([along[1], -along[0]])  # from the first room into the next
+    far_right, far_left = right + WALL_M * onward, left + WALL_M * onward
+    if other_face is not None:
+        far_right, far_left = p_landmark[other_face[0]], p_landmark[other_face[1]]
+    rim = 0.05 * onward
+    return np.array([right - rim, left - rim, far_left + rim, far_right + rim])
