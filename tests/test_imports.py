@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-HEAVY = ("numba", "scipy", "matplotlib", "pygame", "pymunk", "shapely", "imageio", "torch", "stable_baselines3")
+HEAVY = ("numba", "scipy", "matplotlib", "pygame", "pymunk", "shapely", "PIL", "torch", "stable_baselines3")
 
 
 def run_python(code: str) -> str:

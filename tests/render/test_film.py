@@ -1,0 +1,41 @@
+"""The film: bounded length whatever the episode's, evenly spaced, drawn only when kept, and a GIF that reads back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mecp_env.render.film import LAST_FRAME_MS, Film
+
+
+def frame(period: int) -> np.ndarray:
+    picture = np.full((40, 60, 3), 255, np.uint8)
+    picture[10:20, period % 50 : period % 50 + 10] = (200, 30, 40)
+    return picture
+
+
+@pytest.mark.parametrize("periods", [3, 41, 1000])
+def test_a_film_has_bounded_length_and_even_spacing(periods: int) -> None:
+    film, drawn = Film(most_frames=20, every=2), []
+    for period in range(periods):
+        film.offer(period, lambda period=period: drawn.append(period) or np.full((1, 1, 3), period % 256, np.uint8))
+    assert 1 < len(film.frames) <= 20
+    assert set(np.diff([int(f[0, 0, 0]) for f in film.frames]) % 256) == {film.every % 256}
+    assert len(drawn) < 20 * 2 + 20 * np.log2(max(periods, 2))
+
+
+def test_the_gif_repeats_and_holds_its_last_frame(tmp_path: Path) -> None:
+    film = Film()
+    for period in range(60):
+        film.offer(period, lambda period=period: frame(period))
+    film.save(tmp_path / "run.gif", seconds=3.0)
+    with Image.open(tmp_path / "run.gif") as gif:
+        assert gif.n_frames == 30
+        assert gif.info["loop"] == 0
+        gif.seek(29)
+        assert gif.info["duration"] == LAST_FRAME_MS
+        shown = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(shown - frame(58)).max() < 12
