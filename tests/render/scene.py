@@ -101,9 +101,8 @@ def report() -> StepReport:
     T_map_robot = np.append(to_robot(T_WORLD_MAP, T_WORLD_ROBOT[None, :2])[0], T_WORLD_ROBOT[2] - T_WORLD_MAP[2])
     belief = Belief(T_map_robot, np.diag([0.0005, 0.0002, 0.0001]), np.arange(len(p_map)), p_map, covs)
     door = Door(id=0, jambs=(4, 5), other_face=None, rooms=(0, 1), sightings=5)
-    candidate = Candidate(
-        ends=to_robot(T_WORLD_MAP, np.array([[9.1, 1.0], [9.1, 1.9]])), room=1, sightings=1, last_period=3
-    )
+    gap = to_robot(T_WORLD_MAP, np.array([[9.1, 1.0], [9.1, 1.9]]))
+    candidate = Candidate(ends=gap, ids=(-1, -1), room=1, sightings=1, last_period=3)
     known = KnownPolygon(np.arange(4), np.empty((0, 4)), room=0)
     right = KnownPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
     none = np.full(4, -1)
