@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, Self
 
 from pydantic import Field
 
@@ -149,3 +149,21 @@ class SlamConfig(Settings):
     filter: FilterConfig = FilterConfig()
     rooms: RoomConfig = RoomConfig()
     grid: GridConfig = GridConfig()
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The estimator to the letter of the paper; what it does not say stays as it is with us."""
+        return cls(
+            clustering=ClusteringConfig(threshold="adaptive"),  # III-A.1: d / cos(85 deg), no noise term
+            segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
+            polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False),  # III-A.2: exact, walls are not asked
+            tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
+            association=AssociationConfig(
+                method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
+                use_signature=False,
+                ignore_gate=0.0,  # what matches nothing is new
+                rival_gap=0.0,  # the best match counts, however near the second is
+            ),
+            filter=FilterConfig(kind="ekf", closure_iterations=1),  # standard EKF-SLAM, never iterated
+            rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
+        )
