@@ -74,10 +74,10 @@ class EnvConfig(Settings):
     def paper(cls, **keywords: Any) -> Self:
         """The whole pipeline to the letter of the paper (2010), in one switch; keywords override it.
 
-        Every deviation of ours is switched off in the estimator by `SlamConfig.paper()`; the laser has the noise of
-        section IV on every beam and takes one sweep a period.
+        Every deviation of ours in the estimator is switched off by `SlamConfig.paper()`; the laser has the noise of
+        section IV on every beam. The burst of sweeps stays: it is the paper's own dense scan (III-A.1).
         """
-        return cls.build({"laser": {"preset": "paper", "sweeps": 1}, "slam": SlamConfig.paper()}, **keywords)
+        return cls.build({"laser": {"preset": "paper"}, "slam": SlamConfig.paper()}, **keywords)
 
     @property
     def estimator_config(self) -> SlamConfig:

@@ -54,7 +54,7 @@ class Episode:
     book: GoalBook = field(default_factory=GoalBook)
     goals: Goals = field(default_factory=Goals)
     goals_period: int = -1  # when they were looked for
-    goals_version: int = -1  # of the grid they were looked for on
+    goals_key: tuple[int, ...] = ()  # of the map they were looked for on
     memory: RewardMemory = field(default_factory=RewardMemory)
     path_map: Trail = field(default_factory=Trail)
     path_world: Trail = field(default_factory=Trail)
@@ -328,17 +328,16 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _find_goals(self, episode: Episode) -> None:
         """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
-        report = episode.report
-        due = report.period - episode.goals_period >= self.config.goal_periods
-        changed = report.grid.version != episode.goals_version
-        if (due and changed) or not len(episode.goals.p_map):
+        episode.book.notice(episode.report)
+        due = episode.report.period - episode.goals_period >= self.config.goal_periods
+        if (due and episode.goals_key != goals_key(episode.report)) or not len(episode.goals):
             self.refresh_goals()
 
     def refresh_goals(self) -> None:
         """Look for goals now, however lately that was done."""
         episode = self._started()
         episode.goals = find_goals(episode.report, episode.book, self._planning)
-        episode.goals_period, episode.goals_version = episode.report.period, episode.report.grid.version
+        episode.goals_period, episode.goals_key = episode.report.period, goals_key(episode.report)
 
     def _compare(self, episode: Episode, motion: Motion) -> None:
         """Hold the belief against the truth."""
@@ -354,7 +353,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _ends(self, episode: Episode) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
-        done = not len(episode.goals.p_map) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
+        done = not len(episode.goals) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
         cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
         episode.over = done or cut
         return done, cut
@@ -384,7 +383,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "event": "",
             "truth_pose": episode.metrics.T_map_robot(pose),
             "truth_room": self._truth.room_at(pose[:2]),
-            "goals": len(episode.goals.p_map),
+            "goals": len(episode.goals),
             "contact": episode.contact,
             "diverged": episode.report.diverged,
             "saturated": episode.saturated,
@@ -406,6 +405,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
             self._window = self._window or Window(str(self._outline.name))
             self._window.show(self._paint())
+
+
+def goals_key(report: StepReport) -> tuple[int, ...]:
+    """Changes whenever other goals may be found."""
+    graph = report.graph
+    return report.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
 
 
 def check_state(state: Any, config: EnvConfig) -> None:
