@@ -231,9 +231,10 @@ def frontier_goals(report: StepReport, config: GoalsConfig) -> Goals:
     middles = (np.array([*doors, *gaps]).reshape(-1, 2) - grid.origin) / grid.resolution_m
     cells = kernels.frontier_cells(grid.label, grid.room, middles, config.door_clear_m / grid.resolution_m)
     found = kernels.frontier_clusters(cells, grid.room, config.frontier_cells)
-    p_map = grid.origin + (found[:, 1::-1] + 0.5) * grid.resolution_m
+    p_map = np.asarray(grid.origin + (found[:, 1::-1] + 0.5) * grid.resolution_m, np.float64)
     rooms = np.array([graph.resolve(room) for room in found[:, 3].tolist()], np.int64)
-    return make_goals(GoalKind.FRONTIER, p_map, found[:, 2] * grid.resolution_m, rooms)
+    size = np.asarray(found[:, 2] * grid.resolution_m, np.float64)
+    return make_goals(GoalKind.FRONTIER, p_map, size, rooms)
 
 
 def with_paths(goals: Goals, field_: WayField, config: GoalsConfig) -> Goals:
@@ -276,6 +277,7 @@ def with_levels(goals: Goals, report: StepReport, book: GoalBook) -> Goals:
 
 
 def in_order(goals: Goals, current: int) -> Goals:
-    """Of the current room first, by kind; then doors; then what is left in other rooms; nearest level and way first."""
+    """Of the current room first: kind, level, way; then doors: level, way; then what is left in other rooms: way."""
     elsewhere = (goals.room != current) & (goals.kind != GoalKind.DOOR)
-    return goals.take(np.lexsort((goals.path_m, goals.level, goals.kind, elsewhere)))
+    kind, level = np.where(elsewhere, 0, goals.kind), np.where(elsewhere, 0, goals.level)
+    return goals.take(np.lexsort((goals.path_m, level, kind, elsewhere)))

@@ -205,6 +205,31 @@ def clear_line(distance: Costs, x0: float, y0: float, x1: float, y1: float, leas
 
 
 @kernel
+def wall_on_path(label: Bytes, path: Array, radius: float) -> bool:
+    """True when the centre of an OCCUPIED cell lies within `radius` of the path (n,2), in cells."""
+    near = math.ceil(radius)
+    for leg in range(path.shape[0] - 1):
+        dx, dy = path[leg + 1, 0] - path[leg, 0], path[leg + 1, 1] - path[leg, 1]
+        n = int(math.hypot(dx, dy)) + 1
+        for i in range(n + 1):
+            x, y = path[leg, 0] + dx * i / n, path[leg, 1] + dy * i / n
+            if _wall_within(label, x, y, near, radius):
+                return True
+    return False
+
+
+@kernel
+def _wall_within(label: Bytes, x: float, y: float, near: int, radius: float) -> bool:
+    """True when the centre of an OCCUPIED cell lies within `radius` of (x, y), in cells."""
+    row, column = math.floor(y), math.floor(x)
+    for r in range(max(row - near, 0), min(row + near + 1, label.shape[0])):
+        for c in range(max(column - near, 0), min(column + near + 1, label.shape[1])):
+            if label[r, c] == OCCUPIED and math.hypot(c + 0.5 - x, r + 0.5 - y) < radius:
+                return True
+    return False
+
+
+@kernel
 def shorten(points: Array, distance: Costs, cost: Costs, least: float) -> Array:
     """The path (n,2), in cells, without the points that a clear line over known cells jumps; the ends stay."""
     kept = np.empty_like(points)

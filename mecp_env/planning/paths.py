@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,12 +71,3 @@ def way_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig) -> Wa
     kernels.open_start(cost, grid.label, clearance, int(row), int(column), int(0.5 / grid.resolution_m))
     total, length, step = kernels.distance_field(cost, int(row), int(column))
     return WayField(grid, clearance, cost, total, length, step, config.shortcut_m * unit)
-
-
-def path_is_clear(grid: SemanticGrid, path: Array, config: PathsConfig) -> bool:
-    """True when no wall has appeared on the way (n,2) m, map frame: nearer than the radius to its line."""
-    clearance = kernels.clearance(grid.label, int(config.radius_m * FIFTHS / grid.resolution_m) + 1)
-    cells = (path - grid.origin) / grid.resolution_m
-    least = config.radius_m * FIFTHS / grid.resolution_m
-    legs = pairwise(cells)
-    return all(kernels.clear_line(clearance, a[0], a[1], b[0], b[1], least) for a, b in legs)

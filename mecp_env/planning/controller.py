@@ -1,0 +1,150 @@
+"""From a path to a command (v, w): pure pursuit, turning first towards a path behind, slower near what is seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.planning.config import ControlConfig, PathsConfig
+from mecp_env.slam.data import Array, Beams
+
+NEAR_M = 2.0  # what is farther away does not slow the robot
+SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # of the wanted speed, tried from the fastest
+BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the wanted curvature where the way is blocked
+STEP_M = 0.05
+
+
+def follow(
+    path: Array, T_map_robot: Array, beams: Beams, control: ControlConfig, body: PathsConfig
+) -> tuple[float, float]:
+    """Speed (m/s) and turn rate (rad/s) of the next period along a path (n,2) m, map frame.
+
+    (0, w) turns on the spot; (0, 0) says that something seen bars every way on.
+    """
+    x, y, left = look_ahead(path, T_map_robot, control.lookahead_m)
+    bearing = math.atan2(y, x)
+    if abs(bearing) > math.radians(control.turn_first_deg):
+        return 0.0, turn_rate(bearing, control)
+    speed = min(control.speed_m_s, math.sqrt(control.acceleration_m_s2 * left), max(left, 0.05) / control.period_s)
+    curvature = 2.0 * y / max(x * x + y * y, 0.01)
+    speed = min(speed * math.cos(bearing), 0.8 * control.turn_rad_s / max(abs(curvature), 1e-6))
+    return safe_command(speed, curvature, seen_points(beams), control, body)
+
+
+def turn_rate(bearing: float, control: ControlConfig) -> float:
+    """Turn rate that turns the robot to a bearing within about a period."""
+    return min(max(bearing / control.period_s, -control.turn_rad_s), control.turn_rad_s)
+
+
+def safe_command(
+    speed: float, curvature: float, p_robot: Array, control: ControlConfig, body: PathsConfig
+) -> tuple[float, float]:
+    """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
+    keep_off = body.radius_m + control.guard_m
+    for share in SHARES:
+        for bend in BENDS:
+            v, bent = share * speed, curvature + bend
+            if abs(v * bent) <= control.turn_rad_s and is_safe(p_robot, v, bent, keep_off, stop_path(v, control)):
+                return v, v * bent
+    return 0.0, 0.0
+
+
+def stop_path(v: float, control: ControlConfig) -> float:
+    """Length of the way driven in a period at speed v, and to stop after it, m."""
+    return abs(v) * control.period_s + v * v / (2.0 * control.acceleration_m_s2)
+
+
+def seen_points(beams: Beams) -> Array:
+    """Hits (n,2) m, robot frame, within `NEAR_M`; each the median of five neighbouring beams, against noise."""
+    return near_points(beams.ranges, beams.bearings, beams.hit, NEAR_M)
+
+
+@kernel
+def near_points(ranges: Array, bearings: Array, hit: NDArray[np.bool_], reach: float) -> Array:
+    """Hits (n,2) m, robot frame, nearer than `reach`, each range the median of five neighbours."""
+    count, n = ranges.shape[0], 0
+    points = np.empty((count, 2))
+    five = np.empty(5)
+    for i in range(count):
+        if not hit[i] or ranges[i] > reach:
+            continue
+        for k in range(5):
+            value, at = ranges[(i + k - 2) % count], k
+            while at > 0 and five[at - 1] > value:
+                five[at] = five[at - 1]
+                at -= 1
+            five[at] = value
+        points[n, 0] = five[2] * math.cos(bearings[i])
+        points[n, 1] = five[2] * math.sin(bearings[i])
+        n += 1
+    return points[:n].copy()
+
+
+@kernel
+def nearest_point(p_robot: Array, x: float, y: float) -> float:
+    """Distance (m) from (x, y) to the nearest of the points (n,2)."""
+    best = math.inf
+    for i in range(p_robot.shape[0]):
+        dx, dy = p_robot[i, 0] - x, p_robot[i, 1] - y
+        best = min(best, dx * dx + dy * dy)
+    return math.sqrt(best)
+
+
+@kernel
+def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length: float) -> bool:
+    """True when an arc of some length stays `keep_off` from the points (n,2), or, begun nearer, leads no nearer."""
+    least = min(keep_off, nearest_point(p_robot, 0.0, 0.0) - 1e-3)
+    steps = int(length / STEP_M) + 1
+    for i in range(1, steps + 1):
+        s = math.copysign(length * i / steps, v)
+        turn = s * curvature
+        if abs(turn) < 1e-6:
+            x, y = s, 0.5 * s * turn
+        else:
+            x, y = math.sin(turn) / curvature, (1.0 - math.cos(turn)) / curvature
+        if nearest_point(p_robot, x, y) < least:
+            return False
+    return True
+
+
+@kernel
+def look_ahead(path: Array, T_map_robot: Array, ahead: float) -> tuple[float, float, float]:
+    """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the way left from there."""
+    best, best_leg, best_share = math.inf, 0, 0.0
+    for i in range(path.shape[0] - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        square = max(dx * dx + dy * dy, 1e-12)
+        share = ((T_map_robot[0] - path[i, 0]) * dx + (T_map_robot[1] - path[i, 1]) * dy) / square
+        share = min(max(share, 0.0), 1.0)
+        off = math.hypot(path[i, 0] + share * dx - T_map_robot[0], path[i, 1] + share * dy - T_map_robot[1])
+        if off < best:
+            best, best_leg, best_share = off, i, share
+    left, x, y, found = 0.0, path[-1, 0], path[-1, 1], False
+    for i in range(best_leg, path.shape[0] - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        length = math.hypot(dx, dy)
+        first = best_share * length if i == best_leg else 0.0
+        if not found and left + length - first >= ahead:
+            share = (first + ahead - left) / max(length, 1e-9)
+            x, y, found = path[i, 0] + share * dx, path[i, 1] + share * dy, True
+        left += length - first
+    if path.shape[0] == 1:
+        left = math.hypot(x - T_map_robot[0], y - T_map_robot[1])
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    dx, dy = x - T_map_robot[0], y - T_map_robot[1]
+    return c * dx + s * dy, -s * dx + c * dy, left
+
+
+@kernel
+def off_path(path: Array, x: float, y: float) -> float:
+    """Distance (m) from (x, y) to the nearest place of a path (n,2)."""
+    best = math.hypot(path[0, 0] - x, path[0, 1] - y)
+    for i in range(path.shape[0] - 1):
+        dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
+        share = ((x - path[i, 0]) * dx + (y - path[i, 1]) * dy) / max(dx * dx + dy * dy, 1e-12)
+        share = min(max(share, 0.0), 1.0)
+        best = min(best, math.hypot(path[i, 0] + share * dx - x, path[i, 1] + share * dy - y))
+    return best

@@ -1,0 +1,208 @@
+"""One drive to one goal, period by period: plan, follow, back off when stuck, give up when it does not work."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from mecp_env.planning import path_kernels as kernels
+from mecp_env.planning.config import PlanningConfig
+from mecp_env.planning.controller import follow, is_safe, look_ahead, off_path, seen_points, stop_path
+from mecp_env.planning.goals import GoalKind, Goals, covered, door_middle
+from mecp_env.planning.paths import WayField, way_field
+from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Cell, Door, StepReport
+
+OFF_PATH_M = 0.4  # farther from its path the robot plans again
+APPROACH_M = 0.6  # a door is entered along its normal from so far
+BACK_M_S = 0.2
+BACK_PERIODS = 4
+TRIES = 3  # plans without a way before the goal is refused
+STOP = (0.0, 0.0)
+
+
+class Outcome(IntEnum):
+    """How a drive stands."""
+
+    RUNNING = 0
+    REACHED = 1
+    REFUSED = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Where a drive goes."""
+
+    kind: int  # GoalKind
+    p_map: Array  # (2,) m
+    room: int
+    door: int = NO_ID
+
+    @classmethod
+    def of(cls, goals: Goals, row: int) -> Target:
+        """The goal of a row."""
+        return cls(int(goals.kind[row]), goals.p_map[row].copy(), int(goals.room[row]), int(goals.door[row]))
+
+
+@dataclass(slots=True, eq=False)
+class Navigator:
+    """Drives to one target after another; plain state."""
+
+    config: PlanningConfig
+    target: Target | None = None
+    outcome: Outcome = Outcome.REFUSED
+    path: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; empty: to be planned
+    periods: int = 0
+    planned: int = 0  # period of the last plan
+    planned_version: int = -1  # of the grid
+    tries: int = 0  # plans without a way, in a row
+    best_left_m: float = math.inf  # the least way left so far
+    best_period: int = 0  # when it was
+    recoveries: int = 0
+    backing: int = 0  # periods of backing off that are left
+
+    def start(self, target: Target) -> None:
+        """Begin a drive."""
+        self.target, self.outcome = target, Outcome.RUNNING
+        self.path = np.empty((0, 2))
+        self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = 0
+        self.planned_version, self.best_left_m = -1, math.inf
+
+    def step(self, report: StepReport) -> tuple[float, float]:
+        """Speed (m/s) and turn rate (rad/s) for the next period; `outcome` tells whether the drive goes on."""
+        if self.target is None or self.outcome != Outcome.RUNNING:
+            return STOP
+        self.periods += 1
+        if self._arrived(self.target, report):
+            self.outcome = Outcome.REACHED
+        elif self.periods > self.config.navigator.limit_periods:
+            self.outcome = Outcome.REFUSED
+        if self.outcome != Outcome.RUNNING:
+            return STOP
+        if self.backing:
+            return self._back_off(report)
+        if self._must_plan(report):
+            self._plan(self.target, report)
+        return self._drive(report)
+
+    def _arrived(self, target: Target, report: StepReport) -> bool:
+        """True when the robot is there, or what there was to see is seen."""
+        pose = report.belief.T_map_robot
+        if settled(target, report):
+            return True
+        reached_m = self.config.navigator.reached_m
+        if target.kind == GoalKind.DOOR:
+            return bool(np.hypot(*(pose[:2] - target.p_map)) < reached_m)
+        end = self.path[-1] if len(self.path) else target.p_map
+        return bool(min(np.hypot(*(pose[:2] - end)), np.hypot(*(pose[:2] - target.p_map))) < reached_m)
+
+    def _must_plan(self, report: StepReport) -> bool:
+        """True without a path, off it, when it is old, or when a wall appeared on it."""
+        pose = report.belief.T_map_robot
+        if not len(self.path) or off_path(self.path, pose[0], pose[1]) > OFF_PATH_M:
+            return True
+        if report.grid.version == self.planned_version:
+            return False
+        old = self.periods - self.planned >= self.config.navigator.replan_periods
+        return old or blocked(self.path, report, self.config)
+
+    def _plan(self, target: Target, report: StepReport) -> None:
+        """A new path; without one the robot waits, and after some tries the goal is refused."""
+        self.planned, self.planned_version = self.periods, report.grid.version
+        ways = way_field(report.grid, report.belief.T_map_robot, self.config.paths)
+        before = len(self.path)
+        self.path = plan(target, report, ways, self.config)
+        self.tries = 0 if len(self.path) else self.tries + 1
+        if not before or self.tries:
+            self.best_left_m, self.best_period = math.inf, self.periods
+        if self.tries >= TRIES:
+            self.outcome = Outcome.REFUSED
+
+    def _drive(self, report: StepReport) -> tuple[float, float]:
+        """Follow the path, and notice when that leads nowhere."""
+        if not len(self.path):
+            return STOP
+        config = self.config
+        _, _, left = look_ahead(self.path, report.belief.T_map_robot, config.control.lookahead_m)
+        if left < self.best_left_m - config.navigator.progress_m:
+            self.best_left_m, self.best_period = left, self.periods
+        if self.periods - self.best_period >= config.navigator.stuck_periods:
+            return self._recover(report)
+        return follow(self.path, report.belief.T_map_robot, report.beams, config.control, config.paths)
+
+    def _recover(self, report: StepReport) -> tuple[float, float]:
+        """Back off and plan anew; too often: refuse the goal."""
+        self.recoveries += 1
+        self.path = np.empty((0, 2))
+        if self.recoveries > self.config.navigator.recoveries:
+            self.outcome = Outcome.REFUSED
+            return STOP
+        self.backing = BACK_PERIODS
+        return self._back_off(report)
+
+    def _back_off(self, report: StepReport) -> tuple[float, float]:
+        """One period backwards, bending to one side and the other in turn; on the spot where that is barred."""
+        self.backing -= 1
+        side = 1.0 if self.recoveries % 2 else -1.0
+        keep_off = self.config.paths.radius_m + self.config.control.guard_m
+        length = stop_path(BACK_M_S, self.config.control)
+        safe = is_safe(seen_points(report.beams), -BACK_M_S, side, keep_off, length)
+        return (-BACK_M_S, -side * BACK_M_S) if safe else (0.0, side * self.config.control.turn_rad_s / 2)
+
+
+def settled(target: Target, report: StepReport) -> bool:
+    """True when a goal has nothing more to show: covered, confirmed, known, or passed."""
+    if target.kind == GoalKind.OPEN:
+        return covered(report, target.p_map[None])
+    if target.kind == GoalKind.FRONTIER:
+        return not unknown_near(target.p_map, report)
+    if target.kind == GoalKind.CANDIDATE:
+        gaps = [candidate.ends.mean(axis=0) for candidate in report.graph.candidates]
+        return not any(float(np.hypot(*(gap - target.p_map))) < 3.0 for gap in gaps)
+    door = door_of(target, report)
+    return door is None or (door.rooms[1] != UNKNOWN_ROOM and not report.graph.in_doorway)
+
+
+def unknown_near(p_map: Array, report: StepReport) -> bool:
+    """True when a cell beside the one at `p_map` (2,) is unknown."""
+    grid = report.grid
+    column, row = np.floor((p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
+    around = grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    return bool((around == int(Cell.UNKNOWN)).any())
+
+
+def door_of(target: Target, report: StepReport) -> Door | None:
+    """The door of a target as it is known now."""
+    doors = [door for door in report.graph.doors if door.id == target.door]
+    return doors[0] if doors else None
+
+
+def blocked(path: Array, report: StepReport, config: PlanningConfig) -> bool:
+    """True when a wall lies nearer to the path (n,2) than the robot's radius."""
+    grid = report.grid
+    cells = (path - grid.origin) / grid.resolution_m
+    return bool(kernels.wall_on_path(grid.label, cells, config.paths.radius_m / grid.resolution_m))
+
+
+def plan(target: Target, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
+    """A path (n,2) m, map frame, to a target; empty when there is no way."""
+    door = door_of(target, report)
+    if target.kind == GoalKind.DOOR and door is not None:
+        return plan_through(door, report, ways, config)
+    cell = ways.nearest(target.p_map, config.goals.reach_m)
+    return np.empty((0, 2)) if cell is None else ways.path(cell)
+
+
+def plan_through(door: Door, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
+    """A path through the middle of a door along its normal; beyond it the floor need not be known."""
+    middle, onward = door_middle(door, report.belief)
+    beyond = middle + config.goals.door_beyond_m * onward
+    robot = report.belief.T_map_robot[:2]
+    offset = robot - middle
+    along, aside = float(offset @ onward), abs(float(offset[0] * onward[1] - offset[1] * onward[0]))
+    if along > -APPROACH_M - 0.1 and aside < 0.2:
+        return np.array([robot, middle, beyond] if along < 0.0 else [robot, beyond])
+    cell = ways.nearest(middle - APPROACH_M * onward, config.goals.reach_m)
+    return np.empty((0, 2)) if cell is None else np.concatenate([ways.path(cell), [middle, beyond]])
