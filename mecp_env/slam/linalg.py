@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mecp_env.kernel import kernel
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 TILE = 16
 
@@ -90,19 +91,31 @@ def forward_rows(L: Array, B: Array) -> None:
 @kernel
 def downdate(P: Array, n: int, W: Array) -> None:
     """P -= W^T W on the leading n x n block of a symmetric P, for W (m,n): lower half first, then mirrored."""
-    m = W.shape[0]
-    for i in range(n):
-        row = P[i, : i + 1]
-        for k in range(0, m - 3, 4):
-            w0, w1, w2, w3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
-            r0, r1, r2, r3 = W[k], W[k + 1], W[k + 2], W[k + 3]
-            for j in range(row.shape[0]):
-                row[j] -= (w0 * r0[j] + w1 * r1[j]) + (w2 * r2[j] + w3 * r3[j])
-        for k in range(m - m % 4, m):
-            w0, r0 = W[k, i], W[k]
-            for j in range(row.shape[0]):
-                row[j] -= w0 * r0[j]
+    if n % 2 == 1:
+        for k in range(W.shape[0]):
+            P[0, 0] -= W[k, 0] * W[k, 0]
+    for i in range(n % 2, n, 2):
+        downdate_two_rows(P, W, i)
     mirror_lower(P, n)
+
+
+@kernel
+def downdate_two_rows(P: Array, W: Array, i: int) -> None:
+    """Rows i and i + 1 of `downdate`, up to the diagonal; four rows of W a pass, which the compiler makes wide."""
+    upper, lower = P[i, : i + 2], P[i + 1, : i + 2]
+    paired = W.shape[0] - W.shape[0] % 4
+    for k in range(0, paired, 4):
+        a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
+        b0, b1, b2, b3 = W[k, i + 1], W[k + 1, i + 1], W[k + 2, i + 1], W[k + 3, i + 1]
+        w0, w1, w2, w3 = W[k], W[k + 1], W[k + 2], W[k + 3]
+        for j in range(upper.shape[0]):
+            upper[j] -= (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
+            lower[j] -= (b0 * w0[j] + b1 * w1[j]) + (b2 * w2[j] + b3 * w3[j])
+    for k in range(paired, W.shape[0]):
+        a0, b0, w0 = W[k, i], W[k, i + 1], W[k]
+        for j in range(upper.shape[0]):
+            upper[j] -= a0 * w0[j]
+            lower[j] -= b0 * w0[j]
 
 
 @kernel
@@ -119,3 +132,16 @@ def mirror_tile(P: Array, n: int, i0: int, j0: int) -> None:
     for i in range(i0, min(i0 + TILE, n)):
         for j in range(j0, min(j0 + TILE, i)):
             P[j, i] = P[i, j]
+
+
+@kernel
+def blocks_of(cov: Array, index: Ints) -> Array:
+    """The 2x2 blocks of cov (2n,2n) that belong to `index` (k,), as (2k,2k)."""
+    k = index.shape[0]
+    chosen = np.empty((2 * k, 2 * k))
+    for i in range(k):
+        for j in range(k):
+            for u in range(2):
+                chosen[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
+                chosen[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
+    return chosen

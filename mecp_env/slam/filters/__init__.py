@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.ekf import Ekf
-from mecp_env.slam.filters.protocol import Filter, FilterError
 from mecp_env.slam.filters.riekf import RightInvariantEkf
+from mecp_env.slam.protocols import Filter, FilterError
 
 __all__ = ["Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter"]
 

@@ -24,22 +24,30 @@ CONVERGED = 1e-6  # m and rad
 @kernel
 def pairwise_nis(mean: Array, cov: Array, slots: Ints, z: Array, R: Array, invariant: bool) -> Array:
     """NIS (n,m) of every measurement z (n,2), R (n,2,2) against every landmark of `slots` (m,)."""
-    nis = np.empty((z.shape[0], slots.shape[0]))
-    one, xi = np.zeros(1, np.int64), np.zeros(5)
-    h, A, a_heading, zero = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty((1, 2)), np.zeros((2, 2))
-    for j in range(slots.shape[0]):
-        part, block = take(mean, cov, slots[j : j + 1])
-        linearise(part, xi, one, invariant, h, A, a_heading)
-        S = innovation_cov(project(block, 5, A, a_heading, one), A, a_heading, one, zero)
-        for i in range(z.shape[0]):
-            nis[i, j] = nis_2x2(
-                z[i, 0] - h[0, 0],
-                wrap_angle(z[i, 1] - h[0, 1]),
-                S[0, 0] + R[i, 0, 0],
-                S[1, 0] + R[i, 1, 0],
-                S[1, 1] + R[i, 1, 1],
-            )
+    n, m = z.shape[0], slots.shape[0]
+    nis = np.empty((n, m))
+    h, A, a_heading = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    linearise(mean, np.zeros(mean.shape[0]), slots, invariant, h, A, a_heading)
+    for j in range(m):
+        s_rr, s_rb, s_bb = predicted_cov(cov, 3 + 2 * slots[j], A[j], a_heading[j])
+        for i in range(n):
+            u, v = z[i, 0] - h[j, 0], wrap_angle(z[i, 1] - h[j, 1])
+            nis[i, j] = nis_2x2(u, v, s_rr + R[i, 0, 0], s_rb + R[i, 1, 0], s_bb + R[i, 1, 1])
     return nis
+
+
+@kernel
+def predicted_cov(cov: Array, i: int, A: Array, a_heading: Array) -> tuple[float, float, float]:
+    """H P H^T of one landmark at rows i and i + 1: its range-range, range-bearing and bearing-bearing entries."""
+    tt, tx, ty = cov[0, 0], cov[0, i] - cov[0, 1], cov[0, i + 1] - cov[0, 2]  # of the heading and l - p
+    xx = cov[i, i] - 2.0 * cov[1, i] + cov[1, 1]
+    xy = cov[i, i + 1] - cov[1, i + 1] - cov[2, i] + cov[1, 2]
+    yy = cov[i + 1, i + 1] - 2.0 * cov[2, i + 1] + cov[2, 2]
+    rx, ry, rt = A[0, 0], A[0, 1], a_heading[0]
+    bx, by, bt = A[1, 0], A[1, 1], a_heading[1]
+    gx, gy, gt = rx * xx + ry * xy + rt * tx, rx * xy + ry * yy + rt * ty, rx * tx + ry * ty + rt * tt
+    kx, ky, kt = bx * xx + by * xy + bt * tx, bx * xy + by * yy + bt * ty, bx * tx + by * ty + bt * tt
+    return gx * rx + gy * ry + gt * rt, gx * bx + gy * by + gt * bt, kx * bx + ky * by + kt * bt
 
 
 @kernel

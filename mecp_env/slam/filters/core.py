@@ -13,8 +13,8 @@ from mecp_env.slam.data import Array, Belief, Ints, Odometry
 from mecp_env.slam.filters import compatibility, landmarks, motion
 from mecp_env.slam.filters.error_state import propagate_invariant, propagate_plain
 from mecp_env.slam.filters.measurement import joint_innovation
-from mecp_env.slam.filters.protocol import FilterError
 from mecp_env.slam.filters.update import batch_update, fuse_pair
+from mecp_env.slam.protocols import FilterError
 
 FIRST_CAPACITY = 32  # landmarks; grows by doubling
 FUSE_SIGMA_M = 1e-3

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.geometry import wrap_angle
+from mecp_env.slam.linalg import mirror_lower
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -126,10 +127,11 @@ def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
 @kernel
 def add_outer(cov: Array, n: int, v: Array, q: float) -> None:
     """P += q v v^T on the landmarks' block, the same bits on both sides of the diagonal."""
+    tail = v[3:n]
     for i in range(3, n):
-        row, v_i = cov[i], v[i]
-        for j in range(3, n):
-            row[j] += q * (v_i * v[j])
+        row, v_i = cov[i, 3:n], v[i]
+        for j in range(row.shape[0]):
+            row[j] += q * (v_i * tail[j])
 
 
 @kernel
@@ -163,14 +165,10 @@ def world_jacobian(mean: Array, n: int, invariant: bool) -> Array:
 @kernel
 def change_chart(cov: Array, n: int, column: Array) -> None:
     """P := T P T^T on the leading n x n block, T the identity with `column` (n,) added to the heading's column."""
-    for j in range(n):
-        first = cov[0, j]
-        for i in range(1, n):
-            cov[i, j] += column[i] * first
-    for i in range(n):
-        row, first = cov[i], cov[i, 0]
-        for j in range(1, n):
-            row[j] += column[j] * first
-    for i in range(n):
-        for j in range(i):
-            cov[j, i] = cov[i, j]
+    top = cov[0, :n].copy()
+    for i in range(1, n):
+        row, factor = cov[i, : i + 1], column[i]
+        first = row[0] + factor * top[0]  # heading's column of T P
+        for j in range(row.shape[0]):
+            row[j] += factor * top[j] + column[j] * first
+    mirror_lower(cov, n)

@@ -32,12 +32,12 @@ def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Arra
     """H P (2m,n) from rows of the symmetric P."""
     m = slots.shape[0]
     HP = np.empty((2 * m, n))
-    turn, px, py = cov[0], cov[1], cov[2]
+    turn, px, py = cov[0, :n], cov[1, :n], cov[2, :n]
     for k in range(m):
-        lx, ly = cov[3 + 2 * slots[k]], cov[4 + 2 * slots[k]]
+        lx, ly = cov[3 + 2 * slots[k], :n], cov[4 + 2 * slots[k], :n]
         for r in range(2):
             row, ax, ay, at = HP[2 * k + r], A[k, r, 0], A[k, r, 1], a_heading[k, r]
-            for j in range(n):
+            for j in range(row.shape[0]):
                 row[j] = ax * (lx[j] - px[j]) + ay * (ly[j] - py[j]) + at * turn[j]
     return HP
 

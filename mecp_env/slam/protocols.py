@@ -1,4 +1,4 @@
-"""What every filter offers: world coordinates outside, whatever suits it inside; stable ids, slots its own business."""
+"""What stages may know of each other: the filter. World coordinates outside, stable ids; slots are its own business."""
 
 from __future__ import annotations
 

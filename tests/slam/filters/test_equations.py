@@ -1,0 +1,143 @@
+"""Derivatives against central differences, the exponential map against expm, the filters against their dense twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.filters.error_state import left_jacobian, linearise, retract, world_jacobian
+from mecp_env.slam.filters.motion import integrate
+from tests.slam.filters.conftest import Pair, random_odometry
+from tests.slam.filters.twin import exp_map, expected, wrap
+
+SLOTS = np.array([0, 3, 2])
+
+
+def random_state(rng: np.random.Generator, landmarks: int = 4) -> np.ndarray:
+    x = rng.normal(size=3 + 2 * landmarks) * 3.0
+    x[0] = rng.uniform(-np.pi, np.pi)
+    return x
+
+
+def retracted(x: np.ndarray, xi: np.ndarray, invariant: bool) -> np.ndarray:
+    moved = x.copy()
+    retract(moved, len(x), xi, invariant)
+    return moved
+
+
+def central_difference(function, at: np.ndarray, step: float = 1e-6) -> np.ndarray:
+    columns = [wrap(function(at + e) - function(at - e)) / (2 * step) for e in step * np.eye(len(at))]
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 1e-3, 0.0099, 0.0101, 0.5, -3.0])
+def test_exponential_is_that_of_the_matrix_group(turn):
+    rng = np.random.default_rng(0)
+    x, xi = random_state(rng), rng.normal(size=11)
+    xi[0] = turn
+    difference = retracted(x, xi, True) - exp_map(x, xi)
+    difference[0] = wrap(difference[0])
+    np.testing.assert_allclose(difference, 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("turn", [1e-12, 1e-4, 0.0099, 0.0101, 1.0, -2.0])
+def test_coefficients_of_the_exponential_and_their_derivatives(turn):
+    a, b, da, db = left_jacobian(turn)
+    series = [(-1) ** k * turn ** (2 * k) for k in range(14)]
+    factorial = np.cumprod(np.concatenate([[1.0], np.arange(1, 31)]))
+    assert a == pytest.approx(sum(s / factorial[2 * k + 1] for k, s in enumerate(series)), abs=1e-15)
+    assert b == pytest.approx(sum(s * turn / factorial[2 * k + 2] for k, s in enumerate(series)), abs=1e-15)
+    step = 1e-5
+    above, below = left_jacobian(turn + step), left_jacobian(turn - step)
+    assert da == pytest.approx((above[0] - below[0]) / (2 * step), abs=1e-9)
+    assert db == pytest.approx((above[1] - below[1]) / (2 * step), abs=1e-9)
+
+
+@pytest.mark.parametrize("invariant", [True, False])
+@pytest.mark.parametrize("size", [0.0, 0.3])
+def test_measurement_jacobian(invariant, size):
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        x, xi = random_state(rng), size * rng.normal(size=11)
+        h, A, a_heading = np.empty((3, 2)), np.empty((3, 2, 2)), np.empty((3, 2))
+        linearise(x, xi, SLOTS, invariant, h, A, a_heading)
+        H = np.zeros((3, 2, 11))
+        H[:, :, 0], H[:, :, 1:3] = a_heading, -A
+        for k, slot in enumerate(SLOTS):
+            H[k, :, 3 + 2 * slot : 5 + 2 * slot] = A[k]
+        numeric = central_difference(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
+        np.testing.assert_allclose(wrap(h - expected(retracted(x, xi, invariant), SLOTS)), 0.0, atol=1e-12)
+        np.testing.assert_allclose(H, numeric, atol=1e-7, rtol=1e-5)
+
+
+def test_invariant_jacobian_never_sees_the_heading():
+    x = random_state(np.random.default_rng(1))
+    h, A, a_heading = np.empty((3, 2)), np.empty((3, 2, 2)), np.empty((3, 2))
+    linearise(x, np.zeros(11), SLOTS, True, h, A, a_heading)
+    np.testing.assert_array_equal(a_heading, 0.0)
+
+
+def test_motion_noise_is_the_jacobian_of_the_motion():
+    rng = np.random.default_rng(2)
+    odometry = random_odometry(rng, arcs=3)
+    start = np.array([0.4, -1.0, 2.0])
+
+    def end(noise: np.ndarray) -> np.ndarray:
+        pose = start.copy()
+        for (d, w), (n_d, n_w, n_side) in zip(odometry.increments, noise.reshape(3, 3), strict=True):
+            middle, length = pose[0] + (w + n_w) / 2, d + n_d
+            pose[1:] += [length * np.cos(middle), length * np.sin(middle)]
+            pose[1:] += n_side * np.array([-np.sin(middle), np.cos(middle)])
+            pose[0] += w + n_w
+        return pose
+
+    G = central_difference(end, np.zeros(9))
+    Q = np.zeros((9, 9))
+    for k in range(3):
+        Q[3 * k : 3 * k + 2, 3 * k : 3 * k + 2] = odometry.cov[k]
+        Q[3 * k + 1, 3 * k + 1] += 0.02 / 3
+        Q[3 * k + 2, 3 * k + 2] += 0.01 / 3
+    pose = start.copy()
+    N = integrate(pose, odometry.increments, odometry.cov, 0.01, 0.02)
+    np.testing.assert_allclose(N, G @ Q @ G.T, atol=1e-10)
+    np.testing.assert_allclose(pose, end(np.zeros(9)), atol=1e-14)
+
+
+def test_world_jacobian_of_the_invariant_error():
+    x = random_state(np.random.default_rng(4))
+    T = central_difference(lambda e: retracted(x, e, True), np.zeros(11))
+    expected_T = np.eye(11)
+    expected_T[:, 0] += world_jacobian(x, 11, True)
+    np.testing.assert_allclose(T, expected_T, atol=1e-7)
+    np.testing.assert_array_equal(world_jacobian(x, 11, False), 0.0)
+
+
+def test_same_belief_as_the_dense_twin(kind):
+    pair = Pair(kind, seed=11)
+    for k in range(60):
+        pair.predict(bumper=k % 7 == 0)
+        pair.update(int(pair.rng.integers(1, 6)))
+        if k % 10 == 0:
+            pair.augment(int(pair.rng.integers(1, 4)))
+        np.testing.assert_allclose(wrap(pair.mean - pair.twin.x)[0], 0.0, atol=1e-10)
+        np.testing.assert_allclose(pair.mean[1:], pair.twin.x[1:], atol=1e-9)
+        np.testing.assert_allclose(pair.cov, pair.twin.P, atol=1e-10)
+
+
+def test_twenty_landmarks_more_than_the_first_capacity(kind):
+    pair = Pair(kind, seed=12, landmarks=8)
+    for _ in range(15):
+        pair.augment(5)
+        pair.predict()
+        pair.update(9)
+    assert pair.filter.count == 83
+    np.testing.assert_allclose(pair.cov, pair.twin.P, atol=1e-9)
+
+
+def test_both_filters_agree_while_the_heading_is_known():
+    """With a sure heading the problem is linear in the plane, and so is each filter."""
+    pairs = [Pair(kind, seed=21, landmarks=4) for kind in ("riekf", "ekf")]
+    beliefs = [pair.filter.belief() for pair in pairs]
+    np.testing.assert_allclose(beliefs[0].p_map, beliefs[1].p_map, atol=1e-12)
+    np.testing.assert_allclose(beliefs[0].covs, beliefs[1].covs, atol=1e-12)
+    np.testing.assert_allclose(beliefs[0].pose_cov, beliefs[1].pose_cov, atol=1e-12)

@@ -1,0 +1,193 @@
+"""Updates: one scan at once, iterated at a closure, refused when the covariance is bad; two landmarks that are one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters import FilterError, make_filter
+from tests.slam.filters.conftest import Pair
+from tests.slam.filters.twin import J, exp_map, expected, rotation, wrap
+
+
+def test_innovation_is_that_of_the_twin_and_of_the_world(pair):
+    z, R, slots = pair.scan(4)
+    nu, S = pair.filter.innovation(z, R, pair.ids[slots])
+    nu_twin, S_twin = pair.twin.innovation(z, R, slots)
+    np.testing.assert_allclose(nu, nu_twin, atol=1e-13)
+    np.testing.assert_allclose(S, S_twin, atol=1e-13)
+    mean, cov = pair.filter.marginal(pair.ids[slots])
+
+    def predicted(state):
+        return expected(np.r_[state[2], state[:2], state[3:]], np.arange(4)).ravel()
+
+    H = np.stack([(predicted(mean + e) - predicted(mean - e)) / 2e-6 for e in 1e-6 * np.eye(len(mean))], axis=1)
+    np.testing.assert_allclose(S, H @ cov @ H.T + R, atol=1e-9)
+
+
+def test_bearings_are_wrapped_behind_the_robot(kind):
+    estimate = make_filter(FilterConfig(kind=kind))
+    R = np.diag([1e-4, 1e-4])
+    estimate.augment(np.array([[2.0, np.pi - 0.01]]), R, np.array([0]))
+    nu, _ = estimate.innovation(np.array([[2.0, -np.pi + 0.01]]), R, np.array([0]))
+    assert nu[1] == pytest.approx(0.02)
+    estimate.update(np.array([[2.0, -np.pi + 0.01]]), R, np.array([0]))
+    assert np.hypot(*(estimate.belief().p_map[0] - [-2.0, 0.0])) < 0.03
+
+
+def test_order_of_a_scan_does_not_matter(kind):
+    one, other = Pair(kind, seed=8), Pair(kind, seed=8)
+    z, R, slots = one.scan(5)
+    turned = np.array([3, 0, 4, 1, 2])
+    rows = (2 * turned[:, None] + [0, 1]).ravel()
+    one.filter.update(z, R, one.ids[slots])
+    other.filter.update(z[turned], R[np.ix_(rows, rows)], one.ids[slots][turned])
+    np.testing.assert_allclose(one.mean, other.mean, atol=1e-12)
+    np.testing.assert_allclose(one.cov, other.cov, atol=1e-12)
+
+
+def test_correlation_between_corners_counts(kind):
+    pairs = [Pair(kind, seed=8) for _ in range(2)]
+    z, R, slots = pairs[0].scan(4)
+    pairs[0].filter.update(z, R, pairs[0].ids[slots])
+    pairs[1].filter.update(z, np.diag(np.diag(R)), pairs[0].ids[slots])
+    assert np.abs(pairs[0].mean - pairs[1].mean).max() > 1e-4
+
+
+def test_nothing_seen_changes_nothing(pair):
+    before = pair.filter.snapshot()
+    pair.filter.update(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
+    pair.filter.augment(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
+    np.testing.assert_array_equal(pair.filter.mean, before.mean)
+    np.testing.assert_array_equal(pair.filter.cov, before.cov)
+
+
+def lost(kind: str, heading_error: float, seed: int = 0) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
+    """A robot that turned wrongly six metres ago (its covariance knows), and what it now sees of five landmarks.
+
+    Returns the pair, z, R and the true state.
+    """
+    pair = Pair(kind, seed, landmarks=5)
+    n, x = len(pair.mean), pair.mean.copy()
+    pivot = x[1:3] - [6.0, 0.0]
+    true = x.copy()
+    true[0] += heading_error
+    true[1:3] = pivot + rotation(heading_error) @ (x[1:3] - pivot)
+    swing = np.zeros(n)  # the error in the filter's coordinates, per radian
+    swing[0], swing[1:3] = 1.0, J @ (x[1:3] - pivot)
+    if kind == "riekf":
+        swing[1:] -= (x[1:].reshape(-1, 2) @ J.T).ravel()
+    pair.filter.cov[:n, :n] += 0.3**2 * np.outer(swing, swing)
+    return pair, expected(true, np.arange(5)), np.diag(np.tile([0.02**2, 0.005**2], 5)), true
+
+
+def cost_of(pair: Pair, mean: np.ndarray, cov: np.ndarray, z: np.ndarray, R: np.ndarray, kind: str):
+    """Residual vector whose squared length is prior + measurement cost, as a function of xi."""
+    prior, noise = np.linalg.cholesky(np.linalg.inv(cov)).T, np.linalg.cholesky(np.linalg.inv(R)).T
+
+    def residuals(xi):
+        x = exp_map(mean, xi) if kind == "riekf" else mean + xi
+        nu = z - expected(x, np.arange(len(z)))
+        nu[:, 1] = wrap(nu[:, 1])
+        return np.concatenate([prior @ xi, noise @ nu.ravel()])
+
+    return residuals
+
+
+@pytest.mark.parametrize("heading_error", [0.05, 0.3, -0.6])
+def test_iterated_update_finds_the_most_likely_state(kind, heading_error):
+    pair, z, R, _ = lost(kind, heading_error)
+    mean, cov = pair.mean.copy(), pair.cov.copy()
+    best = least_squares(cost_of(pair, mean, cov, z, R, kind), np.zeros(len(mean)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    config = FilterConfig(kind=kind, closure_iterations=20)
+    pair.filter.closure_iterations = config.closure_iterations
+    pair.filter.update(z, R, pair.ids, iterate=True)
+    wanted = exp_map(mean, best.x) if kind == "riekf" else mean + best.x
+    np.testing.assert_allclose(wrap(pair.mean - wanted), 0.0, atol=2e-5)
+    information = best.jac.T @ best.jac
+    np.testing.assert_allclose(pair.cov, np.linalg.inv(information), atol=1e-5)
+
+
+@pytest.mark.parametrize("heading_error", [0.1, 0.3, 0.6])
+def test_iterated_update_finds_the_lost_robot_where_one_shot_does_not(heading_error):
+    """The arc on which the robot may be is straight for the invariant error; the plain EKF's prior cannot hold it."""
+    errors = {}
+    for iterate in (False, True):
+        pair, z, R, true = lost("riekf", heading_error)
+        pair.filter.update(z, R, pair.ids, iterate=iterate)
+        errors[iterate] = np.abs(wrap(pair.mean[:3] - true[:3])).max()
+    assert errors[True] < 0.002
+    assert errors[False] > 0.03
+
+
+def test_iterating_where_nothing_bends_is_the_plain_update(kind):
+    one, other = Pair(kind, seed=9), Pair(kind, seed=9)
+    z = expected(one.twin.x, np.arange(3)) + 1e-6
+    one.filter.update(z, np.eye(6) * 1e-4, one.ids[:3])
+    other.filter.update(z, np.eye(6) * 1e-4, one.ids[:3], iterate=True)
+    np.testing.assert_allclose(one.mean, other.mean, atol=1e-9)
+    np.testing.assert_allclose(one.cov, other.cov, atol=1e-7)
+
+
+def test_non_positive_covariance_is_refused_and_nothing_changed(pair):
+    before = pair.filter.snapshot()
+    z, R, slots = pair.scan(3)
+    for bad in (-10.0 * np.eye(6), np.full((6, 6), np.nan)):
+        with pytest.raises(FilterError, match="not positive"):
+            pair.filter.update(z, bad, pair.ids[slots])
+    with pytest.raises(FilterError, match="finite"):
+        pair.filter.update(np.full((3, 2), np.nan), R, pair.ids[slots])
+    np.testing.assert_array_equal(pair.filter.mean, before.mean)
+    np.testing.assert_array_equal(pair.filter.cov, before.cov)
+
+
+def test_wrong_input_is_named(pair):
+    z, R, slots = pair.scan(3)
+    with pytest.raises(FilterError, match=r"\[7\]"):
+        pair.filter.update(z[:1], R[:2, :2], np.array([7]))
+    with pytest.raises(FilterError, match=r"expected \(3, 2\)"):
+        pair.filter.update(z, R[:4, :4], pair.ids[slots])
+    with pytest.raises(FilterError, match="new"):
+        pair.filter.augment(z, R, pair.ids[slots])
+    with pytest.raises(FilterError, match="itself"):
+        pair.filter.fuse(pair.ids[0], pair.ids[0])
+
+
+def test_fuse_is_a_measurement_of_the_difference(kind):
+    pair = Pair(kind, seed=14)
+    keep, drop = pair.ids[1], pair.ids[4]
+    n = len(pair.mean)
+    mean, cov = pair.mean.copy(), pair.cov.copy()
+    H = np.zeros((2, n))
+    H[:, 5:7], H[:, 11:13] = np.eye(2), -np.eye(2)
+    K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + 1e-6 * np.eye(2))
+    xi = -K @ (mean[5:7] - mean[11:13])
+    wanted = exp_map(mean, xi) if kind == "riekf" else mean + xi
+    kept = np.r_[0:11, 13:n]
+    left = np.eye(n) - K @ H
+    wanted_cov = (left @ cov @ left.T + 1e-6 * K @ K.T)[np.ix_(kept, kept)]
+    pair.filter.fuse(keep, drop)
+    assert pair.filter.ids.tolist() == [i for i in pair.ids if i != drop]
+    np.testing.assert_allclose(wrap(pair.mean - wanted[kept]), 0.0, atol=1e-10)
+    np.testing.assert_allclose(pair.cov, wanted_cov, atol=1e-10)
+
+
+def test_fusing_the_same_corner_seen_twice_is_as_good_as_one_landmark(kind):
+    """One corner under two ids, then fused, tells the filter the same as one id throughout."""
+    beliefs = []
+    for split in (True, False):
+        estimate = make_filter(FilterConfig(kind=kind, prior_sigma_rad=1e-3))
+        R = np.diag(np.tile([1e-4, 1e-6], 2))
+        estimate.augment(np.array([[3.0, 0.2], [4.0, 1.5]]), R, np.array([0, 1]))
+        second = np.array([[3.01, 0.201], [4.02, 1.499]])
+        if split:
+            estimate.update(second[1:], R[:2, :2], np.array([1]))
+            estimate.augment(second[:1], R[:2, :2], np.array([9]))
+            estimate.fuse(0, 9)
+        else:
+            estimate.update(second, R, np.array([0, 1]))
+        beliefs.append(estimate.belief())
+    np.testing.assert_allclose(beliefs[0].p_map, beliefs[1].p_map, atol=2e-4)
+    np.testing.assert_allclose(beliefs[0].covs, beliefs[1].covs, atol=2e-6)

@@ -1,0 +1,129 @@
+"""Dense NumPy twins of the filters, written from the equations alone: full F, G, H, Joseph form. Slow and plain."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.data import Odometry
+
+Array = NDArray[np.float64]
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def rotation(t: float) -> Array:
+    """(2,2)"""
+    return np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]])
+
+
+def wrap(angle: Array) -> Array:
+    """In [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def expected(x: Array, slots: Array) -> Array:
+    """(m,2) range and bearing of landmarks for x = heading, p, l_1, ..."""
+    y = (x[3:].reshape(-1, 2)[slots] - x[1:3]) @ rotation(x[0])
+    return np.stack([np.hypot(y[:, 0], y[:, 1]), np.arctan2(y[:, 1], y[:, 0])], axis=1)
+
+
+def exp_map(x: Array, xi: Array) -> Array:
+    """exp(xi) x on SE_{N+1}(2), by the matrix exponential of the whole group element."""
+    k = (len(x) - 1) // 2
+    algebra, chi = np.zeros((k + 2, k + 2)), np.eye(k + 2)
+    algebra[:2, :2], algebra[:2, 2:] = xi[0] * J, xi[1:].reshape(k, 2).T
+    chi[:2, :2], chi[:2, 2:] = rotation(x[0]), x[1:].reshape(k, 2).T
+    moved = expm(algebra) @ chi
+    return np.concatenate([[np.arctan2(moved[1, 0], moved[0, 0])], moved[:2, 2:].T.ravel()])
+
+
+class Twin:
+    """State x and covariance P of `kind`, order heading, p, l_1, ..."""
+
+    def __init__(self, kind: str, config: FilterConfig) -> None:
+        self.invariant = kind == "riekf"
+        self.slip = np.diag([config.bumper_lateral_sigma_m**2, np.radians(config.bumper_heading_sigma_deg) ** 2])
+        self.x = np.zeros(3)
+        self.P = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
+
+    def retract(self, xi: Array) -> None:
+        self.x = exp_map(self.x, xi) if self.invariant else self.x + xi
+        self.x[0] = wrap(self.x[0])
+
+    def predict(self, odometry: Odometry) -> None:
+        arcs = len(odometry.increments)
+        for (d, w), Q in zip(odometry.increments, odometry.cov, strict=True):
+            noise = np.zeros((3, 3))  # distance, turn, sideways
+            noise[:2, :2] = Q
+            if odometry.bumper:
+                noise[1, 1] += self.slip[1, 1] / arcs
+                noise[2, 2] += self.slip[0, 0] / arcs
+            L = np.array([[np.cos(w / 2), -d / 2 * np.sin(w / 2), -np.sin(w / 2)],
+                          [np.sin(w / 2), d / 2 * np.cos(w / 2), np.cos(w / 2)], [0, 1, 0]])  # fmt: skip
+            R, turn = rotation(self.x[0]), np.array([0.0, 1.0, 0.0])
+            step = R @ (d * L[:2, 0])
+            self.x[0], self.x[1:3] = wrap(self.x[0] + w), self.x[1:3] + step
+            F, G = np.eye(len(self.x)), np.zeros((len(self.x), 3))
+            G[0], G[1:3] = turn, R @ L[:2]
+            if self.invariant:
+                for i in range(1, len(self.x), 2):
+                    G[i : i + 2] -= np.outer(J @ self.x[i : i + 2], turn)
+            else:
+                F[1:3, 0] = J @ step
+            self.P = F @ self.P @ F.T + G @ noise @ G.T
+
+    def jacobian(self, slots: Array) -> Array:
+        """H (2m,n)"""
+        H = np.zeros((2 * len(slots), len(self.x)))
+        R = rotation(self.x[0])
+        for k, slot in enumerate(slots):
+            i = 3 + 2 * slot
+            d = self.x[i : i + 2] - self.x[1:3]
+            y, r = R.T @ d, np.hypot(*d)
+            A = np.array([[y[0] / r, y[1] / r], [-y[1] / r**2, y[0] / r**2]]) @ R.T
+            rows = slice(2 * k, 2 * k + 2)
+            H[rows, 1:3], H[rows, i : i + 2] = -A, A
+            if not self.invariant:
+                H[rows, 0] = -A @ J @ d
+        return H
+
+    def innovation(self, z: Array, R: Array, slots: Array) -> tuple[Array, Array]:
+        nu, H = z - expected(self.x, slots), self.jacobian(slots)
+        nu[:, 1] = wrap(nu[:, 1])
+        return nu.ravel(), H @ self.P @ H.T + R
+
+    def update(self, z: Array, R: Array, slots: Array) -> None:
+        nu, S = self.innovation(z, R, slots)
+        H = self.jacobian(slots)
+        K = self.P @ H.T @ np.linalg.inv(S)
+        left = np.eye(len(self.x)) - K @ H
+        self.P = left @ self.P @ left.T + K @ R @ K.T  # Joseph form
+        self.retract(K @ nu)
+
+    def augment(self, z: Array, R: Array) -> None:
+        n, m = len(self.x), len(z)
+        grow, noise = np.zeros((n + 2 * m, n)), np.zeros((n + 2 * m, 2 * m))
+        grow[:n] = np.eye(n)
+        new = []
+        for k, (r, b) in enumerate(z):
+            point = self.x[1:3] + r * rotation(self.x[0]) @ [np.cos(b), np.sin(b)]
+            rows = slice(n + 2 * k, n + 2 * k + 2)
+            grow[rows, 1:3] = np.eye(2)
+            if not self.invariant:
+                grow[rows, 0] = J @ (point - self.x[1:3])
+            Jz = np.array([[np.cos(b), -r * np.sin(b)], [np.sin(b), r * np.cos(b)]])
+            noise[rows, 2 * k : 2 * k + 2] = rotation(self.x[0]) @ Jz
+            new.append(point)
+        self.P = grow @ self.P @ grow.T + noise @ R @ noise.T
+        self.x = np.concatenate([self.x, *new])
+
+    def world_cov(self) -> Array:
+        """P of world coordinates, order x, y, heading, landmarks."""
+        T = np.eye(len(self.x))
+        if self.invariant:
+            for i in range(1, len(self.x), 2):
+                T[i : i + 2, 0] = J @ self.x[i : i + 2]
+        order = np.r_[1, 2, 0, 3 : len(self.x)]
+        return (T @ self.P @ T.T)[np.ix_(order, order)]
