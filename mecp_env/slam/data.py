@@ -13,6 +13,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.slam.linalg import blocks_of
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -163,8 +165,7 @@ class Corners:
 
     def measurements(self, index: Ints) -> tuple[Array, Array]:
         """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""
-        flat = np.stack((2 * index, 2 * index + 1), axis=1).ravel()
-        return np.ascontiguousarray(self.z[index]), np.ascontiguousarray(self.cov[np.ix_(flat, flat)])
+        return self.z[index], blocks_of(self.cov, index)
 
     def __len__(self) -> int:
         return len(self.z)
@@ -233,6 +234,12 @@ class Belief:
     ids: Ints  # (N,) landmark ids, in the order of their birth
     p_map: Array  # (N,2) m, landmark means
     covs: Array  # (N,2,2) m^2, marginal covariance of each landmark
+
+    def rows(self, wanted: Ints) -> Ints:
+        """Row of each landmark id in `wanted` (any shape), all of which are in `ids`."""
+        row = np.empty(int(self.ids.max()) + 1, np.int64)
+        row[self.ids] = np.arange(len(self.ids))
+        return row[wanted]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -63,25 +64,27 @@ def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float) -> I
 
 
 def door_frames(doors: list[Door], belief: Belief) -> Array:
-    """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief."""
-    frames = np.empty((len(doors), 5))
-    if doors:
-        ends = _door_ends(doors, belief)
-        across = ends[:, 1] - ends[:, 0]
-        width = np.hypot(across[:, 0], across[:, 1])
-        frames[:, :2] = ends.mean(axis=1)
-        frames[:, 2] = -across[:, 1] / width
-        frames[:, 3] = across[:, 0] / width
-        frames[:, 4] = width / 2.0
+    """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
+
+    The middle is that of the wall where both faces are known, of the one face otherwise.
+    """
+    if not doors:
+        return np.empty((0, 5))
+    ids = np.array([(*door.jambs, *(door.other_face or door.jambs)) for door in doors], np.int64)
+    return _frames(belief.p_map, belief.rows(ids))
+
+
+@kernel
+def _frames(p_map: Array, rows: Ints) -> Array:
+    """(D,5) door frames from rows (D,4): right and left jamb of the first face, then of the second."""
+    frames = np.empty((rows.shape[0], 5))
+    for d in range(rows.shape[0]):
+        right, left = (p_map[rows[d, 0]] + p_map[rows[d, 2]]) / 2.0, (p_map[rows[d, 1]] + p_map[rows[d, 3]]) / 2.0
+        x, y = left[0] - right[0], left[1] - right[1]
+        width = math.hypot(x, y)
+        frames[d, 0], frames[d, 1] = (right[0] + left[0]) / 2.0, (right[1] + left[1]) / 2.0
+        frames[d, 2], frames[d, 3], frames[d, 4] = -y / width, x / width, width / 2.0
     return frames
-
-
-def _door_ends(doors: list[Door], belief: Belief) -> Array:
-    """(D,2,2) m, map: right and left end of each gap, in the middle of the wall where both faces are known."""
-    row = {landmark: i for i, landmark in enumerate(belief.ids.tolist())}
-    first = np.array([[row[j] for j in door.jambs] for door in doors])
-    second = np.array([[row[j] for j in door.other_face or door.jambs] for door in doors])
-    return (belief.p_map[first] + belief.p_map[second]) / 2.0
 
 
 def record_doorways(
@@ -145,8 +148,8 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
 
 def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    doors = door_frames(book.doors, belief)
-    is_door = len(doors) and np.hypot(*(doors[:, :2] - new.ends.mean(axis=0)).T).min() < SAME_GAP_M
+    offsets = door_frames(book.doors, belief)[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
+    is_door = bool((offsets[:, 0] ** 2 + offsets[:, 1] ** 2 < SAME_GAP_M**2).any())
     same = [i for i, known in enumerate(book.candidates) if _middle_distance(known, new) < SAME_GAP_M]
     if is_door:
         book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
@@ -159,14 +162,16 @@ def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
 
 
 def _middle_distance(a: Candidate, b: Candidate) -> float:
-    return float(np.hypot(*(a.ends.mean(axis=0) - b.ends.mean(axis=0))))
+    offset = (a.ends[0] + a.ends[1] - b.ends[0] - b.ends[1]) / 2.0
+    return math.hypot(offset[0], offset[1])
 
 
 def candidate_frame(candidate: Candidate) -> Array:
     """(5,) as a row of `door_frames`: middle, unit normal towards the candidate's room, half width."""
     across = candidate.ends[1] - candidate.ends[0]
-    width = np.hypot(*across)
-    return np.array([*candidate.ends.mean(axis=0), -across[1] / width, across[0] / width, width / 2.0])
+    width = math.hypot(across[0], across[1])
+    middle = (candidate.ends[0] + candidate.ends[1]) / 2.0
+    return np.array([middle[0], middle[1], -across[1] / width, across[0] / width, width / 2.0])
 
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:

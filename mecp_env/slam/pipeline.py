@@ -176,7 +176,7 @@ class SlamPipeline:
 
     def _grow_map(self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints) -> Match:
         """Tracks, landmarks, polygons, doors and rooms after this scan."""
-        forget(self.features, self.period, self.config.tracks)
+        dead = forget(self.features, self.period, self.config.tracks)
         belief = self.filter.belief()
         room = self.rooms.current
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
@@ -184,11 +184,13 @@ class SlamPipeline:
         self._adopt(corners, match, ripe)
         mark_seen(self.features, match.ids[match.ids >= 0], self.period)
         belief = self.filter.belief()
-        self.rooms.update(corners, match, through, self.features, belief, self.polygons, self.period)
+        moved = self.rooms.update(corners, match, through, self.features, belief, self.polygons, self.period)
         graph = self.rooms.graph()
+        known = len(self.polygons)
         remember_polygons(self.polygons, polygons, corners, match, self.features, graph, self.period)
-        prune(self.polygons, self.features, graph, self.config.association.polygons_per_room)
-        self._fuse(match, belief)
+        fused = self._fuse(match, belief)
+        if len(dead) or moved or fused or len(self.polygons) > known:
+            prune(self.polygons, self.features, graph, self.config.association.polygons_per_room)
         return match
 
     def _remember_births(self, match: Match) -> None:
@@ -205,10 +207,11 @@ class SlamPipeline:
             self.filter.augment(z, R, match.ids[ripe])
             self.features.state[match.ids[ripe]] = int(FeatureState.LANDMARK)
 
-    def _fuse(self, match: Match, belief: Belief) -> None:
+    def _fuse(self, match: Match, belief: Belief) -> bool:
+        """Make one landmark of two that are one corner, where there are such; says whether there were."""
         pair = find_duplicate(self.features, belief, match, self.config.tracks)
         if pair is None or self.config.association.method == "known":
-            return
+            return False
         keep, drop = pair
         self.filter.fuse(keep, drop)
         self.features.state[drop] = int(FeatureState.DEAD)
@@ -217,3 +220,4 @@ class SlamPipeline:
         match.ids[match.ids == drop] = keep
         rename(self.polygons, keep, drop)
         rename_jambs(self.rooms.book, keep, drop)
+        return True

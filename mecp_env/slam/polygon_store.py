@@ -24,7 +24,7 @@ def remember_polygons(
         return
     for polygon in polygons:
         ids = match.ids[polygon.corners]
-        if (ids >= 0).all() and len(set(ids.tolist())) == len(ids):
+        if ids.min() >= 0 and len(set(ids.tolist())) == len(ids):
             _remember(store, ids, polygon.intervals, features, graph, period)
 
 
@@ -40,11 +40,12 @@ def _remember(
     if rooms != {graph.current}:  # Fig. 6: polygons of different rooms share no vertex
         return
     shift = int(np.argmin(ids))
-    known = next((p for p in store if len(p.ids) == len(ids) and set(p.ids.tolist()) == set(ids.tolist())), None)
+    ring = np.concatenate((ids[shift:], ids[:shift]))
+    known = next((p for p in store if np.array_equal(p.ids, ring)), None)
     if known is None:
-        store.append(KnownPolygon(np.roll(ids, -shift), _rolled(intervals, shift, len(ids)), graph.current, 1, period))
+        store.append(KnownPolygon(ring, _rolled(intervals, shift, len(ids)), graph.current, 1, period))
         return
-    known.ids, known.intervals = np.roll(ids, -shift), _rolled(intervals, shift, len(ids))
+    known.intervals = _rolled(intervals, shift, len(ids))
     known.seen += 1
     known.last_period = period
 
@@ -78,4 +79,7 @@ def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> b
 def rename(store: list[KnownPolygon], keep: int, drop: int) -> None:
     """Two ids are one corner: polygons that named `drop` now name `keep`."""
     for polygon in store:
-        polygon.ids = np.where(polygon.ids == drop, keep, polygon.ids)
+        ids = np.where(polygon.ids == drop, keep, polygon.ids)
+        shift = int(np.argmin(ids))
+        polygon.ids = np.concatenate((ids[shift:], ids[:shift]))
+        polygon.intervals = _rolled(polygon.intervals, shift, len(ids))

@@ -80,15 +80,18 @@ class RoomKeeper:
         belief: Belief,
         known: list[KnownPolygon],
         period: int,
-    ) -> None:
-        """Record this scan's doorways, follow the robot through doors, settle what belongs to another room."""
+    ) -> bool:
+        """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
+
+        Says whether landmarks changed their room, by a merge or one by one.
+        """
         if not self.in_doorway:
             room = self.current
             record_doorways(self.book, corners, match, features, belief, room, through, period, self.config)
         self._follow(belief)
         self._follow_candidates(features, belief)
         polygon_room = self.resolve(known[match.known].room) if match.known >= 0 else UNKNOWN_ROOM
-        self._recognise(corners, match, through, features, belief, polygon_room)
+        return self._recognise(corners, match, through, features, belief, polygon_room)
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
@@ -137,17 +140,19 @@ class RoomKeeper:
 
     def _recognise(
         self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief, polygon_room: int
-    ) -> None:
+    ) -> bool:
         """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
         if self.in_doorway:
-            return
-        ids, rooms = self._seen_here(corners, match, through, features)
+            return False
         if polygon_room not in (UNKNOWN_ROOM, self.current):
-            self._note_elsewhere(polygon_room, belief, self.config.recognise_m)
-        elif self._relabel(ids, rooms, features) == 0:
-            other = self._majority(rooms)
-            if other not in (UNKNOWN_ROOM, self.current):
-                self._note_elsewhere(other, belief, self.config.recognise_by_corners_m)
+            return self._note_elsewhere(polygon_room, belief, self.config.recognise_m)
+        ids, rooms = self._seen_here(corners, match, through, features)
+        if self._relabel(ids, rooms, features):
+            return True
+        other = self._majority(rooms)
+        if other in (UNKNOWN_ROOM, self.current):
+            return False
+        return self._note_elsewhere(other, belief, self.config.recognise_by_corners_m)
 
     def _seen_here(
         self, corners: Corners, match: Match, through: Ints, features: FeatureTable
@@ -158,8 +163,8 @@ class RoomKeeper:
         ids = ids[features.kind[ids] != int(CornerKind.JAMB)]
         return ids, [self.resolve(int(room)) for room in features.room[ids]]
 
-    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> int:
-        """Move landmarks of the rooms next door to this one, where they are seen from; how many there were.
+    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> bool:
+        """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.
 
         They were first seen through a door not yet known, so that they were given to the room of the robot then.
         """
@@ -167,7 +172,7 @@ class RoomKeeper:
         neighbours = {room for door in sure if self.current in door.rooms for room in door.rooms}
         strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in neighbours - {self.current}]
         features.room[strayed] = self.current
-        return len(strayed)
+        return bool(strayed)
 
     def _majority(self, rooms: list[int]) -> int:
         """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
@@ -176,27 +181,28 @@ class RoomKeeper:
         likeliest = max(sorted(set(rooms)), key=rooms.count)
         return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
 
-    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float) -> None:
-        """Count a sign that this is room `other`; two of them from places apart settle it."""
+    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float) -> bool:
+        """Count a sign that this is room `other`; two from places apart settle it. Says whether rooms merged."""
         x, y = belief.T_map_robot[:2]
         before = [e for e in self.elsewhere if e[0] == other]
         if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
             self.elsewhere.clear()
-            self._become(other)
-        else:
-            self.elsewhere.append((other, float(x), float(y)))
+            return self._become(other)
+        self.elsewhere.append((other, float(x), float(y)))
+        return False
 
-    def _become(self, other: int) -> None:
+    def _become(self, other: int) -> bool:
         """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
         old, self.current = self.current, other
         if old != self.newest:
-            return
+            return False
         self.newest = UNKNOWN_ROOM
         self.merged[old] = other
         self.rooms.remove(old)
         self.book.doors = [self._with_rooms_resolved(door) for door in self.book.doors]
         # a door that leads from a room to itself is none: the gap lies inside the room
         self.book.doors = [door for door in self.book.doors if door.rooms[0] != door.rooms[1]]
+        return True
 
     def _with_rooms_resolved(self, door: Door) -> Door:
         first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)

@@ -72,13 +72,6 @@ def one_to_one(cost: Array, gate: float) -> Ints:
     return paired
 
 
-def rows_of(landmarks: Ints, wanted: Ints) -> Ints:
-    """Row in `landmarks` (N,) of each id in `wanted` (any shape), all of which are in it."""
-    row = np.full(int(landmarks.max()) + 1, -1, np.int64)
-    row[landmarks] = np.arange(len(landmarks))
-    return row[wanted]
-
-
 def undecided(n: int) -> Match:
     """A match in which each of n corners is still NEW and nothing was recognised; to be filled in by its maker."""
     return Match(

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.association.base import chi2_gate, rows_of, undecided
+from mecp_env.slam.association.base import chi2_gate, undecided
 from mecp_env.slam.association.joint import best_growth, grow
 from mecp_env.slam.association.rings import RingMatch, match_rings
 from mecp_env.slam.association.singles import open_rooms, pairing_table, settle
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.data import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.filters import Filter
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class MecpAssociator:
         self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
     ) -> Match:
         gate = chi2_gate(2, self.config.gate_probability)
-        corner, row = possible_pairs(costs, gate, ring, view.belief.ids, self.config.most_pairs)
+        corner, row = possible_pairs(costs, gate, ring, view.belief, self.config.most_pairs)
         if not len(corner):
             return match
         ids = view.belief.ids[row]
@@ -75,12 +75,12 @@ class MecpAssociator:
         return np.concatenate(([-1], order))
 
 
-def possible_pairs(costs: Array, gate: float, ring: RingMatch | None, ids: Ints, most: int) -> tuple[Ints, Ints]:
+def possible_pairs(costs: Array, gate: float, ring: RingMatch | None, belief: Belief, most: int) -> tuple[Ints, Ints]:
     """Corner and landmark row (P,) of each pairing inside the gate, those of the recognised ring always included."""
     possible = costs <= gate
     if ring is not None:
         possible[ring.corners, :] = False
-        possible[ring.corners, rows_of(ids, ring.ids)] = True
+        possible[ring.corners, belief.rows(ring.ids)] = True
     corner, row = np.nonzero(possible)
     if len(corner) > most:
         keep = np.sort(np.argsort(costs[corner, row], kind="stable")[:most])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.association.base import chi2_gate, rows_of, undecided
+from mecp_env.slam.association.base import chi2_gate, undecided
 from mecp_env.slam.association.nearest import pair_off
 from mecp_env.slam.association.rings import known_rings
 from mecp_env.slam.association.singles import pairing_table
@@ -35,7 +35,7 @@ class MecpPaperAssociator:
         gate = chi2_gate(2, self.config.gate_probability)
         for p, polygon in enumerate(polygons):
             known, ids = self._nearest_centre(corners, polygon, view, belief, gate)
-            shift = _two_vertices(table.nis[polygon.corners], rows_of(view.belief.ids, ids), gate) if known >= 0 else -1
+            shift = _two_vertices(table.nis[polygon.corners], view.belief.rows(ids), gate) if known >= 0 else -1
             if shift >= 0:
                 match = _implicit(match, polygon, np.roll(ids, -shift), p, known)
                 break

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.association.base import chi2_gate, rows_of
+from mecp_env.slam.association.base import chi2_gate
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, FeatureState, MapView, Polygon
 from mecp_env.slam.filters import Filter
@@ -85,7 +85,7 @@ def _match_ring(
     index, rings = known_rings(view, k)
     if not len(index):
         return None
-    rows = rows_of(view.belief.ids, rings)
+    rows = view.belief.rows(rings)
     vertex_gate = 2.0 * chi2_gate(2, config.gate_probability)  # generous: the joint test decides
     shifts = plausible_shifts(np.ascontiguousarray(nis[polygon.corners]), rows, vertex_gate)
     z, R = corners.measurements(polygon.corners)

@@ -4,8 +4,9 @@ import itertools
 
 import numpy as np
 
-from mecp_env.slam.association.base import chi2_gate, one_to_one, rows_of, signature_compatible
+from mecp_env.slam.association.base import chi2_gate, one_to_one, signature_compatible
 from mecp_env.slam.association.joint import best_growth, grow
+from mecp_env.slam.data import Belief
 
 
 def common_error_case(rng, wrong):
@@ -80,5 +81,5 @@ def test_signature_wraps_at_pi():
 
 
 def test_rows_of_finds_ids_in_any_order():
-    landmarks = np.array([7, 2, 9])
-    assert rows_of(landmarks, np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
+    belief = Belief(np.zeros(3), np.eye(3), np.array([7, 2, 9]), np.zeros((3, 2)), np.zeros((3, 2, 2)))
+    assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
