@@ -22,15 +22,9 @@ def cholesky(S: Array) -> Array:
     L = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
-            total = S[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                if not total > 0.0:
-                    raise ValueError("matrix is not positive definite")
-                L[i, i] = math.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
+            L[i, j] = S[i, j]
+    if not factor_lower(L):
+        raise ValueError("matrix is not positive definite")
     return L
 
 

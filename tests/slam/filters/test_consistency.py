@@ -107,11 +107,7 @@ class Life:
 
     def move(self, k: int) -> None:
         arc = np.array([[0.15, 0.2 * self.rng.normal()]])
-        self.T += [
-            arc[0, 0] * np.cos(self.T[2] + arc[0, 1] / 2),
-            arc[0, 0] * np.sin(self.T[2] + arc[0, 1] / 2),
-            arc[0, 1],
-        ]
+        self.T = ring.moved(self.T, arc[0, 0], 0.0, arc[0, 1])
         var = ring.per_metre(arc)
         measured = arc + self.rng.normal(size=(1, 2)) * np.sqrt(var)
         self.estimate.predict(Odometry(measured, var[:, :, None] * np.eye(2), k % 50 == 0))
@@ -191,9 +187,8 @@ def test_same_bits_in_every_process_and_thread_setting():
     outputs = set()
     for threads in ("1", "2"):
         environment = os.environ | {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
-        )
-        outputs.add(tuple(line for line in done.stdout.splitlines() if len(line) == 64))
+        command = [sys.executable, "-c", PROGRAM]
+        printed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        outputs.add(tuple(line for line in printed.splitlines() if len(line) == 64))
     assert len(outputs) == 1
     assert len(outputs.pop()) == 3
