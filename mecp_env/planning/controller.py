@@ -112,7 +112,7 @@ def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length:
 
 @kernel
 def look_ahead(path: Array, T_map_robot: Array, ahead: float) -> tuple[float, float, float]:
-    """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the way left from there."""
+    """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the way left there."""
     best, best_leg, best_share = math.inf, 0, 0.0
     for i in range(path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]
