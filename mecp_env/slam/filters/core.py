@@ -136,8 +136,7 @@ class LandmarkFilter:
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
-        pose, pose_cov = self.marginal(np.empty(0, np.int64))
-        p_map, covs = landmarks.world_blocks(self.mean, self.cov, self.count, self.invariant)
+        pose, pose_cov, p_map, covs = landmarks.world_belief(self.mean, self.cov, self.count, self.invariant)
         return Belief(pose, pose_cov, self.ids, p_map, covs)
 
     def snapshot(self) -> Self:
@@ -150,8 +149,8 @@ class LandmarkFilter:
         landmarks.pin_pose(self.mean, self.cov, self.size, _array(T_map_robot), var, self.invariant)
 
     def _slots(self, ids: Ints) -> Ints:
-        slots = landmarks.find_slots(self.slot_ids, self.count, np.ascontiguousarray(ids, np.int64))
-        if (slots < 0).any():
+        slots, missing = landmarks.find_slots(self.slot_ids, self.count, np.ascontiguousarray(ids, np.int64))
+        if missing:
             raise FilterError(f"ids {np.asarray(ids)[slots < 0].tolist()} are no landmarks of this filter")
         return slots
 

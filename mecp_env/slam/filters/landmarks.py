@@ -15,15 +15,16 @@ Ints = NDArray[np.int64]
 
 
 @kernel
-def find_slots(slot_ids: Ints, count: int, ids: Ints) -> Ints:
-    """Slot of each id (m,), -1 where the filter has no such landmark."""
-    slots = np.full(ids.shape[0], -1)
+def find_slots(slot_ids: Ints, count: int, ids: Ints) -> tuple[Ints, int]:
+    """Slot of each id (m,), -1 where the filter has no such landmark, and how many it has not."""
+    slots, missing = np.full(ids.shape[0], -1), ids.shape[0]
     for k in range(ids.shape[0]):
         for slot in range(count):
             if slot_ids[slot] == ids[k]:
                 slots[k] = slot
+                missing -= 1
                 break
-    return slots
+    return slots, missing
 
 
 @kernel
@@ -110,8 +111,9 @@ def world_marginal(mean: Array, cov: Array, slots: Ints, invariant: bool) -> tup
 
 
 @kernel
-def world_blocks(mean: Array, cov: Array, count: int, invariant: bool) -> tuple[Array, Array]:
-    """Means (N,2) and marginal covariances (N,2,2) of all landmarks in the world."""
+def world_belief(mean: Array, cov: Array, count: int, invariant: bool) -> tuple[Array, Array, Array, Array]:
+    """In the world: pose (3,) and its covariance (3,3), means (N,2) and own covariances (N,2,2) of the landmarks."""
+    pose, pose_cov = world_marginal(mean, cov, np.empty(0, np.int64), invariant)
     p_map, covs = np.empty((count, 2)), np.empty((count, 2, 2))
     for k in range(count):
         i = 3 + 2 * k
@@ -121,7 +123,7 @@ def world_blocks(mean: Array, cov: Array, count: int, invariant: bool) -> tuple[
         covs[k, 1, 0] = cov[i + 1, i] + tx * cov[0, i + 1] + ty * cov[0, i] + tx * ty * cov[0, 0]
         covs[k, 1, 1] = cov[i + 1, i + 1] + 2.0 * ty * cov[0, i + 1] + ty * ty * cov[0, 0]
         covs[k, 0, 1] = covs[k, 1, 0]
-    return p_map, covs
+    return pose, pose_cov, p_map, covs
 
 
 @kernel
