@@ -7,13 +7,11 @@ import math
 import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
-from shapely.geometry.base import BaseGeometry
 
 from mecp_env.errors import LayoutError
-from mecp_env.world.outline import Outline, build_outline, obstacle_shape, wall_lines
+from mecp_env.world.outline import ROBOT_RADIUS_M, Outline, build_outline, obstacle_shape, reachable, wall_lines
 from mecp_env.world.schema import Door, Layout, Pillar
 
-ROBOT_RADIUS_M = 0.22  # rooms must be in reach of the paper's robot
 ON_LINE_M = 0.01
 SQUARE_DEG = 1.0
 OVERLAP_M2 = 0.01
@@ -24,9 +22,12 @@ def check_geometry(layout: Layout) -> Layout:
     _check_rooms(layout)
     _check_obstacles(layout)
     _check_doors(layout)
-    outline = build_outline(layout)
-    _check_starts(layout, outline)
-    _check_reach(layout, outline)
+    try:
+        outline = build_outline(layout)
+        _check_starts(layout, outline)
+        _check_reach(layout, outline)
+    except shapely.errors.GEOSException as error:
+        raise LayoutError(f"walls: their union cannot be computed ({error})") from None
     return layout
 
 
@@ -37,9 +38,9 @@ def _check_rooms(layout: Layout) -> None:
         if names.index(names[i]) != i:
             raise LayoutError(f"rooms.{i}.name: {names[i]!r} is the name of rooms.{names.index(names[i])} too")
         _require_simple(shape, f"rooms.{i}.polygon")
-    for i, j in shapely.STRtree(shapes).query(shapes, predicate="overlaps").T.tolist():
+    for i, j in shapely.STRtree(shapes).query(shapes).T.tolist():
         shared = shapes[i].intersection(shapes[j]).area
-        if shared > OVERLAP_M2:
+        if j < i and shared > OVERLAP_M2:
             raise LayoutError(f"rooms.{i}.polygon: shares {shared:.2f} m2 with rooms.{j}, at most {OVERLAP_M2} m2")
 
 
@@ -114,7 +115,7 @@ def _check_starts(layout: Layout, outline: Outline) -> None:
 
 def _check_reach(layout: Layout, outline: Outline) -> None:
     """Every room, every door and every start can be reached by the robot's centre from the first start."""
-    reach = _reachable(outline)
+    reach = reachable(outline)
     for i, room in enumerate(outline.rooms):
         if reach.intersection(room).is_empty:
             raise LayoutError(
@@ -126,10 +127,3 @@ def _check_reach(layout: Layout, outline: Outline) -> None:
     for i, start in enumerate(layout.starts):
         if reach.distance(Point(start.point)) > ON_LINE_M:
             raise LayoutError(f"starts.{i}.point: {start.point} cannot be reached from starts.0")
-
-
-def _reachable(outline: Outline) -> BaseGeometry:
-    """Where the robot's centre can go from the first start."""
-    parts = shapely.get_parts(outline.free_area.buffer(-ROBOT_RADIUS_M))
-    start = Point(outline.starts[0, :2])
-    return parts[int(np.argmin(shapely.distance(parts, start)))]

@@ -28,11 +28,11 @@ def load_layout(given: str | Path | dict[str, Any] | Layout) -> Layout:
     Raises LayoutError naming the source, the field, the value and the bound: for a file that is missing, larger than
     1 MB, nested deeper than 32 or no JSON; for unknown, missing or wrong fields; for impossible geometry.
     """
-    source = str(given) if isinstance(given, str | Path) else "layout"
     try:
         return check_geometry(_parse(given))
     except LayoutError as error:
-        raise LayoutError(f"{source}: {error}") from None
+        source = f"{given}: " if isinstance(given, str | Path) else ""
+        raise LayoutError(f"{source}{error}") from None
 
 
 def _parse(given: str | Path | dict[str, Any] | Layout) -> Layout:

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+ROBOT_RADIUS_M = 0.22  # the paper's robot
 SNAP_M = 1e-6  # the union is computed on this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
@@ -120,10 +121,19 @@ def wall_lines(layout: Layout) -> tuple[list[LineString], Array]:
     return lines, np.array(thickness)
 
 
+def reachable(outline: Outline) -> BaseGeometry:
+    """Where the centre of the paper's robot can go from the first start."""
+    parts = shapely.get_parts(outline.free_area.buffer(-ROBOT_RADIUS_M))
+    return parts[int(np.argmin(shapely.distance(parts, Point(outline.starts[0, :2]))))]
+
+
 def random_free_pose(outline: Outline, rng: np.random.Generator, clearance_m: float) -> Array:
-    """A pose (3,) drawn evenly from where every wall is at least `clearance_m` away; any heading."""
-    area = outline.free_area.buffer(-clearance_m)
-    if area.is_empty:
+    """A pose (3,) drawn evenly from what is in reach and at least `clearance_m` from every wall; any heading.
+
+    Raises LayoutError when there is none.
+    """
+    area = reachable(outline).intersection(outline.free_area.buffer(-clearance_m))
+    if area.area == 0.0:
         raise LayoutError(f"clearance_m: no point of {outline.name!r} lies {clearance_m:g} m from every wall")
     shapely.prepare(area)
     x0, y0, x1, y1 = area.bounds
@@ -196,7 +206,7 @@ def _part_with_start(free: BaseGeometry, around: Polygon, layout: Layout) -> Pol
     start = layout.starts[0].point
     part = next((part for part in shapely.get_parts(free) if part.intersects(Point(start))), None)
     if part is None:
-        raise LayoutError(f"starts.0.point: {start} lies inside a wall or an obstacle")
+        raise LayoutError(f"starts.0.point: {start} lies inside a wall or an obstacle, or outside of all walls")
     if part.intersects(around.exterior):
         raise LayoutError(f"starts.0.point: {start} lies outside, or the walls around it are not closed")
     return orient(part, 1.0)

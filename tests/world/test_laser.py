@@ -1,0 +1,243 @@
+"""The laser: rays against pymunk and a brute-force twin, noise as named, sweeps interleaved, bits that repeat."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pymunk
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from mecp_env.errors import ConfigError, MecpError
+from mecp_env.world import laser as module
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser, cast_rays
+from mecp_env.world.outline import Outline, random_free_pose
+
+Array = NDArray[np.float64]
+IDEAL = LaserConfig(preset="ideal", sweeps=1)
+
+
+def brute_force(segments: Array, pose: Array, bearings: Array) -> Array:
+    """Range (B,) along each bearing: every ray against every face, from whichever side."""
+    angle = pose[2] + bearings
+    d = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+    a = segments[None, :, 0] - pose[:2]
+    u = segments[None, :, 1] - segments[None, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = d[..., 0] * u[..., 1] - d[..., 1] * u[..., 0]
+        t = (a[..., 0] * u[..., 1] - a[..., 1] * u[..., 0]) / across
+        s = (a[..., 0] * d[..., 1] - a[..., 1] * d[..., 0]) / across
+        met = (t >= 0.0) & (s >= -1e-12) & (s <= 1.0 + 1e-12)
+    ranges: Array = np.where(met, t, np.inf).min(axis=1)
+    return ranges
+
+
+def poses(outline: Outline, count: int, clearance: float = 0.22, seed: int = 0) -> list[Array]:
+    rng = np.random.default_rng(seed)
+    return [random_free_pose(outline, rng, clearance) for _ in range(count)]
+
+
+def test_rays_agree_with_the_brute_force_twin(outline: Outline) -> None:
+    laser = Laser(outline, IDEAL)
+    for pose in poses(outline, 40):
+        scan = laser.scan(pose, np.random.default_rng(0))
+        assert scan.hit.all()
+        np.testing.assert_allclose(scan.ranges[0], brute_force(outline.segments, pose, scan.bearings[0]), rtol=1e-9)
+
+
+def test_rays_agree_with_pymunk(outline: Outline) -> None:
+    space = pymunk.Space()
+    for a, b in outline.segments.tolist():
+        space.add(pymunk.Segment(space.static_body, a, b, 0.0))
+    for x, y, heading in poses(outline, 10, seed=1):
+        ranges = cast_rays(outline.segments, np.array([x, y, heading]))
+        for i in range(0, 720, 7):
+            angle = heading - math.pi + (i + 1) * math.pi / 360.0
+            end = (x + 40.0 * math.cos(angle), y + 40.0 * math.sin(angle))
+            hit = space.segment_query_first((x, y), end, 0.0, pymunk.ShapeFilter())
+            assert hit is not None
+            assert ranges[i] == pytest.approx(40.0 * hit.alpha, abs=1e-6)
+
+
+def test_noisy_rays_are_cast_where_they_point(outline: Outline, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With large bearing noise every beam has the range of its true direction: no face is missed at its ends."""
+    laser = Laser(outline, LaserConfig(preset="paper", sweeps=2))
+    monkeypatch.setattr(LaserConfig, "bearing_sigma_rad", property(lambda _: 0.03))
+    monkeypatch.setattr(LaserConfig, "range_sigma_m", property(lambda _: 0.0))
+    normals = module._normal_quantiles()
+    for seed, pose in enumerate(poses(outline, 20, seed=2)):
+        scan = laser.scan(pose, np.random.default_rng(seed))
+        draws = laser._draw(np.random.default_rng(seed))[0].reshape(-1, 2).T
+        for sweep in range(2):
+            true_bearings = scan.bearings[sweep] + 0.03 * normals[draws[sweep]]
+            np.testing.assert_allclose(
+                scan.ranges[sweep], brute_force(outline.segments, pose, true_bearings), rtol=1e-6
+            )
+
+
+def test_beside_a_wall(paper: Outline) -> None:
+    laser = Laser(paper, IDEAL)
+    for x in (0.075 + 0.001, 0.075 + 1e-6, 0.075 + 0.22):
+        pose = np.array([x, 2.0, 0.3])
+        scan = laser.scan(pose, np.random.default_rng(0))
+        expected = brute_force(paper.segments, pose, scan.bearings[0])
+        np.testing.assert_allclose(scan.ranges[0], np.maximum(expected, 1e-3), rtol=1e-6, atol=1e-9)
+
+
+def test_rays_through_vertices_find_a_wall(outline: Outline) -> None:
+    """Each ray of a sweep points exactly at a vertex of the outline; none slips through between two faces."""
+    vertices = outline.segments[:, 0]
+    for x, y, _ in poses(outline, 5, seed=3):
+        for vertex in vertices:
+            heading = math.atan2(vertex[1] - y, vertex[0] - x)
+            ranges = cast_rays(outline.segments, np.array([x, y, heading]), beams=4)
+            assert np.isfinite(ranges).all()
+            assert ranges[1] <= math.dist((x, y), vertex) + 20.0
+
+
+def test_in_line_with_walls_no_ray_escapes(paper: Outline) -> None:
+    """Poses on the very lines of faces and vertices, headings along the axes."""
+    inner = paper.free_area.buffer(-0.01)
+    lines = np.unique(paper.segments[:, 0, 0])
+    places = [(x, y) for x in lines for y in (2.0, 7.6, 11.0) if inner.contains(shapely.Point(x, y))]
+    assert len(places) > 10
+    for x, y in places:
+        assert np.isfinite(cast_rays(paper.segments, np.array([x, y, 0.0]))).all()
+
+
+def test_the_order_of_faces_does_not_matter(paper: Outline) -> None:
+    pose = poses(paper, 1)[0]
+    shuffled = np.random.default_rng(0).permutation(paper.segments)
+    assert np.array_equal(cast_rays(paper.segments, pose), cast_rays(shuffled, pose))
+
+
+def test_faces_are_seen_from_their_left_only() -> None:
+    wall = np.array([[[2.0, -1.0], [2.0, 1.0]]])
+    assert cast_rays(wall, np.zeros(3), beams=8)[3] == pytest.approx(2.0)
+    assert np.isinf(cast_rays(wall[:, ::-1], np.zeros(3), beams=8)).all()
+
+
+@pytest.mark.parametrize("sweeps", [1, 2, 4, 8])
+def test_sweeps_are_interleaved(two_rooms: Outline, sweeps: int) -> None:
+    scan = Laser(two_rooms, LaserConfig(sweeps=sweeps)).scan(np.array([2.0, 2.0, 1.0]), np.random.default_rng(0))
+    assert scan.ranges.shape == scan.bearings.shape == scan.hit.shape == (sweeps, 720)
+    assert scan.bearings.min() > -math.pi
+    assert scan.bearings.max() == math.pi
+    assert np.diff(scan.bearings.T.ravel()) == pytest.approx(np.full(720 * sweeps - 1, math.pi / 360.0 / sweeps))
+    assert np.diff(scan.bearings, axis=1) == pytest.approx(np.full((sweeps, 719), math.pi / 360.0))
+    assert scan.ranges.flags.c_contiguous
+    assert scan.bearings.flags.c_contiguous
+
+
+def test_sweeps_see_what_single_sweeps_see(paper: Outline) -> None:
+    pose = np.array([2.0, 2.0, 0.7])
+    scan = Laser(paper, LaserConfig(preset="ideal", sweeps=4)).scan(pose, np.random.default_rng(0))
+    for sweep in range(4):
+        np.testing.assert_allclose(
+            scan.ranges[sweep], brute_force(paper.segments, pose, scan.bearings[sweep]), rtol=1e-9
+        )
+
+
+def test_nothing_beyond_the_maximal_range(paper: Outline) -> None:
+    pose = np.array([16.0, 11.0, 0.0])
+    near = Laser(paper, LaserConfig(preset="ideal", sweeps=1, max_range_m=2.5)).scan(pose, np.random.default_rng(0))
+    far = Laser(paper, IDEAL).scan(pose, np.random.default_rng(0))
+    assert np.array_equal(near.hit, far.ranges < 2.5)
+    assert (near.ranges[~near.hit] == 2.5).all()
+    assert near.hit.any()
+    assert not near.hit.all()
+
+
+@pytest.mark.parametrize(("preset", "sigma"), [("paper", 0.05), ("lms200", 0.01)])
+def test_the_range_noise_is_as_named(two_rooms: Outline, preset: str, sigma: float) -> None:
+    """On beams square to a wall, where the bearing noise does not matter."""
+    laser, rng = Laser(two_rooms, LaserConfig(preset=preset)), np.random.default_rng(1)
+    pose = np.array([2.0, 2.5, 0.0])
+    square = np.abs(laser.scan(pose, rng).bearings) < math.radians(1.0)
+    true = (5.0 - 0.06 - 2.0) / np.cos(laser.scan(pose, rng).bearings[square])
+    errors = np.concatenate([laser.scan(pose, rng).ranges[square] - true for _ in range(400)]) / sigma
+    count = len(errors)
+    assert errors.mean() == pytest.approx(0.0, abs=4.0 / math.sqrt(count) + 0.01)
+    assert errors.std() == pytest.approx(1.0, abs=0.03)
+    assert np.mean(np.abs(errors) > 1.96) == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_bearing_noise_is_as_named(two_rooms: Outline) -> None:
+    """On slanting beams the range errors grow by r tan(incidence) times the bearing's sigma."""
+    laser, rng = Laser(two_rooms, LaserConfig(preset="paper")), np.random.default_rng(2)
+    pose = np.array([2.0, 4.0, 0.0])
+    bearings = laser.scan(pose, rng).bearings
+    slanting = np.abs(bearings - math.radians(-150.0)) < math.radians(1.0)  # meets the west wall
+    true = (2.0 - 0.075) / -np.cos(bearings[slanting])
+    errors = np.concatenate([laser.scan(pose, rng).ranges[slanting] - true for _ in range(400)])
+    sigma = math.hypot(0.05, true.mean() * math.tan(math.radians(30.0)) * math.radians(0.3))
+    assert errors.std() == pytest.approx(sigma, rel=0.03)
+
+
+def test_the_beams_are_independent(two_rooms: Outline) -> None:
+    laser, rng = Laser(two_rooms, LaserConfig(preset="paper", sweeps=1)), np.random.default_rng(3)
+    pose = np.array([2.0, 2.5, 0.0])
+    errors = np.array([laser.scan(pose, rng).ranges[0, 355:364] for _ in range(3000)])
+    correlation = np.corrcoef(errors.T) - np.eye(9)
+    assert np.abs(correlation).max() < 0.08
+
+
+def test_the_same_seed_gives_the_same_bits(paper: Outline) -> None:
+    laser = Laser(paper, LaserConfig())
+    twin = pickle.loads(pickle.dumps(laser))
+    pose = poses(paper, 1)[0]
+    one, two = laser.scan(pose, np.random.default_rng(5)), twin.scan(pose, np.random.default_rng(5))
+    other = laser.scan(pose, np.random.default_rng(6))
+    assert np.array_equal(one.ranges, two.ranges)
+    assert not np.array_equal(one.ranges, other.ranges)
+
+
+def test_an_ideal_laser_draws_nothing(paper: Outline) -> None:
+    rng = np.random.default_rng(5)
+    before = rng.bit_generator.state
+    Laser(paper, IDEAL).scan(poses(paper, 1)[0], rng)
+    assert rng.bit_generator.state == before
+
+
+def test_line_of_sight_agrees_with_the_rays(outline: Outline) -> None:
+    laser, points = Laser(outline, IDEAL), outline.corners.p_world
+    for pose in poses(outline, 20, seed=7):
+        away = points - pose[:2]
+        distance = np.hypot(*away.T)
+        free = brute_force(outline.segments, np.array([*pose[:2], 0.0]), np.arctan2(away[:, 1], away[:, 0]))
+        clear = np.abs(free - distance + 1e-3) > 1e-6  # not at the very border of what counts as seen
+        assert np.array_equal(laser.visible(points, pose)[clear], (free > distance - 1e-3)[clear])
+
+
+def test_line_of_sight_by_hand(two_rooms: Outline) -> None:
+    laser = Laser(two_rooms, IDEAL)
+    points = np.array([(4.0, 4.0), (8.0, 4.0), (8.0, 1.8), (0.075, 0.075), (2.0, 1.8)])
+    assert laser.visible(points, np.array([2.0, 1.8, 0.0])).tolist() == [True, False, True, True, True]
+    assert laser.visible(np.empty((0, 2)), np.array([2.0, 1.8, 0.0])).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("segments", "pose", "beams", "field"),
+    [
+        (np.zeros((2, 2)), np.zeros(3), 8, "segments"),
+        (np.full((1, 2, 2), np.nan), np.zeros(3), 8, "segments"),
+        (np.zeros((1, 2, 2)), np.zeros(2), 8, "T_world_robot"),
+        (np.zeros((1, 2, 2)), np.array([0.0, np.inf, 0.0]), 8, "T_world_robot"),
+        (np.zeros((1, 2, 2)), np.zeros(3), 2, "beams"),
+    ],
+)
+def test_bad_rays_are_refused(segments: Array, pose: Array, beams: int, field: str) -> None:
+    with pytest.raises(MecpError, match=field):
+        cast_rays(segments, pose, beams)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"preset": "best"}, {"sweeps": 9}, {"sweeps": 0}, {"beams": 4}, {"max_range_m": math.inf}]
+)
+def test_bad_fields_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match="LaserConfig"):
+        LaserConfig(**bad)

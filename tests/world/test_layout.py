@@ -1,0 +1,277 @@
+"""Layouts: what ships is as promised; what is wrong is refused with its field, and with nothing but LayoutError."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import math
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely.geometry import Polygon
+
+from mecp_env.errors import LayoutError, MecpError
+from mecp_env.world.layout import Layout, load_layout, shipped_layouts
+from mecp_env.world.schema import Box, Pillar
+from tests.world.conftest import DOCUMENTS
+
+Document = dict[str, Any]
+
+
+def test_five_layouts_ship() -> None:
+    assert shipped_layouts() == ("furnished", "office", "paper", "twins", "two_rooms")
+
+
+@pytest.mark.parametrize("name", shipped_layouts())
+def test_json_both_ways(name: str, tmp_path: Path) -> None:
+    layout = load_layout(name)
+    path = tmp_path / "copy.json"
+    path.write_text(layout.to_json())
+    assert layout.name == name
+    assert load_layout(path) == load_layout(str(path)) == load_layout(layout) == layout
+    assert load_layout(json.loads(json.dumps(layout.model_dump()))) == layout
+    assert load_layout(layout.model_dump()) == layout
+    assert pickle.loads(pickle.dumps(layout)) == layout
+
+
+def test_the_json_has_one_wall_a_line() -> None:
+    lines = load_layout("paper").to_json().splitlines()
+    assert sum(line.startswith('    {"points"') for line in lines) == len(load_layout("paper").walls)
+    assert max(map(len, lines)) < 200
+
+
+def test_the_paper_layout_is_as_the_design_says() -> None:
+    layout = load_layout("paper")
+    shapes = [Polygon(room.polygon) for room in layout.rooms]
+    bounds = Polygon(layout.walls[0].points).bounds
+    assert bounds == (0.0, 0.0, 20.0, 14.0)
+    assert len(layout.rooms) >= 7
+    assert sorted(len(room.polygon) for room in layout.rooms)[-2:] == [6, 8]  # an L and a T
+    assert sum(shape.equals(shape.envelope) for shape in shapes) >= 5
+    assert all(0.10 <= wall.thickness_m <= 0.15 for wall in layout.walls)
+    assert {door.width_m for door in layout.doors} == {0.9}
+    assert len(layout.doors) - len(layout.rooms) + 1 >= 2  # independent rings of rooms
+    boxes = [obstacle for obstacle in layout.obstacles if isinstance(obstacle, Box)]
+    assert sum(box.size == (0.4, 0.4) for box in boxes) == 2
+    assert len(boxes) == 3
+
+
+def test_the_other_layouts_are_as_the_design_says() -> None:
+    assert len(load_layout("two_rooms").rooms) == 2
+    assert len(load_layout("office").rooms) == 9
+    areas = {round(Polygon(room.polygon).area, 6) for room in load_layout("twins").rooms}
+    assert areas == {16.0}
+    furnished = load_layout("furnished").obstacles
+    assert sum(isinstance(obstacle, Pillar) for obstacle in furnished) >= 1
+    assert sum(isinstance(obstacle, Box) for obstacle in furnished) >= 5
+
+
+@pytest.mark.parametrize("name", shipped_layouts())
+def test_doors_keep_their_distance(name: str) -> None:
+    """Jambs and corners are separable: every door ends 0.4 m or more from the next door and from the room's corners."""
+    layout = load_layout(name)
+    for door in layout.doors:
+        others = [other for other in layout.doors if other is not door]
+        assert all(math.dist(door.centre, other.centre) >= door.width_m + 0.4 for other in others)
+        for room in (layout.rooms[layout.room_index(side)] for side in door.rooms):
+            assert min(math.dist(door.centre, corner) for corner in room.polygon) >= door.width_m / 2.0 + 0.4
+
+
+def replace(path: str, value: Any) -> Callable[[Document], None]:
+    """A spoiler that puts `value` at `path`, such as "walls.1.thickness_m"."""
+
+    def spoil(document: Document) -> None:
+        *parents, last = path.split(".")
+        target: Any = document
+        for key in parents:
+            target = target[int(key) if isinstance(target, list) else key]
+        target[int(last) if isinstance(target, list) else last] = value
+
+    return spoil
+
+
+PILLAR = {"kind": "round", "centre": [5, 1.8], "radius_m": 0.3}
+LONG_BOX = {"kind": "box", "centre": [7, 2.5], "size": [0.1, 5]}
+BOW_TIE = [[0, 0], [5, 5], [5, 0], [0, 5]]
+BAD_DOCUMENTS = {
+    "unknown key": (replace("colour", "red"), r"layout\.colour"),
+    "unknown key in a wall": (replace("walls.1.colour", "red"), r"walls\.1\.colour"),
+    "wrong type": (replace("walls", 3), r"layout\.walls.*3"),
+    "number as text": (replace("walls.1.thickness_m", "0.1"), r"walls\.1\.thickness_m.*'0\.1'"),
+    "truth value as number": (replace("doors.0.width_m", True), r"doors\.0\.width_m.*True"),
+    "nan": (replace("walls.1.points.0.0", math.nan), r"walls\.1\.points\.0\.0.*nan"),
+    "infinite": (replace("starts.0.heading_deg", math.inf), r"starts\.0\.heading_deg.*inf"),
+    "huge whole number": (replace("starts.0.heading_deg", 10**400), r"starts\.0\.heading_deg"),
+    "point of three": (replace("walls.1.points.0", [1, 2, 3]), r"walls\.1\.points\.0"),
+    "far away": (replace("walls.1.points.0", [5000, 0]), r"walls\.1\.points\.0\.0.*1000.*5000"),
+    "thin wall": (replace("walls.1.thickness_m", 0.001), r"walls\.1\.thickness_m.*0\.02.*0\.001"),
+    "zero-length wall": (replace("walls.1.points", [[5, 0], [5, 0]]), r"walls\.1.*0\.01 m apart"),
+    "no walls": (replace("walls", []), r"walls.*at least 1"),
+    "too many walls": (replace("walls", [{"points": [[0, 0], [1, 0]]}] * 10_001), r"walls.*at most 10000"),
+    "no rooms": (replace("rooms", []), r"rooms.*at least 1"),
+    "no starts": (replace("starts", []), r"starts.*at least 1"),
+    "later version": (replace("version", 2), r"version.*1.*2"),
+    "other format": (replace("format", "something"), r"format"),
+    "same name twice": (replace("rooms.1.name", "west"), r"rooms\.1\.name: 'west'"),
+    "room not simple": (replace("rooms.0.polygon", BOW_TIE), r"rooms\.0\.polygon: not a simple polygon"),
+    "rooms overlap": (replace("rooms.0.polygon.1", [5.5, 0]), r"rooms\.1\.polygon: shares 1\.25 m2 with rooms\.0"),
+    "room in a room": (replace("rooms.1.polygon", [[1, 1], [2, 1], [2, 2]]), r"rooms\.1\.polygon: shares 0\.50 m2"),
+    "obstacle not simple": (replace("obstacles", [{"kind": "polygon", "points": BOW_TIE}]), r"obstacles\.0\.points"),
+    "unknown obstacle": (replace("obstacles", [{"kind": "cat"}]), r"obstacles\.0.*cat"),
+    "door off its wall": (replace("doors.0.centre", [5.2, 1.8]), r"doors\.0\.centre: \(5\.2, 1\.8\) is 0\.200 m off"),
+    "door not square": (replace("doors.0.direction_deg", 30), r"doors\.0\.direction_deg: 30"),
+    "door too wide": (replace("doors.0.width_m", 4.5), r"doors\.0\.width_m: 4\.5 .* at most 3\.600"),
+    "door the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre.*not between its rooms"),
+    "door in the outer wall": (replace("doors.0.centre", [0, 2]), r"doors\.0\.centre.*not between its rooms"),
+    "door to nowhere": (replace("doors.0.rooms", ["west", "north"]), r"doors\.0\.rooms\.1: .*'north'"),
+    "start in a wall": (replace("starts.0.point", [5.03, 4]), r"starts\.0\.point: \(5\.03, 4\.0\) lies inside"),
+    "start near a wall": (replace("starts.1.point", [8.8, 2]), r"starts\.1\.point: .* 0\.125 m from a wall.*0\.22"),
+    "start outside": (replace("starts.0.point", [20, 2]), r"starts\.0\.point: .* lies .*outside of all walls"),
+    "walls not closed": (replace("walls.0.points", [[0, 0], [9, 0], [9, 5], [0, 5]]), r"starts\.0\.point.*not closed"),
+    "room without a door": (replace("doors", []), r"starts\.1\.point.*cut off|rooms\.1.*cannot be reached"),
+    "narrow door": (replace("doors.0.width_m", 0.4), r"rooms\.1: 'east' cannot be reached by a radius of 0\.22 m"),
+    "blocked door": (replace("obstacles", [PILLAR]), r"rooms\.1: 'east' cannot be reached|doors\.0"),
+    "start walled in": (replace("obstacles", [LONG_BOX]), r"starts\.1\.point"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_DOCUMENTS)
+def test_bad_documents_are_refused_with_their_field(name: str, document: Document, tmp_path: Path) -> None:
+    spoil, message = BAD_DOCUMENTS[name]
+    spoil(document)
+    with pytest.raises(LayoutError, match=message):
+        load_layout(document)
+    path = tmp_path / "spoilt.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(LayoutError, match=r"spoilt\.json"):
+        load_layout(path)
+
+
+BAD_FILES = {
+    "too large": (b" " * 1_000_001, "1000001 bytes, at most 1000000"),
+    "too deep": (b'{"walls": ' + b"[" * 40 + b"]" * 40 + b"}", "at most 32"),
+    "far too deep": (b"[" * 200_000, "at most 32"),
+    "cut off": (b'{"walls": [', "no JSON"),
+    "not text": (b"\xff\xfe\x00\x80", "no JSON"),
+    "empty": (b"", "no JSON"),
+    "a list": (b"[1, 2]", "given list"),
+    "a key twice": (b'{"name": "a", "name": "b"}', "name: given twice"),
+    "nan": (b'{"version": NaN}', "version"),
+    "many digits": (b'{"version": ' + b"1" * 5000 + b"}", "no JSON"),
+    "half a character": (b'{"name": "\\ud800", "\\ud800": 1}', "unicode"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files_are_refused(name: str, tmp_path: Path) -> None:
+    data, message = BAD_FILES[name]
+    path = tmp_path / "bad.json"
+    path.write_bytes(data)
+    with pytest.raises(LayoutError, match=message):
+        load_layout(path)
+
+
+def test_a_missing_file_lists_the_shipped_names(tmp_path: Path) -> None:
+    for given_name in ("papre", "", "a\0b", "x" * 5000, tmp_path, tmp_path / "none.json"):
+        with pytest.raises(
+            LayoutError, match=r"no such file; shipped layouts are furnished, .*two_rooms|cannot be read"
+        ):
+            load_layout(given_name)
+
+
+def test_the_wrong_extension_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "layout.yaml"
+    path.write_text(load_layout("two_rooms").to_json())
+    with pytest.raises(LayoutError, match=r"ends in \.json, given '\.yaml'"):
+        load_layout(path)
+
+
+@pytest.mark.parametrize("wrong", [None, 3, [], b"paper", {1: 2}])
+def test_other_types_are_refused(wrong: Any) -> None:
+    with pytest.raises(LayoutError):
+        load_layout(wrong)
+
+
+def test_a_layout_built_by_hand_is_checked_too() -> None:
+    with pytest.raises(LayoutError, match=r"layout\.walls"):
+        Layout(name="x", walls=[], rooms=[], starts=[])
+    assert issubclass(LayoutError, MecpError)
+
+
+def test_one_room_without_doors() -> None:
+    ring = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+    layout = load_layout(
+        {
+            "name": "cell",
+            "walls": [{"points": ring}],
+            "rooms": [{"name": "cell", "polygon": ring[:-1]}],
+            "starts": [{"point": [2, 1.5]}],
+        }
+    )
+    assert layout.doors == ()
+
+
+numbers = st.one_of(
+    st.integers(-(10**6), 10**6), st.floats(), st.floats(-20, 20), st.sampled_from([0, 5, 9, 1e-9, 10**400])
+)
+values = st.recursive(
+    st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=4)),
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=3)),
+    max_leaves=8,
+)
+
+
+def mutate(document: Any, data: st.DataObject) -> None:
+    """Replaces, removes or doubles something at a random place of `document`."""
+    place = document
+    while True:
+        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+        key = data.draw(st.sampled_from(keys))
+        inner = place[key]
+        if not (isinstance(inner, dict | list) and inner) or data.draw(st.integers(0, 5)) == 0:
+            break
+        place = inner
+    action = data.draw(st.sampled_from(["value", "number", "remove", "double"]))
+    if action == "remove":
+        del place[key]
+    elif action == "double" and isinstance(place, list):
+        place.append(copy.deepcopy(inner))
+    else:
+        place[key] = data.draw(numbers if action == "number" else values)
+
+
+@settings(max_examples=250, deadline=None)
+@given(st.data())
+def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -> None:
+    document = copy.deepcopy(DOCUMENTS[data.draw(st.sampled_from(["two_rooms", "furnished"]))])
+    for _ in range(data.draw(st.integers(1, 3))):
+        if document:
+            mutate(document, data)
+    try:
+        layout = load_layout(document)
+    except LayoutError:
+        return
+    assert load_layout(json.loads(layout.to_json())) == layout
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 10**6), st.binary(max_size=3), st.integers(0, 40))
+def test_spoilt_bytes_raise_nothing_but_layout_errors(tmp_path_factory: Any, at: int, piece: bytes, cut: int) -> None:
+    text = load_layout("two_rooms").to_json().encode()
+    at %= len(text)
+    path = tmp_path_factory.mktemp("fuzz") / "spoilt.json"
+    path.write_bytes(text[:at] + piece + text[at + cut :])
+    with contextlib.suppress(LayoutError):
+        load_layout(path)
+
+
+def test_the_schema_is_public() -> None:
+    schema = Layout.model_json_schema()
+    assert set(schema["required"]) == {"name", "walls", "rooms", "starts"}
+    assert schema["additionalProperties"] is False

@@ -1,0 +1,80 @@
+"""The odometry: noise of the size its covariance says, in each reading; positive at rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mecp_env.errors import ConfigError
+from mecp_env.world.config import OdometryConfig
+from mecp_env.world.odometry import measure
+from mecp_env.world.simulation import Motion
+
+Array = NDArray[np.float64]
+
+STRAIGHT = Motion(np.array([[0.1, 0.0]] * 4), contact=False)
+TURNING = Motion(np.array([[0.0, math.pi / 8.0]] * 4), contact=False)
+MIXED = Motion(np.array([[0.05, 0.1], [0.1, -0.2], [-0.02, 0.0], [0.0, 0.0]]), contact=True)
+REST = Motion(np.zeros((4, 2)), contact=False)
+
+
+def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:
+    """Sigmas (2,) of the period's whole distance and turn."""
+    cov = measure(motion, config, np.random.default_rng(0)).cov
+    sigmas: Array = np.sqrt(np.diag(cov.sum(axis=0)))
+    return sigmas
+
+
+def test_per_metre_is_the_papers_noise_after_a_metre() -> None:
+    metre = Motion(np.array([[0.25, 0.0]] * 4), contact=False)
+    assert total_sigmas(metre, OdometryConfig()) == pytest.approx([0.1, math.radians(1.5)], abs=1e-5)
+
+
+def test_a_quarter_turn_counts_half_a_metre() -> None:
+    expected = math.sqrt(0.5) * np.array([0.1, math.radians(1.5)])
+    assert total_sigmas(TURNING, OdometryConfig()) == pytest.approx(expected, abs=1e-5)
+
+
+def test_per_step_is_the_papers_noise_in_every_period_with_motion() -> None:
+    config = OdometryConfig(reading="per_step")
+    assert total_sigmas(STRAIGHT, config) == pytest.approx([0.1, math.radians(1.5)], abs=1e-5)
+    assert total_sigmas(REST, config) == pytest.approx([0.0, 0.0], abs=1e-5)
+
+
+def test_linear_grows_with_the_way() -> None:
+    config = OdometryConfig(reading="linear")
+    assert total_sigmas(STRAIGHT, config) == pytest.approx([0.04, math.radians(0.6)], abs=1e-5)
+    assert total_sigmas(TURNING, config) == pytest.approx([0.0, math.radians(1.5)], abs=1e-5)
+
+
+@pytest.mark.parametrize("reading", ["per_metre", "per_step", "linear"])
+@pytest.mark.parametrize("motion", [STRAIGHT, TURNING, MIXED, REST])
+def test_the_noise_is_what_the_covariance_says(reading: str, motion: Motion) -> None:
+    config, rng = OdometryConfig(reading=reading), np.random.default_rng(1)
+    samples = [measure(motion, config, rng) for _ in range(2000)]
+    errors = np.array([sample.increments - motion.increments for sample in samples])
+    cov = samples[0].cov
+    assert cov.shape == (4, 2, 2)
+    assert (np.linalg.eigvalsh(cov) > 0.0).all()
+    nis = np.einsum("smi,mij,smj->sm", errors, np.linalg.inv(cov), errors)
+    assert nis.mean(axis=0) == pytest.approx([2.0] * 4, abs=0.2)
+    assert samples[0].bumper == motion.contact
+
+
+def test_scale_nought_is_perfect_odometry() -> None:
+    odometry = measure(MIXED, OdometryConfig(scale=0.0), np.random.default_rng(2))
+    assert odometry.increments == pytest.approx(MIXED.increments, abs=1e-5)
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    one, two = (measure(MIXED, OdometryConfig(), np.random.default_rng(3)) for _ in range(2))
+    assert np.array_equal(one.increments, two.increments)
+
+
+@pytest.mark.parametrize("bad", [{"reading": "never"}, {"scale": -1.0}, {"distance_sigma_m": math.nan}, {"sigma": 1.0}])
+def test_bad_fields_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match="OdometryConfig"):
+        OdometryConfig(**bad)

@@ -1,0 +1,172 @@
+"""The outline: faces, corners, jambs, rooms and doors of the true building."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Point
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.layout import Layout, load_layout
+from mecp_env.world.outline import Outline, build_outline, random_free_pose
+
+HALF = 0.06  # half the thickness of an inner wall
+OUTER = 0.075
+
+
+def built(
+    walls: list[object], obstacles: list[object] | None = None, start: tuple[float, float] = (1.0, 1.0)
+) -> Outline:
+    """One room of 6 x 4 m with some more walls and obstacles; the checks of layouts are left out."""
+    ring = [(0, 0), (6, 0), (6, 4), (0, 4)]
+    return build_outline(
+        Layout(
+            name="test",
+            walls=[{"points": [*ring, (0, 0)]}, *walls],
+            rooms=[{"name": "room", "polygon": ring}],
+            obstacles=obstacles or [],
+            starts=[{"point": start}],
+        )
+    )
+
+
+def test_two_rooms_by_hand(two_rooms: Outline) -> None:
+    west, east = 5.0 - HALF, 5.0 + HALF
+    expected = {(x, y) for x in (OUTER, west, east, 9.0 - OUTER) for y in (OUTER, 5.0 - OUTER)}
+    jambs = {(x, y) for x in (west, east) for y in (1.35, 2.25)}
+    corners = two_rooms.corners
+    points = [tuple(p) for p in corners.p_world.round(9).tolist()]
+    assert set(points) == {(round(x, 9), round(y, 9)) for x, y in expected | jambs}
+    assert len(points) == 12
+    assert {p for p, jamb in zip(points, corners.jamb, strict=True) if jamb} == jambs
+    assert np.array_equal(corners.convex, corners.jamb)
+    assert np.array_equal(corners.door >= 0, corners.jamb)
+    assert np.array_equal(corners.room, (corners.p_world[:, 0] > 5.0).astype(int))
+
+
+def test_normals_and_face_lengths_by_hand(two_rooms: Outline) -> None:
+    corners = two_rooms.corners
+    south_west = int(np.argmin(corners.p_world.sum(axis=1)))
+    assert corners.normals[south_west] == pytest.approx([0.0, math.pi / 2.0])  # west wall first, then the south wall
+    assert corners.faces[south_west] == pytest.approx([5.0 - 2 * OUTER, 5.0 - OUTER - HALF])
+    jamb = int(np.argmin(np.linalg.norm(corners.p_world - (5.0 - HALF, 1.35), axis=1)))
+    assert corners.normals[jamb] == pytest.approx(
+        [math.pi, math.pi / 2.0]
+    )  # along the wall first, then through the door
+    assert corners.faces[jamb] == pytest.approx([1.35 - OUTER, 2 * HALF])
+
+
+def test_faces_have_free_space_on_their_left(outline: Outline) -> None:
+    middle = outline.segments.mean(axis=1)
+    along = outline.segments[:, 1] - outline.segments[:, 0]
+    left = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    assert shapely.contains(outline.free_area, shapely.points(middle + 1e-3 * left)).all()
+    assert not shapely.intersects(outline.free_area, shapely.points(middle - 1e-3 * left)).any()
+
+
+def test_faces_close_and_enclose_the_free_area(outline: Outline) -> None:
+    starts = sorted(map(tuple, outline.segments[:, 0].tolist()))
+    assert starts == sorted(map(tuple, outline.segments[:, 1].tolist()))
+    (x0, y0), (x1, y1) = outline.segments[:, 0].T, outline.segments[:, 1].T
+    assert 0.5 * np.sum(x0 * y1 - x1 * y0) == pytest.approx(outline.free_area.area, abs=1e-6)
+
+
+def test_corners_belong_to_rooms_and_doors(outline: Outline) -> None:
+    corners, doors = outline.corners, outline.doors
+    assert (corners.room >= 0).all()
+    assert np.array_equal(np.bincount(corners.door[corners.jamb]), np.full(len(doors), 4))
+    for index in range(len(doors)):
+        posts = corners.door == index
+        assert set(corners.room[posts]) == set(doors.rooms[index])
+        assert np.linalg.norm(corners.p_world[posts] - doors.centre[index], axis=1) == pytest.approx(
+            math.hypot(doors.width[index] / 2.0, doors.thickness[index] / 2.0)
+        )
+
+
+def test_corners_are_separable(outline: Outline) -> None:
+    """Faces are 0.35 m or longer, but for those through doors, whose length is the thickness of the wall."""
+    corners = outline.corners
+    through_door = corners.faces[corners.jamb].min(axis=1)
+    assert np.all(through_door <= 0.15 + 1e-9)
+    assert corners.faces[~corners.jamb].min() >= 0.35
+    assert corners.faces[corners.jamb].max(axis=1).min() >= 0.35
+
+
+def test_corners_of_neighbouring_rooms_are_close(paper: Outline) -> None:
+    corners = paper.corners
+    gap = np.linalg.norm(corners.p_world[:, None] - corners.p_world[None], axis=2)
+    other = corners.room[:, None] != corners.room[None]
+    plain = ~corners.jamb[:, None] & ~corners.jamb[None]
+    assert np.sum(np.any(other & plain & (gap < 0.25), axis=1)) >= 20
+
+
+def test_doors_lead_from_the_first_room_to_the_second(outline: Outline) -> None:
+    doors = outline.doors
+    ahead = 0.4 * np.column_stack([np.cos(doors.normal), np.sin(doors.normal)])
+    assert np.array_equal(outline.room_at(doors.centre - ahead), doors.rooms[:, 0])
+    assert np.array_equal(outline.room_at(doors.centre + ahead), doors.rooms[:, 1])
+
+
+def test_points_outside_are_in_no_room(two_rooms: Outline) -> None:
+    assert two_rooms.room_at(np.array([(1.0, 1.0), (8.0, 1.0), (12.0, 1.0), (-3.0, 2.0)])).tolist() == [0, 1, -1, -1]
+
+
+def test_collinear_walls_are_one_face() -> None:
+    outline = built([{"points": [(6, 2), (6.05, 2)]}, {"points": [(0, 0), (3, 0)]}, {"points": [(2, 0), (6, 0)]}])
+    assert len(outline.segments) == len(outline.corners) == 4
+
+
+def test_a_pillar_has_faces_but_no_corners() -> None:
+    outline = built([], [{"kind": "round", "centre": [3, 2], "radius_m": 0.3}])
+    assert outline.round.sum() == 32
+    assert len(outline.corners) == 4
+    free = outline.free_area.area
+    assert (5.88 * 3.88 - free) == pytest.approx(math.pi * 0.09, rel=0.01)
+
+
+def test_a_turned_box_has_four_convex_corners() -> None:
+    outline = built([], [{"kind": "box", "centre": [3, 2], "size": [1, 0.5], "turn_deg": 30}])
+    convex = outline.corners.convex
+    assert convex.sum() == 4
+    assert np.sort(outline.corners.faces[convex].ravel()) == pytest.approx([0.5] * 4 + [1.0] * 4, abs=1e-5)
+    assert np.linalg.norm(outline.corners.p_world[convex] - (3, 2), axis=1) == pytest.approx(
+        math.hypot(0.5, 0.25), abs=1e-5
+    )
+
+
+def test_a_slanted_wall_makes_obtuse_corners() -> None:
+    outline = built([{"points": [(4, 0), (6, 2)]}])
+    turns = np.degrees(np.diff(outline.corners.normals, axis=1)).ravel() % 360.0
+    assert sorted(turns.round(6)) == [45.0, 45.0, 90.0, 90.0, 90.0]
+    assert not outline.corners.convex.any()
+
+
+def test_what_cannot_be_reached_is_left_out() -> None:
+    outline = built([{"points": [(2, 0), (2, 4)]}], start=(4.0, 2.0))
+    assert outline.corners.p_world[:, 0].min() == pytest.approx(2.06)
+
+
+@pytest.mark.parametrize("start", [(0.0, 2.0), (-5.0, 0.0)])
+def test_a_start_without_free_space_is_refused(start: tuple[float, float]) -> None:
+    with pytest.raises(LayoutError, match=r"starts\.0\.point"):
+        built([], start=start)
+
+
+def test_random_poses_keep_their_clearance(outline: Outline) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x, y, heading = random_free_pose(outline, rng, 0.3)
+        assert outline.free_area.contains(Point(x, y))
+        assert outline.free_area.boundary.distance(Point(x, y)) >= 0.299
+        assert -math.pi <= heading <= math.pi
+    with pytest.raises(LayoutError, match="clearance_m"):
+        random_free_pose(outline, rng, 50.0)
+
+
+def test_the_same_layout_gives_the_same_outline() -> None:
+    one, two = build_outline(load_layout("paper")), build_outline(load_layout("paper"))
+    assert np.array_equal(one.segments, two.segments)
+    assert np.array_equal(one.corners.p_world, two.corners.p_world)
