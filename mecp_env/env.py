@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
@@ -17,13 +16,14 @@ from numpy.typing import NDArray
 
 from mecp_env.actions import make_actions
 from mecp_env.config import EnvConfig, plain_value
+from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_state, goals_key, nearest_goal
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
-from mecp_env.observations import Observer, Trail
-from mecp_env.planning.goals import GoalBook, Goals, find_goals
+from mecp_env.observations import Observer
+from mecp_env.planning.goals import Goals, find_goals
 from mecp_env.render.view import View
-from mecp_env.rewards import TERMS, RewardMemory, quantities, remember, weigh
-from mecp_env.slam.data import Corners, StepReport
+from mecp_env.rewards import TERMS, quantities, remember, weigh
+from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.start import check_start, parse_options, start_pose
 from mecp_env.state import StateError, decode, encode, generator_data, make_generator
@@ -33,35 +33,13 @@ from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import build_outline
 from mecp_env.world.simulation import Motion, Simulation
-from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 1
 RENDER_MODES = ["human", "rgb_array"]
-
-
-@dataclass(slots=True, eq=False)
-class Episode:
-    """All that lives over the periods of an episode beside the body and the random numbers; plain state."""
-
-    pipeline: SlamPipeline
-    report: StepReport
-    metrics: EpisodeMetrics
-    book: GoalBook = field(default_factory=GoalBook)
-    goals: Goals = field(default_factory=Goals)
-    goals_period: int = -1  # when they were looked for
-    goals_key: tuple[int, ...] = ()  # of the map they were looked for on
-    memory: RewardMemory = field(default_factory=RewardMemory)
-    path_map: Trail = field(default_factory=Trail)
-    path_world: Trail = field(default_factory=Trail)
-    target: int = -1  # index of the goal that the robot drives to, or -1
-    contact: bool = False
-    saturated: int = 0  # values of the observation cut to their bounds, rows left out
-    over: bool = False
 
 
 class MecpEnv(gymnasium.Env[Observation, Any]):
@@ -245,10 +223,35 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             robot_radius_m=self.config.robot.radius_m,
             p_goals=episode.goals.p_map,
             goal_kinds=np.asarray(episode.goals.kind, np.int64),
-            target=episode.target,
+            target=nearest_goal(episode.goals, episode.target),
             title=f"{self._outline.name}, {self.config.estimator}",
             metrics=figures(episode.metrics, self._truth, episode.report),
         )
+
+    @property
+    def report(self) -> StepReport:
+        """What the estimator saw and decided in the last period."""
+        return self._started().report
+
+    @property
+    def goals(self) -> Goals:
+        """What is left to see, as the observation has it."""
+        return self._started().goals
+
+    def aim_at(self, p_map: Array) -> None:
+        """Note where a goal action drives to, for pictures."""
+        self._started().target = p_map.copy()
+
+    def record_drive(self, goals: Goals, row: int, reached: bool) -> None:
+        """Remember how a drive to a goal ended, and look for goals anew."""
+        episode = self._started()
+        episode.book.record(goals, row, reached)
+        episode.target = None
+        self.refresh_goals()
+
+    def observation(self) -> Observation:
+        """The observation of this moment again, in fresh arrays."""
+        return self._observe(self._started())
 
     def summary(self) -> dict[str, float]:
         """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`)."""
@@ -300,7 +303,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         pose = self._simulation.T_world_robot
         pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose)
         for _ in range(SCANS_AT_REST):
-            report = pipeline.start(self._laser.scan(pose, self.np_random), identities=self._identities(pose))
+            report = pipeline.start(self._look(), identities=self._identities(pose))
             metrics.look(self._truth, pose, report)
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
@@ -315,10 +318,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _estimate(self, episode: Episode, motion: Motion) -> StepReport:
         """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
         pose = self._simulation.T_world_robot
-        odometry = measure(motion, self.config.odometry, self.np_random)
-        scan = self._laser.scan(pose, self.np_random)
+        odometry, scan = self._sense(motion)
         exact = episode.metrics.T_map_robot(pose) if self.config.estimator == "truth" else None
         return episode.pipeline.step(odometry, scan, identities=self._identities(pose), T_map_robot=exact)
+
+    def _look(self) -> Scan:
+        """A scan from where the robot is."""
+        return self._laser.scan(self._simulation.T_world_robot, self.np_random)
+
+    def _sense(self, motion: Motion) -> tuple[Odometry, Scan]:
+        """What odometry and laser measure of a period."""
+        odometry = measure(motion, self.config.odometry, self.np_random)
+        return odometry, self._laser.scan(self._simulation.T_world_robot, self.np_random)
 
     def _identities(self, T_world_robot: Array) -> Callable[[Corners], Ints] | None:
         """How to identify corners, where the estimator is told."""
@@ -407,29 +418,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             self._window.show(self._paint())
 
 
-def goals_key(report: StepReport) -> tuple[int, ...]:
-    """Changes whenever other goals may be found."""
-    graph = report.graph
-    return report.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
-
-
-def check_state(state: Any, config: EnvConfig) -> None:
-    """Raise `StateError` unless `state` is of this format, version and configuration."""
-    if not isinstance(state, dict) or state.get("format") != STATE_FORMAT:
-        raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
-    if state.get("version") != STATE_VERSION:
-        raise StateError(f"state.version: {state.get('version')!r}, this is version {STATE_VERSION}")
-    missing = {"config", "random", "seed", "simulation", "episode"} - set(state)
-    if missing:
-        raise StateError(f"state: without {', '.join(sorted(missing))}")
-    if state["config"] != config.to_json():
-        raise StateError("state.config: the state is of an environment with another configuration")
-
-
 def make(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
     """The registered entry point: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
+    from mecp_env.wrappers import GoalActions  # which needs MecpEnv
+
     env = MecpEnv(config, render_mode, **keywords)
     return GoalActions(env) if env.config.actions == "goal" else env
 

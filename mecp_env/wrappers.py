@@ -1,0 +1,108 @@
+"""Goal actions: an action is a row of the observation's goals, and a step is the whole drive there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+from mecp_env.actions import check_choice, to_shares
+from mecp_env.env import MecpEnv, Observation
+from mecp_env.errors import ConfigError
+from mecp_env.observations import GOALS
+from mecp_env.planning.navigator import Navigator, Outcome, Target
+
+Step = tuple[Observation, float, bool, bool, dict[str, Any]]
+EVENTS = {Outcome.RUNNING: "ended", Outcome.REACHED: "reached", Outcome.REFUSED: "refused"}
+
+
+class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
+    """Discrete(32): drive to a goal of the observation, with path planner, controller and recovery, until it ends.
+
+    A drive ends when the goal is reached or has nothing more to show, when it is refused (no way, stuck, too long), or
+    with the episode. Rewards of its periods are summed. `info["event"]` tells how it ended ("reached", "refused",
+    "ended" with the episode, "masked" for a row that holds no goal: one period of waiting) and `info["periods"]` how
+    many periods it took, at least one. A drive after which no goal is left is followed by one period of waiting, in
+    which the episode ends.
+
+    `callback`, if one is set, is called with the result of every inner period. A state taken inside a drive continues
+    as a velocity environment: the drive itself is not part of it.
+    """
+
+    def __init__(self, env: gymnasium.Env[Observation, Any], callback: Callable[[Step], None] | None = None) -> None:
+        super().__init__(env)
+        if not isinstance(env.unwrapped, MecpEnv) or env.unwrapped.config.actions == "discrete":
+            raise ConfigError("GoalActions: expected a mecp_env environment with actions='goal' or 'velocity'")
+        self.base = env.unwrapped
+        self.callback = callback
+        self.action_space = spaces.Discrete(GOALS)
+        self.navigator = Navigator(self.base.config.planning_config)
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+        """The specification; with `actions="goal"` the entry point makes this wrapper by itself."""
+        return self.env.spec if self.base.config.actions == "goal" else super().spec
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """(32,) which rows of the observation hold a goal."""
+        return np.arange(GOALS) < len(self.base.goals)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As of the environment below; `info` has the keys of a step."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return observation, info | {"periods": 0}
+
+    def step(self, action: Any) -> Step:
+        """Drive to the goal in row `action`; see the class. Raises `ActionError` for what is no row."""
+        row = check_choice(action, GOALS)
+        if not self.action_masks()[row]:
+            return self._finish([self._wait()], "masked")
+        steps = self.drive(row)
+        if steps and (steps[-1][2] or steps[-1][3]):
+            return self._finish(steps, "ended")
+        if not steps or not len(self.base.goals):
+            steps.append(self._wait())
+        return self._finish(steps, EVENTS[self.navigator.outcome])
+
+    def drive(self, row: int) -> list[Step]:
+        """The periods of a drive to the goal in `row`; what became of it is remembered unless the episode ended."""
+        goals, steps = self.base.goals, list[Step]()
+        self.navigator.start(Target.of(goals, row))
+        self.base.aim_at(goals.p_map[row])
+        command = self.navigator.step(self.base.report)
+        while self.navigator.outcome == Outcome.RUNNING:
+            steps.append(self._period(*command))
+            if steps[-1][2] or steps[-1][3]:
+                return steps
+            command = self.navigator.step(self.base.report)
+        self.base.record_drive(goals, row, self.navigator.outcome == Outcome.REACHED)
+        return steps
+
+    def _wait(self) -> Step:
+        return self._period(0.0, 0.0)
+
+    def _period(self, v: float, w: float) -> Step:
+        """One control period with a command in m/s and rad/s."""
+        robot = self.base.config.robot
+        observation, reward, terminated, truncated, info = self.env.step(
+            to_shares(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
+        )
+        step = observation, float(reward), terminated, truncated, info
+        if self.callback is not None:
+            self.callback(step)
+        return step
+
+    def _finish(self, steps: list[Step], event: str) -> Step:
+        """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
+        observation, _, terminated, truncated, info = steps[-1]
+        info |= {"event": event, "periods": len(steps), "goals": len(self.base.goals)}
+        if event in ("reached", "refused") and not terminated:
+            observation = self.base.observation()
+        return observation, sum(step[1] for step in steps), terminated, truncated, info
