@@ -1,0 +1,46 @@
+"""What the tests of the environment share."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import mecp_env  # registers the environments
+
+IDS = tuple(mecp_env.LAYOUTS)
+SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"preset": "lms200", "sweeps": 1}}
+
+
+def make(**keywords: Any) -> gymnasium.Env:
+    """A small environment, quick enough for tests."""
+    return gymnasium.make("mecp_env/Layout-v0", **(SMALL | keywords))
+
+
+def drive(env: gymnasium.Env, steps: int, seed: int = 0) -> list[tuple[Any, ...]]:
+    """What `steps` steps with a fixed random drive give; a new episode begins where one ends."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(steps):
+        action = np.clip(rng.normal((0.6, 0.0), (0.4, 0.5)), -1, 1).astype(np.float32)
+        rows.append(env.step(action))
+        if rows[-1][2] or rows[-1][3]:
+            rows.append(env.reset())
+    return rows
+
+
+def same(a: Any, b: Any) -> bool:
+    """True when two structures are equal to the last bit; nan equals nan."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if is_dataclass(a):
+        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return bool(a == b) or (a != a and b != b)

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+
+import gymnasium
+import pytest
+
+from mecp_env.config import EnvConfig
+from mecp_env.env import MecpEnv
+from mecp_env.errors import ConfigError, MecpError
+from mecp_env.slam.config import SlamConfig
+from mecp_env.world.config import LaserConfig
+
+UNKNOWN = [
+    ({"layuot": "paper"}, r"EnvConfig\.layuot: no such field; did you mean 'layout'\?"),
+    ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
+    ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
+    ({"planning": {"navigator": {"limit_period": 3}}}, r"did you mean 'limit_periods'\?"),
+    ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: source, area"),
+]
+WRONG = [
+    {"max_periods": 0},
+    {"max_periods": "many"},
+    {"max_periods": 1.5},
+    {"estimator": "perfect"},
+    {"actions": "jump"},
+    {"laser": {"sweeps": 99}},
+    {"laser": 3},
+    {"laser": None},
+    {"slam": {"polygon": {"tolerance_sigmas": float("nan")}}},
+    {"reward": {"time": float("inf")}},
+    {"end": {"coverage": 1.5}},
+    {"start": "nowhere"},
+    {"start": (1.0, 2.0)},
+    {"observation": {"map": "please"}},
+    {"robot": {"max_speed_m_s": -1.0}},
+]
+
+
+@pytest.mark.parametrize(("fields", "message"), UNKNOWN)
+def test_unknown_names_are_refused_at_every_level_with_the_nearest(fields, message):
+    with pytest.raises(ConfigError, match=message):
+        EnvConfig.build(fields)
+    with pytest.raises(ConfigError, match=message):
+        EnvConfig.build(**fields)
+
+
+@pytest.mark.parametrize("fields", WRONG, ids=repr)
+def test_wrong_values_are_refused_with_field_and_value(fields):
+    with pytest.raises(ConfigError, match=next(iter(fields))):
+        EnvConfig.build(fields)
+
+
+@pytest.mark.parametrize("config", [3, "paper", [("layout", "paper")], object()], ids=str)
+def test_a_config_of_another_type_is_refused(config):
+    with pytest.raises(ConfigError, match="expected a dict"):
+        EnvConfig.build(config)
+
+
+def test_gymnasium_make_passes_the_refusal_on():
+    with pytest.raises(ConfigError, match="did you mean 'layout'"):
+        gymnasium.make("mecp_env/Layout-v0", layuot="paper")
+    with pytest.raises(MecpError, match="atlantis"):
+        gymnasium.make("mecp_env/Layout-v0", layout="atlantis")
+    with pytest.raises(ConfigError, match="render_mode"):
+        MecpEnv(render_mode="hologram")
+
+
+@pytest.mark.parametrize("config", [EnvConfig(), EnvConfig.paper(), EnvConfig.build(laser={"preset": "lms200"})])
+def test_json_both_ways(config):
+    data = json.loads(config.to_json())
+    again = EnvConfig.build(data)
+    assert again == config
+    assert again.to_json() == config.to_json()
+    assert again.estimator_config == config.estimator_config
+    assert again.planning_config == config.planning_config
+
+
+def test_keywords_override_the_config_field_by_field():
+    config = EnvConfig.build({"laser": {"preset": "ideal", "sweeps": 2}}, laser={"sweeps": 3}, max_periods=7)
+    assert (config.laser.preset, config.laser.sweeps, config.max_periods) == ("ideal", 3, 7)
+    config = EnvConfig.build(config, laser=LaserConfig(preset="lms200"))
+    assert (config.laser.preset, config.laser.sweeps, config.max_periods) == ("lms200", 3, 7)
+
+
+def test_the_sensor_model_follows_the_laser_unless_it_is_set():
+    follows = EnvConfig.build(laser={"preset": "lms200"})
+    assert follows.estimator_config.sensor.range_sigma_m == 0.01
+    assert follows.estimator_config.sensor.bearing_sigma_deg == 0.0
+    later = EnvConfig.build(follows.to_dict(), laser={"preset": "paper"})
+    assert later.estimator_config.sensor.range_sigma_m == 0.05
+    fixed = EnvConfig.build(laser={"preset": "lms200"}, slam={"sensor": {"range_sigma_m": 0.2}})
+    assert fixed.estimator_config.sensor.range_sigma_m == 0.2
+    assert EnvConfig.build(fixed.to_dict()).estimator_config.sensor.range_sigma_m == 0.2
+    whole = EnvConfig.build(laser={"preset": "lms200"}, slam=SlamConfig())
+    assert whole.estimator_config.sensor.range_sigma_m == 0.01
+
+
+def test_the_planner_follows_the_robot_unless_it_is_set():
+    config = EnvConfig.build(robot={"radius_m": 0.3, "max_speed_m_s": 0.5}, planning={"control": {"turn_rad_s": 1.0}})
+    planning = config.planning_config
+    assert planning.paths.radius_m == 0.3
+    assert planning.control.speed_m_s == 0.5
+    assert planning.control.turn_rad_s == 1.0
+
+
+def test_known_has_its_own_associator():
+    assert EnvConfig.build(estimator="known").estimator_config.association.method == "known"
+    assert EnvConfig.build(estimator="truth").estimator_config.association.method == "mecp"
+
+
+def test_a_configuration_is_frozen():
+    with pytest.raises(ValueError, match="frozen"):
+        EnvConfig().max_periods = 3
+
+
+def test_the_paper_in_one_switch():
+    config = EnvConfig.paper(layout="twins")
+    slam = config.estimator_config
+    assert (config.layout, config.laser.preset) == ("twins", "paper")
+    assert (slam.filter.kind, slam.association.method) == ("ekf", "mecp_paper")
+    assert (slam.clustering.threshold, slam.polygon.guard, slam.polygon.tolerance_sigmas) == ("adaptive", False, 0.0)
+    assert not slam.association.use_signature

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+from mecp_env.errors import ConfigError
+from tests.env.helpers import make, same
+
+BAD_OPTIONS = [
+    3,
+    "start",
+    [("start", "random")],
+    {"strat": "random"},
+    {"start": "nowhere"},
+    {"start": None},
+    {"start": 1.0},
+    {"start": [1.0, 2.0]},
+    {"start": [1.0, 2.0, 3.0, 4.0]},
+    {"start": ["a", "b", "c"]},
+    {"start": [float("nan"), 2.0, 0.0]},
+    {"start": [float("inf"), 2.0, 0.0]},
+    {"start": [1e9, 2.0, 0.0]},
+    {"start": [0.0, 0.0, 0.0]},
+    {"start": {"x": 1.0}},
+    {"start": np.zeros((3, 1, 2))},
+    {"start": "random", "seed": 3},
+]
+
+
+@pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
+def test_bad_options_are_refused_and_change_nothing(options):
+    env = make().unwrapped
+    env.reset(seed=1)
+    before = env.get_state()
+    with pytest.raises(ConfigError, match=r"options|start"):
+        env.reset(seed=5, options=options)
+    assert same(env.get_state(), before)
+
+
+def test_the_start_can_be_given():
+    env = make().unwrapped
+    env.reset(seed=1)
+    pose = env._simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
+    _, info = env.reset(seed=1, options={"start": pose.tolist()})
+    assert np.allclose(env._simulation.T_world_robot, pose)
+    assert np.allclose(info["truth_pose"], 0.0)  # the map frame is the pose at reset
+    env.reset(seed=1)
+    assert not np.allclose(env._simulation.T_world_robot, pose)  # for one episode only
+    assert make(start=tuple(pose)).unwrapped.config.start == tuple(pose)
+
+
+def test_a_start_in_a_wall_is_refused_when_the_environment_is_made():
+    with pytest.raises(ConfigError, match=r"start: .*wall|start: .*free space"):
+        make(start=(0.0, 0.0, 0.0))
+
+
+def test_random_starts_are_free_and_follow_the_seed():
+    env = make(start="random").unwrapped
+    poses = []
+    for seed in (1, 2, 1):
+        env.reset(seed=seed)
+        poses.append(env._simulation.T_world_robot)
+    assert same(poses[0], poses[2])
+    assert not same(poses[0], poses[1])
+    env.reset(seed=1, options={"start": "layout"})
+    assert same(env._simulation.T_world_robot, env._outline.starts[0])
+
+
+def test_reset_takes_three_scans_at_rest():
+    env = make().unwrapped
+    observation, info = env.reset(seed=1)
+    assert env._episode.report.period == 3
+    assert info["period"] == 0
+    assert info["landmarks"] > 0
+    assert observation["goals"][0, 8] == 1.0
+    assert np.allclose(observation["pose"], [0, 0, 1, 0], atol=0.02)
+
+
+def test_step_needs_a_reset_before_and_after_an_episode():
+    env = make(max_periods=2).unwrapped
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2, np.float32))
+    env.reset(seed=1)
+    env.step(np.zeros(2, np.float32))
+    _, _, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
+    assert (terminated, truncated) == (False, True)
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(2, np.float32))
+    env.reset()
+    env.step(np.zeros(2, np.float32))
+
+
+def test_coverage_can_end_an_episode():
+    env = make(end={"coverage": 0.3}).unwrapped
+    env.reset(seed=1)
+    _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+    assert (terminated, truncated) == (True, False)
+    assert info["reward_completion"] == 10.0

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+from mecp_env.errors import MecpError
+from mecp_env.observations import Trail
+from mecp_env.slam.data import Cell, CornerKind, FeatureTable
+from mecp_env.state import StateError, decode, encode
+from mecp_env.world.config import LaserConfig
+from tests.env.helpers import drive, make, same
+
+VALUES = [
+    None,
+    True,
+    3,
+    -0.0,
+    float("nan"),
+    "text",
+    [],
+    (),
+    (1, (2.0, "x")),
+    {1: "a", (2, 3): [4]},
+    {"@list": 1},
+    {3, 1, 2},
+    frozenset({2}),
+    np.float64(1.5),
+    np.int64(7),
+    np.bool_(True),
+    np.arange(6.0).reshape(2, 3),
+    np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    np.empty((0, 2)),
+    np.array(["a", "b"]),
+    Cell.DOOR,
+    CornerKind.JAMB,
+    LaserConfig(preset="ideal"),
+    Trail(),
+    FeatureTable(),
+]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda v: f"{v!r:.30}")
+def test_values_come_back_to_the_last_bit(value):
+    again = decode(encode(value))
+    assert same(again, value)
+    assert type(again) is type(value)
+
+
+def only_plain(data):
+    if isinstance(data, list):
+        return all(only_plain(item) for item in data)
+    if isinstance(data, dict):
+        return all(type(key) is str and only_plain(item) for key, item in data.items())
+    return type(data) in (type(None), bool, int, float, str) or isinstance(data, np.ndarray)
+
+
+def test_a_state_is_plain_data_and_shares_no_memory():
+    env = make().unwrapped
+    env.reset(seed=1)
+    drive(env, 5)
+    state = env.get_state()
+    assert only_plain(state)
+    before = copy.deepcopy(state)
+    drive(env, 5)
+    assert same(state, before)
+
+
+def test_what_is_shared_stays_shared_and_cycles_hold():
+    array = np.zeros(3)
+    pair = [array, array, (array,)]
+    pair.append(pair)
+    again = decode(encode(pair))
+    assert again[0] is again[1] is again[2][0]
+    assert again[3] is again
+
+
+def test_an_array_stays_read_only():
+    array = np.zeros(3)
+    array.setflags(write=False)
+    assert not decode(encode(array)).flags.writeable
+
+
+def test_a_generator_continues():
+    rng = np.random.default_rng(5)
+    rng.normal(size=3)
+    again = decode(encode(rng))
+    assert again.normal() == rng.normal()
+
+
+@dataclass
+class Foreign:
+    x: int = 1
+
+
+@pytest.mark.parametrize("value", [print, lambda: 1, Foreign(), object(), np.array([None]), (n for n in "ab")], ids=str)
+def test_what_no_state_may_hold_is_refused(value):
+    with pytest.raises(TypeError):
+        encode(value)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        (1, 2),
+        {},
+        {"@list": [], "@dict": []},
+        {"list": []},
+        {"@nothing": 1},
+        {"@same": 3},
+        {"@same": -1},
+        {"@object": ["os:system", {}]},
+        {"@object": ["mecp_env.nowhere:X", {}]},
+        {"@object": ["mecp_env.state:encode", {}]},
+        {"@enum": ["mecp_env.slam.data:FeatureTable", 1]},
+        {"@settings": ["mecp_env.slam.data:FeatureTable", {}]},
+        {"@generator": {"bit_generator": "PCG64"}},
+    ],
+    ids=str,
+)
+def test_damaged_data_is_refused(data):
+    with pytest.raises(StateError):
+        decode(data)
+
+
+@pytest.mark.parametrize("method", ["set_state", "pickle", "deepcopy"])
+def test_a_running_environment_continues_bit_for_bit(method):
+    env = make(laser={"preset": "paper"}).unwrapped
+    env.reset(seed=4)
+    drive(env, 30)
+    if method == "set_state":
+        other = make(laser={"preset": "paper"}).unwrapped
+        other.set_state(env.get_state())
+    else:
+        other = pickle.loads(pickle.dumps(env)) if method == "pickle" else copy.deepcopy(env)
+    assert same(drive(env, 40, seed=2), drive(other, 40, seed=2))
+
+
+@pytest.mark.slow
+def test_continues_bit_for_bit_from_fifty_random_points():
+    env, other = make(laser={"preset": "paper"}).unwrapped, make(laser={"preset": "paper"}).unwrapped
+    env.reset(seed=9)
+    rng = np.random.default_rng(1)
+    contacts = 0
+    for point in range(50):
+        drive(env, int(rng.integers(1, 12)), seed=point)
+        state = env.get_state()
+        contacts += bool(env._episode.contact)
+        rows = drive(env, 8, seed=100 + point)
+        other.set_state(state)
+        assert same(rows, drive(other, 8, seed=100 + point)), point
+        env.set_state(state)
+    assert contacts > 0  # some of the points lie in a contact with a wall
+
+
+def test_set_state_refuses_what_does_not_fit_and_changes_nothing():
+    env, other = make().unwrapped, make(max_periods=7).unwrapped
+    env.reset(seed=1)
+    other.reset(seed=2)
+    state = env.get_state()
+    before = other.get_state()
+    damaged = [
+        None,
+        {},
+        state | {"format": "x"},
+        state | {"version": 99},
+        state,  # of another configuration
+        {key: value for key, value in state.items() if key != "random"} | {"config": before["config"]},
+        state | {"config": before["config"], "episode": {"@list": []}},
+        state | {"config": before["config"], "random": {}},
+        state | {"config": before["config"], "simulation": {"@dict": []}},
+    ]
+    for data in damaged:
+        with pytest.raises(MecpError):
+            other.set_state(data)
+        assert same(other.get_state(), before)
+
+
+def test_an_environment_that_never_ran_has_no_state_but_can_be_copied():
+    env = make().unwrapped
+    with pytest.raises(ResetNeeded):
+        env.get_state()
+    other = copy.deepcopy(env)
+    assert same(env.reset(seed=1), other.reset(seed=1))
