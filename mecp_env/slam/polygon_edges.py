@@ -30,7 +30,7 @@ class View(NamedTuple):
 class Limits(NamedTuple):
     """What counts as cut, as open and as a gap."""
 
-    tolerance_m: float  # the error of an edge across its own direction
+    tolerance_sigmas: float  # of a corner: how far an edge may be off across its own direction
     guard_m: float
     guard_beams: int
     open_depth_m: float
@@ -67,62 +67,81 @@ def cosine(x: float) -> float:
 
 
 @kernel
+def beams_before(bearings: Array, bearing: float) -> int:
+    """How many of the ascending bearings lie below `bearing`, by bisection (numba's own searchsorted costs ten times)."""
+    low, high = 0, int(bearings.shape[0])
+    while low < high:
+        middle = (low + high) // 2
+        if bearings[middle] < bearing:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@kernel
 def beams_between(a: Array, b: Array, bearings: Array) -> tuple[int, int]:
-    """First beam and number of beams strictly between the bearings of a and b, counter-clockwise and around the end."""
-    first = np.searchsorted(bearings, math.atan2(a[1], a[0]), side="right")
-    last = np.searchsorted(bearings, math.atan2(b[1], b[0]), side="left")
-    count = last - first
+    """First beam and number of beams between the bearings of a and b, counter-clockwise and around the end."""
+    first = beams_before(bearings, math.atan2(a[1], a[0]))
+    count = beams_before(bearings, math.atan2(b[1], b[0])) - first
     if count < 0 or (count == 0 and a[0] * b[1] - a[1] * b[0] <= 0.0):
-        count += bearings.shape[0]
+        count += int(bearings.shape[0])
     return first, count
 
 
 @kernel
-def _off_normal(bearing: float, normal: float) -> float:
-    """bearing - normal in [-pi/2, pi/2]; rounding at the ends of a long edge is cut off."""
+def off_normal(bearing: float, normal: float) -> float:
+    """Angle in [-pi, pi] from the normal to a beam."""
     x = bearing - normal
     if x > math.pi:
-        x -= 2.0 * math.pi
-    elif x < -math.pi:
-        x += 2.0 * math.pi
-    return min(max(x, -0.5 * math.pi), 0.5 * math.pi)
+        return x - 2.0 * math.pi
+    return x + 2.0 * math.pi if x < -math.pi else x
 
 
 @kernel
-def edge_is_cut(a: Array, b: Array, view: View, limits: Limits) -> bool:
+def _in_front(measured: float, bearing: float, edge: Edge, tolerance: float, guard_m: float) -> bool:
+    """True when a beam ends in front of the edge, by more than `guard_m` along it and `tolerance` across the edge."""
+    c = cosine(off_normal(bearing, edge.normal))
+    return (measured + guard_m) * c < edge.distance and measured * c < edge.distance - tolerance
+
+
+@kernel
+def edge_is_cut(a: Array, b: Array, tolerance: float, view: View, limits: Limits) -> bool:
     """True when `guard_beams` consecutive beams end on a wall in front of the edge from a to b.
 
     In front: shorter than the edge by more than `guard_m` and, since a corner's error shifts an edge that is seen at a
-    grazing angle by much along the beam, more than `tolerance_m` inside it.
+    grazing angle by much along the beam, more than `tolerance` (m) inside it. A run of so many beams holds one of every
+    `guard_beams`-th beam, so only those are looked at, and the others beside such a one.
     """
     edge = edge_from(a, b)
-    first, count = beams_between(a, b, view.bearings)
-    run = 0
-    for step in range(count):
-        i = first + step
-        if i >= view.ranges.shape[0]:
-            i -= view.ranges.shape[0]
-        c = cosine(_off_normal(view.bearings[i], edge.normal))
-        shorter = (view.ranges[i] + limits.guard_m) * c < edge.distance
-        inside = view.ranges[i] * c < edge.distance - limits.tolerance_m
-        run = run + 1 if shorter and inside and view.wall[i] else 0
-        if run >= limits.guard_beams:
-            return True
+    ranges, bearings, wall = view.ranges, view.bearings, view.wall
+    first, count = beams_between(a, b, bearings)
+    needed = limits.guard_beams
+    for probe in range(needed - 1, count, needed):
+        i = (first + probe) % ranges.shape[0]
+        if not _in_front(ranges[i], bearings[i], edge, tolerance, limits.guard_m):
+            continue
+        run = 0
+        for step in range(probe - needed + 1, min(probe + needed, count)):
+            i = (first + step) % ranges.shape[0]
+            run = run + 1 if wall[i] and _in_front(ranges[i], bearings[i], edge, tolerance, limits.guard_m) else 0
+            if run == needed:
+                return True
     return False
 
 
 @kernel
-def _sight(measured: float, c: float, distance: float, limits: Limits) -> int:
+def _sight(measured: float, c: float, distance: float, tolerance: float, limits: Limits) -> int:
     """What a beam at an angle with cosine `c` to the normal does: PASSES, STOPS at the edge or is SHORT of it."""
     if (measured + limits.guard_m) * c < distance:
         return SHORT
-    beyond = (measured - limits.open_depth_m) * c > distance and measured * c > distance + limits.tolerance_m
+    beyond = (measured - limits.open_depth_m) * c > distance and measured * c > distance + tolerance
     return PASSES if beyond else STOPS
 
 
 @kernel
-def passing_stretches(a: Array, b: Array, view: View, limits: Limits) -> Array:
-    """Stretches (s,2) of the edge from a to b, in metres from a, that beams pass by `open_depth_m`, `open_width_m` long.
+def passing_stretches(a: Array, b: Array, tolerance: float, view: View, limits: Limits) -> Array:
+    """Stretches (s,2) of an edge, in metres from a, that beams pass by `open_depth_m` and that are `open_width_m` long.
 
     A stretch ends half way to the first beam that stops at the edge, or at the edge's end. A beam that stops well in
     front of the edge (at a pillar, at a person) says nothing: it neither makes nor ends a stretch.
@@ -132,15 +151,13 @@ def passing_stretches(a: Array, b: Array, view: View, limits: Limits) -> Array:
     stretches = np.empty((count // 2 + 1, 2))
     found, begin, before, last = 0, 0.0, SHORT, 0.0
     for step in range(count):
-        i = first + step
-        if i >= view.ranges.shape[0]:
-            i -= view.ranges.shape[0]
-        x = _off_normal(view.bearings[i], edge.normal)
-        sight = _sight(view.ranges[i], cosine(x), edge.distance, limits)
+        i = first + step if first + step < view.ranges.shape[0] else first + step - view.ranges.shape[0]
+        x = off_normal(view.bearings[i], edge.normal)
+        sight = _sight(view.ranges[i], cosine(x), edge.distance, tolerance, limits)
         if sight == SHORT:
             continue
         if sight != before and before != SHORT:
-            border = edge.distance * math.tan(0.5 * (x + last)) - edge.start
+            border = min(max(edge.distance * math.tan(0.5 * (x + last)) - edge.start, 0.0), edge.length)
             if sight == STOPS and border - begin >= limits.open_width_m:
                 stretches[found, 0], stretches[found, 1] = begin, border
                 found += 1
@@ -187,7 +204,7 @@ def _write(rows: Array, at: int, edge: int, stretch: tuple[float, float], label:
 
 
 @kernel
-def edge_intervals(ring: Array, doors: Array, view: View, limits: Limits) -> Array:
+def edge_intervals(ring: Array, doors: Array, tolerance: float, view: View, limits: Limits) -> Array:
     """Intervals (m,4) of a ring (k,2) around the origin: edge, start and end as share of its length, EdgeLabel.
 
     `doors` (g,2,2) are the jambs of the scan's doorways. Each edge is cut into the stretches that beams pass, GAP or
@@ -199,7 +216,7 @@ def edge_intervals(ring: Array, doors: Array, view: View, limits: Limits) -> Arr
     for e in range(size):
         edge[0], edge[1] = ring[e], ring[(e + 1) % size]
         length = edge_from(edge[0], edge[1]).length
-        stretches = passing_stretches(edge[0], edge[1], view, limits)
+        stretches = passing_stretches(edge[0], edge[1], tolerance, view, limits)
         done = 0.0
         for s in range(stretches.shape[0]):
             begin, end = stretches[s, 0] / length, stretches[s, 1] / length

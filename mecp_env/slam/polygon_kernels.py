@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.polygon_edges import Limits, View, edge_is_cut
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,6 +22,7 @@ class Graph(NamedTuple):
     first: Ints  # (n+1,) where the edges of each source begin
     ends: Ints  # (E,2) source and target > source
     vector: Array  # (E,3) m, m, m^2: target - source, twice the area of the triangle with the origin
+    reach: Ints  # (E,) edges of the longest left-turning chain that starts with this one and crosses no cut ray
     tolerance2: float  # m^2
 
 
@@ -35,7 +35,8 @@ class Ranking(NamedTuple):
 
 
 @kernel
-def _cross(ax: float, ay: float, bx: float, by: float) -> float:
+def cross(ax: float, ay: float, bx: float, by: float) -> float:
+    """a x b: positive when b lies counter-clockwise of a."""
     return ax * by - ay * bx
 
 
@@ -47,7 +48,7 @@ def turns_left(ax: float, ay: float, bx: float, by: float, tolerance2: float) ->
     """
     turn = ax * by - ay * bx
     cx, cy = ax + bx, ay + by
-    return turn > 0.0 and turn * turn > tolerance2 * (cx * cx + cy * cy)
+    return bool(turn > 0.0 and turn * turn > tolerance2 * (cx * cx + cy * cy))
 
 
 @kernel
@@ -56,11 +57,11 @@ def _precedes(a: Array, b: Array) -> bool:
     upper_a = a[1] > 0.0 or (a[1] == 0.0 and a[0] < 0.0)
     upper_b = b[1] > 0.0 or (b[1] == 0.0 and b[0] < 0.0)
     if upper_a != upper_b:
-        return upper_b
-    turn = _cross(a[0], a[1], b[0], b[1])
+        return bool(upper_b)
+    turn = cross(a[0], a[1], b[0], b[1])
     if turn != 0.0:
         return turn > 0.0
-    return a[0] * a[0] + a[1] * a[1] < b[0] * b[0] + b[1] * b[1]
+    return bool(a[0] * a[0] + a[1] * a[1] < b[0] * b[0] + b[1] * b[1])
 
 
 @kernel
@@ -85,7 +86,7 @@ def _blocking_direction(px: float, py: float, dx: float, dy: float, tolerance: f
     sine = tolerance / math.sqrt(length2)
     cosine = math.sqrt(1.0 - sine * sine)
     ux, uy = dx * cosine + dy * sine, dy * cosine - dx * sine
-    side = _cross(px, py, ux, uy)
+    side = cross(px, py, ux, uy)
     if side < 0.0 or (side == 0.0 and px * ux + py * uy > 0.0):
         return 0.0, 0.0
     return ux, uy
@@ -109,13 +110,13 @@ def visible_edges(points: Array, tolerance: float) -> Bools:
             bx, by = _blocking_direction(px, py, points[before, 0] - px, points[before, 1] - py, tolerance)
         for step in range(1, n):
             j = i + step if i + step < n else i + step - n
-            side = _cross(px, py, points[j, 0], points[j, 1])
+            side = cross(px, py, points[j, 0], points[j, 1])
             if side < 0.0 or (side == 0.0 and px * points[j, 0] + py * points[j, 1] < 0.0):
                 break
             dx, dy = points[j, 0] - px, points[j, 1] - py
-            allowed[i, j] = side > 0.0 and _cross(dx, dy, bx, by) <= 0.0
+            allowed[i, j] = side > 0.0 and cross(dx, dy, bx, by) <= 0.0
             ux, uy = _blocking_direction(px, py, dx, dy, tolerance)
-            if (bx == 0.0 and by == 0.0) or _cross(bx, by, ux, uy) > 0.0:
+            if (bx == 0.0 and by == 0.0) or cross(bx, by, ux, uy) > 0.0:
                 bx, by = ux, uy
     return allowed
 
@@ -124,7 +125,7 @@ def visible_edges(points: Array, tolerance: float) -> Bools:
 def _same_ray(near: Array, far: Array) -> bool:
     """True when both lie on one ray from the origin, `near` nearer."""
     return (
-        _cross(near[0], near[1], far[0], far[1]) == 0.0
+        cross(near[0], near[1], far[0], far[1]) == 0.0
         and near[0] * far[0] + near[1] * far[1] > 0.0
         and near[0] * near[0] + near[1] * near[1] < far[0] * far[0] + far[1] * far[1]
     )
@@ -163,16 +164,31 @@ def _graph(points: Array, allowed: Bools, cut: int, tolerance: float) -> Graph:
             if allowed[(cut + i) % n, (cut + j) % n]:
                 ends[edges, 0], ends[edges, 1] = i, j
                 vector[edges, 0], vector[edges, 1] = turned[j, 0] - turned[i, 0], turned[j, 1] - turned[i, 1]
-                vector[edges, 2] = _cross(turned[i, 0], turned[i, 1], turned[j, 0], turned[j, 1])
+                vector[edges, 2] = cross(turned[i, 0], turned[i, 1], turned[j, 0], turned[j, 1])
                 edges += 1
         first[i + 1] = edges
-    return Graph(turned, first, ends[:edges], vector[:edges], tolerance * tolerance)
+    graph = Graph(turned, first, ends[:edges], vector[:edges], np.ones(edges, np.int64), tolerance * tolerance)
+    _measure_reach(graph)
+    return graph
+
+
+@kernel
+def _measure_reach(graph: Graph) -> None:
+    """Fills `reach`, what no chain can exceed: edges come after those they start from."""
+    first, ends, vector, reach = graph.first, graph.ends, graph.vector, graph.reach
+    for e in range(ends.shape[0] - 1, -1, -1):
+        for f in range(first[ends[e, 1]], first[ends[e, 1] + 1]):
+            longer = reach[f] + 1
+            if longer > reach[e] and turns_left(
+                vector[e, 0], vector[e, 1], vector[f, 0], vector[f, 1], graph.tolerance2
+            ):
+                reach[e] = longer
 
 
 @kernel
 def _rank(best: Ranking, row: int, area: float, trace: int) -> int:
     """Ranks a candidate that is of the row's size; its place, or -1. Equals stay behind those that came first."""
-    place = best.area.shape[1]
+    place = int(best.area.shape[1])
     while place > 0 and area > best.area[row, place - 1]:
         place -= 1
     if place == best.area.shape[1]:
@@ -185,7 +201,7 @@ def _rank(best: Ranking, row: int, area: float, trace: int) -> int:
 
 @kernel
 def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> tuple[Ints, Ints]:
-    """The convex cycles around the origin with most vertices, the `keep` largest by area: sizes (keep,), rings (keep,n).
+    """Sizes (keep,) and rings (keep,n) of the convex cycles around the origin with most vertices, the largest first.
 
     A ring holds positions of `points`, counter-clockwise from the smallest; size 0: no cycle.
     Every cycle crosses any ray from the origin with exactly one edge. So the ray crossed by the fewest edges is taken,
@@ -219,14 +235,14 @@ def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Rankin
     tail, head = closing
     points, vector = graph.points, graph.vector
     cx, cy = points[head, 0] - points[tail, 0], points[head, 1] - points[tail, 1]
-    base = _cross(points[tail, 0], points[tail, 1], points[head, 0], points[head, 1])
+    base = cross(points[tail, 0], points[tail, 1], points[head, 0], points[head, 1])
     chains.size[graph.first[head] : graph.first[tail]] = 0
     for e in range(graph.first[head], graph.first[tail]):
         i, j = graph.ends[e, 0], graph.ends[e, 1]
         if i == head and turns_left(cx, cy, vector[e, 0], vector[e, 1], graph.tolerance2):
             chains.size[e], chains.trace[e, 0] = 2, -1
             chains.area[e], chains.area[e, 0] = -math.inf, base + vector[e, 2]
-        if chains.size[e] == 0 or j > tail:
+        if chains.size[e] == 0 or j > tail or chains.size[e] + graph.reach[e] - 1 < best.size[0]:
             continue
         if j < tail:
             _extend(graph, e, tail, chains)
@@ -289,108 +305,3 @@ def _name(ring: Ints, size: int, cut: int) -> None:
     for i in range(size):
         ring[i] = named[(smallest + i) % size]
     ring[size:] = -1
-
-
-@kernel
-def best_free_cycles(points: Array, keep: int, view: View, limits: Limits) -> tuple[Ints, Ints]:
-    """`best_cycles` of the empty ones, none of whose edges is cut by a wall: the lazy guard of maths 1.6.
-
-    Solve, hold the edges of the result against the beams, forbid those that are cut, solve again.
-    """
-    allowed = visible_edges(points, limits.tolerance_m)
-    tested = np.zeros_like(allowed)
-    while True:
-        sizes, rings = best_cycles(points, allowed, limits.tolerance_m, keep)
-        clean = True
-        for place in range(keep):
-            for i in range(sizes[place]):
-                a, b = rings[place, i], rings[place, (i + 1) % sizes[place]]
-                if not tested[a, b]:
-                    tested[a, b] = True
-                    allowed[a, b] = not edge_is_cut(points[a], points[b], view, limits)
-                    clean = clean and allowed[a, b]
-        if clean:
-            return sizes, rings
-
-
-@kernel
-def median_sigma(z: Array, cov: Array, ids: Ints) -> float:
-    """Median over `ids` of the sigma of a corner's position, m: root mean square of its two axes; 0 without corners."""
-    sigma = np.empty(ids.shape[0])
-    for i in range(ids.shape[0]):
-        c = ids[i]
-        value = math.sqrt(0.5 * (cov[2 * c, 2 * c] + z[c, 0] * z[c, 0] * cov[2 * c + 1, 2 * c + 1]))
-        j = i
-        while j > 0 and sigma[j - 1] > value:
-            sigma[j] = sigma[j - 1]
-            j -= 1
-        sigma[j] = value
-    return 0.0 if ids.shape[0] == 0 else sigma[ids.shape[0] // 2]
-
-
-@kernel
-def fan_edges(fan: Array, tolerance: float) -> tuple[Bools, Bools, Bools, Bools]:
-    """Which edges i -> j (m,m) a chain around the leftmost vertex, the origin, may have: as inner, first, last, only one.
-
-    No point of the triangle (origin, i, j), its sides to the origin included, lies more than `tolerance` inside the
-    edge; where i is first or j last the side to the origin is an edge too. Points are sorted by bearing.
-    """
-    m = fan.shape[0]
-    inner, first = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
-    last, only = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
-    for i in range(m):
-        for j in range(i + 1, m):
-            if _cross(fan[i, 0], fan[i, 1], fan[j, 0], fan[j, 1]) <= 0.0:
-                continue
-            blocks, after_first, before_last, between = False, False, False, False
-            for s in range(m):
-                if s == i or s == j or not _inside_edge(fan, i, j, s, tolerance):
-                    continue
-                off_first = _cross(fan[i, 0], fan[i, 1], fan[s, 0], fan[s, 1])
-                off_last = _cross(fan[s, 0], fan[s, 1], fan[j, 0], fan[j, 1])
-                inside = off_first >= 0.0 and off_last >= 0.0
-                clear_first = inside and off_first > tolerance * math.hypot(fan[i, 0], fan[i, 1])
-                clear_last = inside and off_last > tolerance * math.hypot(fan[j, 0], fan[j, 1])
-                blocks, after_first = blocks or inside, after_first or clear_first
-                before_last, between = before_last or clear_last, between or (clear_first and clear_last)
-            inner[i, j], first[i, j], last[i, j], only[i, j] = not blocks, not after_first, not before_last, not between
-    return inner, first, last, only
-
-
-@kernel
-def _inside_edge(points: Array, i: int, j: int, s: int, tolerance: float) -> bool:
-    """True when s lies more than `tolerance` left of the edge i -> j."""
-    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-    depth = _cross(dx, dy, points[s, 0] - points[i, 0], points[s, 1] - points[i, 1])
-    return depth > 0.0 and depth * depth > tolerance * tolerance * (dx * dx + dy * dy)
-
-
-@kernel
-def chain_table(points: Array, steps: Bools, area: Array, tolerance: float, first: int) -> tuple[Ints, Array]:
-    """Sizes and areas (N,N) of the best left-turning chain that starts with step i -> j and ends at the last node.
-
-    Size counts edges, 0: no such chain; then area adds `area` (N,N) over them. Steps (N,N) lead to later nodes only.
-    With `first` >= 0 the chain is a ring that starts with 0 -> first, and its turn at the last node (which is node 0
-    again) is tested too.
-    """
-    n = points.shape[0]
-    sizes, areas = np.zeros((n, n), np.int64), np.zeros((n, n))
-    for i in range(n - 2, -1, -1):
-        for j in range(i + 1, n):
-            if not steps[i, j]:
-                continue
-            ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-            if j == n - 1:
-                bx, by = points[first, 0] - points[0, 0], points[first, 1] - points[0, 1]
-                if first < 0 or turns_left(ax, ay, bx, by, tolerance * tolerance):
-                    sizes[i, j], areas[i, j] = 1, area[i, j]
-                continue
-            size, most = 0, 0.0
-            for k in range(j + 1, n):
-                if sizes[j, k] == 0 or sizes[j, k] < size or (sizes[j, k] == size and areas[j, k] <= most):
-                    continue
-                if turns_left(ax, ay, points[k, 0] - points[j, 0], points[k, 1] - points[j, 1], tolerance * tolerance):
-                    size, most = sizes[j, k], areas[j, k]
-            if size > 0:
-                sizes[i, j], areas[i, j] = size + 1, area[i, j] + most
-    return sizes, areas

@@ -23,15 +23,16 @@ def twice_area(points, ring):
     return sum(cross((0, 0), points[a], points[b]) for a, b in zip(ring, ring[1:] + ring[:1], strict=True))
 
 
+def all_left(points, a, b, subset):
+    return all(cross(points[a], points[b], points[c]) > 0 for c in subset if c not in (a, b))
+
+
 def convex_rings(points):
     """All strictly convex rings of distinct points: a subset is one if each vertex has all others left of one edge."""
     n = len(points)
     for size in range(3, n + 1):
         for subset in itertools.combinations(range(n), size):
-            after = {}
-            for a, b in itertools.permutations(subset, 2):
-                if all(cross(points[a], points[b], points[c]) > 0 for c in subset if c not in (a, b)):
-                    after[a] = b
+            after = {a: b for a, b in itertools.permutations(subset, 2) if all_left(points, a, b, subset)}
             if len(after) == size:
                 ring = [subset[0]]
                 while len(ring) < size:
@@ -46,10 +47,6 @@ def edges(points, ring):
 def contains(points, ring, robot, on_edge):
     sides = [cross(a, b, robot) for a, b in edges(points, ring)]
     return all(side >= 0 if on_edge else side > 0 for side in sides)
-
-
-def is_empty(points, ring):
-    return not any(all(cross(a, b, p) > 0 for a, b in edges(points, ring)) for p in points)
 
 
 def brute_force(points, robot, on_edge):
