@@ -1,0 +1,69 @@
+"""Scripted drives through a shipped layout: what the sensors gave, and the true poses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.geometry import compose, inverse, wrap_angle
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.truth import identify
+from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout
+from mecp_env.world.odometry import measure
+from mecp_env.world.outline import build_outline
+from mecp_env.world.simulation import Simulation
+
+THROUGH_THE_DOOR = ((2.0, 1.8), (4.2, 1.8), (6.0, 1.8), (7.5, 3.5), (7.5, 1.5), (5.8, 1.8), (4.0, 1.8), (2.5, 4.0))
+
+
+@dataclass
+class Drive:
+    outline: object
+    odometry: list
+    scans: list
+    T_world_robot: list
+
+    def run(self, config: SlamConfig):
+        """A report and the true corner of each corner, scan by scan."""
+        pipeline = SlamPipeline(config)
+        for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
+            report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+            yield pipeline, report, identify(report.corners, pose, self.outline), self._error(report, pose)
+
+    def _error(self, report, pose):
+        error = compose(inverse(self.T_world_robot[0]), pose) - report.belief.T_map_robot
+        error[2] = wrap_angle(error[2])
+        return error
+
+
+def scripted_drive(layout="two_rooms", waypoints=THROUGH_THE_DOOR, preset="paper", sweeps=4, seed=0) -> Drive:
+    """Straight from waypoint to waypoint (world frame), three scans at rest first."""
+    outline, rng = build_outline(load_layout(layout)), np.random.default_rng(seed)
+    simulation = Simulation(outline, RobotConfig())
+    laser = Laser(outline, LaserConfig(preset=preset, sweeps=sweeps))
+    simulation.reset(np.array(outline.starts[0], float))
+    drive = Drive(outline, [], [], [])
+    for _ in range(3):
+        _keep(drive, None, laser.scan(simulation.T_world_robot, rng), simulation.T_world_robot)
+    for waypoint in waypoints:
+        while math.dist(waypoint, simulation.T_world_robot[:2]) > 0.3:
+            motion = simulation.step(*_towards(waypoint, simulation.T_world_robot))
+            odometry = measure(motion, OdometryConfig(), rng)
+            _keep(drive, odometry, laser.scan(simulation.T_world_robot, rng), simulation.T_world_robot)
+    return drive
+
+
+def _towards(waypoint, pose):
+    turn = wrap_angle(math.atan2(waypoint[1] - pose[1], waypoint[0] - pose[0]) - pose[2])
+    return 0.6 * max(0.0, math.cos(turn)) ** 3, max(-1.2, min(1.2, 1.5 * turn))
+
+
+def _keep(drive, odometry, scan, pose):
+    drive.odometry.append(odometry)
+    drive.scans.append(scan)
+    drive.T_world_robot.append(pose)

@@ -1,0 +1,180 @@
+"""The estimator as a whole, on scripted drives through two rooms and round a ring."""
+
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.association import ASSOCIATORS, make_associator
+from mecp_env.slam.config import AssociationConfig, SensorModel, SlamConfig
+from mecp_env.slam.data import CornerKind, Decision, FeatureState, Reason
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import scripted_drive
+
+SENSORS = {
+    "paper": SensorModel(),
+    "lms200": SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0),
+    "ideal": SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0),
+}
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return scripted_drive()
+
+
+@pytest.fixture(scope="module")
+def steps(drive):
+    return list(drive.run(SlamConfig()))
+
+
+def majority_identity(steps):
+    votes = defaultdict(Counter)
+    for _, report, truth, _ in steps:
+        for feature, corner in zip(report.match.ids.tolist(), truth.tolist(), strict=True):
+            votes[feature][corner] += 1
+    return {feature: count.most_common(1)[0][0] for feature, count in votes.items()}
+
+
+def share_right(steps):
+    identity = majority_identity(steps)
+    right = total = 0
+    for _, report, truth, _ in steps:
+        for i in np.flatnonzero(report.match.decision == int(Decision.LANDMARK)):
+            total += 1
+            right += identity[int(report.match.ids[i])] == truth[i] >= 0
+    return right / total, total
+
+
+@pytest.mark.parametrize("preset", SENSORS)
+def test_every_noise_preset_gives_a_right_map(preset):
+    run = list(scripted_drive(preset=preset).run(SlamConfig(sensor=SENSORS[preset])))
+    _, report, _, _ = run[-1]
+    precision, pairs = share_right(run)
+    assert precision > 0.99
+    assert pairs > 300
+    assert np.sqrt(np.mean([e[0] ** 2 + e[1] ** 2 for *_, e in run])) < 0.05
+    assert not report.diverged
+    assert len(report.graph.rooms) == 2
+    assert [door.rooms for door in report.graph.doors] == [(0, 1)]
+
+
+def test_each_landmark_is_a_corner_of_its_own(steps):
+    """Both rooms have corners within 0.15 m of each other across the wall: no two landmarks share a true corner."""
+    identity = majority_identity(steps)
+    corners = [identity[landmark] for landmark in steps[-1][1].belief.ids.tolist()]
+    assert min(corners) >= 0
+    assert len(set(corners)) == len(corners)
+
+
+def test_polygons_of_different_rooms_share_no_vertex(steps):
+    """Fig. 6, after every scan."""
+    for _, report, _, _ in steps:
+        owner = {}
+        for polygon in report.known_polygons:
+            room = report.graph.resolve(polygon.room)
+            for vertex in polygon.ids.tolist():
+                assert owner.setdefault(vertex, room) == room
+
+
+def test_most_scans_recognise_a_polygon_once_the_room_is_known(steps):
+    assert np.mean([report.match.known >= 0 for _, report, _, _ in steps[5:]]) > 0.6
+
+
+def test_the_robots_room_is_the_true_one_away_from_the_door(drive, steps):
+    for pose, (_, report, _, _) in zip(drive.T_world_robot, steps, strict=True):
+        if abs(pose[0] - 5.0) > 0.7:
+            assert report.graph.current == (0 if pose[0] < 5.0 else 1)
+
+
+def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
+    identity = majority_identity(steps)
+    pipeline = steps[-1][0]
+    for landmark in steps[-1][1].belief.ids.tolist():
+        if pipeline.features.kind[landmark] != int(CornerKind.JAMB):
+            west = drive.outline.corners.p_world[identity[landmark], 0] < 5.0
+            assert pipeline.rooms.resolve(int(pipeline.features.room[landmark])) == (0 if west else 1)
+
+
+def test_visible_landmarks_are_the_vertices_of_the_polygons_around_a_point(steps):
+    pipeline, report, _, _ = steps[-1]
+    here = pipeline.visible_landmarks(report.belief.T_map_robot[:2])
+    assert len(here) >= 4
+    assert (pipeline.features.state[here] == int(FeatureState.LANDMARK)).all()
+    assert len(pipeline.visible_landmarks(np.array([100.0, 100.0]))) == 0
+
+
+def test_every_decision_has_its_reason(steps):
+    allowed = {
+        Decision.LANDMARK: {Reason.POLYGON, Reason.JOINT},
+        Decision.PROVISIONAL: {Reason.TRACK},
+        Decision.NEW: {Reason.UNSEEN},
+        Decision.IGNORED: {Reason.AMBIGUOUS, Reason.BEYOND_DOOR, Reason.IN_DOORWAY},
+    }
+    for _, report, _, _ in steps:
+        for decision, reason in zip(report.match.decision, report.match.reason, strict=True):
+            assert Reason(reason) in allowed[Decision(decision)]
+
+
+def test_the_same_drive_gives_the_same_bits(drive, steps):
+    again = list(drive.run(SlamConfig()))
+    assert np.array_equal(again[-1][1].belief.p_map, steps[-1][1].belief.p_map)
+    assert np.array_equal(again[-1][1].grid.label, steps[-1][1].grid.label)
+
+
+def test_reset_forgets_everything(drive):
+    pipeline = SlamPipeline(SlamConfig())
+    first = pipeline.start(drive.scans[0])
+    pipeline.reset()
+    second = pipeline.start(drive.scans[0])
+    assert np.array_equal(first.match.ids, second.match.ids)
+    assert second.period == 1
+
+
+@pytest.mark.parametrize("method", [m for m in ASSOCIATORS if m != "known"])
+def test_every_associator_runs_and_names_each_corner_once(drive, method):
+    config = SlamConfig(association=AssociationConfig(method=method))
+    for _, report, _, _ in drive.run(config):
+        ids = report.match.ids[report.match.decision == int(Decision.LANDMARK)]
+        assert len(set(ids.tolist())) == len(ids)
+    assert type(make_associator(config.association)) is ASSOCIATORS[method]
+
+
+@pytest.mark.parametrize("switch", ["use_polygons", "use_rooms", "use_signature"])
+def test_each_switch_of_the_default_associator_can_be_turned_off(drive, switch):
+    config = SlamConfig(association=AssociationConfig(**{switch: False}))
+    run = list(drive.run(config))
+    recognised = any(report.match.known >= 0 for _, report, _, _ in run)
+    assert recognised == (switch != "use_polygons")
+
+
+def test_true_identities_are_the_upper_bound(drive):
+    from mecp_env.truth import identify
+
+    pipeline = SlamPipeline(SlamConfig(association=AssociationConfig(method="known")))
+    owners = defaultdict(set)
+    for odometry, scan, pose in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+
+        def tell(corners, pose=pose):
+            return identify(corners, pose, drive.outline)
+
+        start = pipeline.start(scan, identities=tell) if odometry is None else None
+        report = start or pipeline.step(odometry, scan, identities=tell)
+        for i in np.flatnonzero(report.match.decision == int(Decision.LANDMARK)):
+            owners[int(report.match.ids[i])].add(int(tell(report.corners)[i]))
+    assert all(len(corners) == 1 for corners in owners.values())
+    assert len(owners) >= 10
+
+
+def test_the_true_pose_can_be_given(drive):
+    from mecp_env.slam.geometry import compose, inverse
+
+    pipeline = SlamPipeline(SlamConfig())
+    T_map_world = inverse(drive.T_world_robot[0])
+    for odometry, scan, pose in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        if odometry is None:
+            pipeline.start(scan)
+            continue
+        exact = compose(T_map_world, pose)
+        report = pipeline.step(odometry, scan, T_map_robot=exact)
+        assert np.allclose(report.belief.T_map_robot, exact, atol=1e-3)
