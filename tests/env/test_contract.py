@@ -1,0 +1,217 @@
+"""What Gymnasium and Stable-Baselines3 ask of an environment, over every registered id and kind of action."""
+
+from __future__ import annotations
+
+import copy
+import json
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode
+
+import mecp_env
+from mecp_env.config import EnvConfig
+from mecp_env.wrappers import GoalActions
+from mecp_env.world.layout import load_layout
+from tests.env.helpers import IDS, SMALL, make
+
+ACTIONS = ("velocity", "discrete", "goal")
+# Stable-Baselines3 wants images and flat vectors; tables of landmarks and goals are neither, and its flattening extractor
+# takes them as they are.
+SB3_ALLOWED = ("Your observation landmarks has an unconventional", "Your observation goals has an unconventional")
+# The goal actions are a wrapper by design; the check would leave it out.
+GYM_ALLOWED = r".*is different from the unwrapped version.*"
+
+
+def below(env: gymnasium.Env) -> gymnasium.Env:
+    """The environment that an entry point made, without gymnasium's own wrappers."""
+    while not isinstance(env, GoalActions) and env is not env.unwrapped:
+        env = env.env
+    return env
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_gymnasium_check_env_without_a_warning(name, actions):
+    env = gymnasium.make(name, actions=actions, disable_env_checker=True, laser=SMALL["laser"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=GYM_ALLOWED)
+        check_env(below(env), skip_render_check=True)
+
+
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_render_modes_pass_the_check(actions):
+    env = make(actions=actions, render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=GYM_ALLOWED)
+        check_env(below(env), skip_close_check=True)
+
+
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_stable_baselines3_check_env(actions):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    env = make(actions=actions)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        checker.check_env(env, warn=True, skip_render_check=True)
+    messages = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    assert [m for m in messages if not m.startswith(SB3_ALLOWED)] == []
+
+
+@pytest.mark.parametrize("actions", ACTIONS)
+@pytest.mark.parametrize("parts", [{}, {"map": True, "scan": True}], ids=["default", "all"])
+def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts):
+    env = make(actions=actions, observation=parts, max_periods=40, start="random")
+    env.action_space.seed(3)
+    observation, first = env.reset(seed=3)
+    assert observation in env.observation_space
+    for _ in range(60):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert observation in env.observation_space
+        assert type(reward) is float
+        assert np.isfinite(reward)
+        assert type(terminated) is bool
+        assert type(truncated) is bool
+        assert form(info) == form(first)
+        assert all(np.isfinite(value).all() for value in info.values() if not isinstance(value, str))
+        assert np.isclose(sum(v for k, v in info.items() if k.startswith("reward_")), reward) or actions == "goal"
+        if terminated or truncated:
+            env.reset()
+
+
+def form(info):
+    return {key: (type(value), getattr(value, "shape", None)) for key, value in info.items()}
+
+
+def test_observations_share_no_memory():
+    env = make(observation={"map": True, "scan": True})
+    first, _ = env.reset(seed=1)
+    kept = copy.deepcopy(first)
+    second = env.step(np.ones(2, np.float32))[0]
+    assert not any(np.shares_memory(first[key], second[key]) for key in first)
+    assert data_equivalence(first, kept, exact=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_the_spec_survives_json(name):
+    keywords = {"config": EnvConfig.build(max_periods=9), "layout": load_layout("two_rooms"), "actions": "goal"}
+    env = gymnasium.make(name, **keywords)
+    spec = EnvSpec.from_json(env.spec.to_json())
+    json.dumps(env.unwrapped.spec.kwargs)
+    again = gymnasium.make(spec)
+    assert again.unwrapped.config == env.unwrapped.config
+    assert type(below(again)) is GoalActions
+    assert str(again) == str(env)
+    assert data_equivalence(again.reset(seed=1)[0], env.reset(seed=1)[0], exact=True)
+
+
+def test_registration_is_idempotent_and_both_forms_of_make_work():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mecp_env.register_environments()
+    assert gymnasium.make("mecp_env:mecp_env/Layout-v0").unwrapped.config.layout == "two_rooms"
+    assert gymnasium.make("mecp_env/PaperMap-v0").unwrapped.config.layout == "paper"
+
+
+def test_importing_the_package_is_light():
+    code = (
+        "import sys, mecp_env; heavy = {'numba', 'scipy', 'matplotlib', 'pygame', 'pymunk', 'shapely', 'pydantic'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_sync_vector_environment(actions):
+    venv = gymnasium.make_vec(
+        "mecp_env/Layout-v0", num_envs=3, vectorization_mode="sync", actions=actions, max_periods=15, **SMALL
+    )
+    venv.action_space.seed(1)
+    observation, _ = venv.reset(seed=5)
+    single = make(actions=actions, max_periods=15)
+    alone, _ = single.reset(seed=6)
+    assert all(np.array_equal(observation[key][1], alone[key]) for key in alone)
+    for _ in range(20):
+        observation, reward, _, _, info = venv.step(venv.action_space.sample())
+        assert observation in venv.observation_space
+        assert reward.shape == (3,)
+        assert info["truth_pose"].shape == (3, 3)
+    venv.close()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_autoreset_modes(mode):
+    venv = gymnasium.make_vec(
+        "mecp_env/Layout-v0",
+        num_envs=2,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        max_periods=3,
+        **SMALL,
+    )
+    venv.reset(seed=1)
+    ended = 0
+    for _ in range(9):
+        _, _, _, truncated, info = venv.step(np.zeros((2, 2), np.float32))
+        ended += truncated.all()
+    assert ended >= 2
+    assert (info["period"] <= 3).all()
+    venv.close()
+
+
+def test_common_wrappers():
+    env = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.wrappers.TimeLimit(make(), 4))
+    env.reset(seed=1)
+    for _ in range(4):
+        *_, truncated, info = env.step(np.zeros(2, np.float32))
+    assert truncated
+    assert info["episode"]["l"] == 4
+    flat = gymnasium.wrappers.FlattenObservation(make())
+    assert flat.reset(seed=1)[0] in flat.observation_space
+
+
+def test_render_without_a_mode_says_so_and_close_may_be_called_twice():
+    env = make().unwrapped
+    env.reset(seed=1)
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert env.render() is None
+    env.close()
+    env.close()
+
+
+def test_a_frame_is_a_picture():
+    env = make(render_mode="rgb_array")
+    env.reset(seed=1)
+    frame = env.render()
+    assert frame.dtype == np.uint8
+    assert frame.ndim == 3
+    assert frame.shape[2] == 3
+    assert frame.std() > 0
+    env.step(np.ones(2, np.float32))
+    assert not np.array_equal(frame, env.render())
+
+
+def test_the_docstring_is_the_spec_sheet():
+    text = type(make().unwrapped).__doc__
+    sections = [line[3:] for line in text.replace("    ", "").splitlines() if line.startswith("## ")]
+    assert sections == [
+        "Description",
+        "Action Space",
+        "Observation Space",
+        "Rewards",
+        "Starting State",
+        "Episode End",
+        "Arguments",
+        "Vectorized environment",
+        "Version History",
+    ]
+    assert all(f"`{name}`" in text for name in EnvConfig.model_fields)
