@@ -81,18 +81,17 @@ class Brush:
         yield
         self.canvas.set_clip(None)
 
-    def area(self, ring: Array, colour: RGB, alpha: int = 255) -> None:
+    def area(self, ring: Array, colour: RGB) -> None:
         """Fill a ring (k,2)."""
-        if len(ring) < 3:
-            return
-        if alpha == 255:
+        if len(ring) > 2:
             pygame.draw.polygon(self.canvas, colour, (FINER * ring).tolist())
-            return
-        low = np.floor(FINER * ring.min(axis=0))
-        size = np.ceil(FINER * ring.max(axis=0)) - low + 1
-        layer = pygame.Surface(size.astype(int).tolist(), pygame.SRCALPHA)
-        pygame.draw.polygon(layer, (*colour, alpha), (FINER * ring - low).tolist())
-        self.canvas.blit(layer, low.tolist())
+
+    def veil(self, rings: Sequence[tuple[Array, RGB]], alpha: int) -> None:
+        """Lay translucent areas over the picture; where they overlap the last one counts, and it grows no darker."""
+        layer = pygame.Surface(self.canvas.get_size(), pygame.SRCALPHA)
+        for ring, colour in rings:
+            pygame.draw.polygon(layer, (*colour, alpha), (FINER * ring).tolist())
+        self.canvas.blit(layer, (0, 0))
 
     def line(self, points: Array, colour: RGB, width: float = 1.0) -> None:
         """A line through the points (n,2)."""

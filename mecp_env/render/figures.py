@@ -9,14 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Polygon
-from matplotlib.path import Path as Outline
+from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.text import summary
-from mecp_env.render.view import View, loops
+from mecp_env.render.view import View, loops, signed_area
 from mecp_env.slam.geometry import to_map
 
 Array = NDArray[np.float64]
@@ -62,7 +61,9 @@ def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]
 
 
 def _caption(view: View) -> str:
-    return "   ·   ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
+    return "    ".join(
+        [f"{view.title}, period {view.report.period}", *(f"{name} {value}" for name, value in summary(view.metrics))]
+    )
 
 
 def _draw_intervals(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:
@@ -83,16 +84,21 @@ def _short(value: float) -> str:
 
 
 def _draw_truth(axes: Axes, view: View) -> None:
-    rings = [np.vstack([ring, ring[:1]]) for ring in loops(view.segments)]
-    outline = Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings))
-    axes.add_patch(PathPatch(outline, facecolor=TRUTH_GREY, edgecolor="none"))
+    """Walls in grey, free space in white; the polygons of the map lie between the two."""
+    for strip in shapes.wall_strips(view.segments):
+        axes.add_patch(Polygon(strip, facecolor=TRUTH_GREY, edgecolor="none"))
+    for ring in loops(view.segments):
+        solid = signed_area(ring) < 0.0
+        axes.add_patch(Polygon(ring, facecolor=TRUTH_GREY if solid else "white", edgecolor="none"))
 
 
 def _draw_rooms(axes: Axes, view: View) -> None:
     for polygon, ring in shapes.polygon_rings(view.report):
-        colour = unit(palette.room_colour(view.report.graph.resolve(polygon.room)))
-        ring = to_map(view.T_world_map, ring)
-        axes.add_patch(Polygon(ring, facecolor=(*colour, 0.10), edgecolor=(*colour, 0.55), linewidth=0.8))
+        colour = palette.room_colour(view.report.graph.resolve(polygon.room))
+        light = palette.mix(colour, palette.FREE, 0.75)  # opaque: many polygons of a room are no darker than one
+        p_world = to_map(view.T_world_map, ring)
+        axes.add_patch(Polygon(p_world, facecolor=unit(light), edgecolor="none"))
+        axes.add_patch(Polygon(p_world, fill=False, edgecolor=(*unit(colour), 0.3), linewidth=0.7, zorder=1.5))
 
 
 def _draw_doors(axes: Axes, view: View) -> None:

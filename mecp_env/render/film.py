@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from mecp_env.render import palette
+
 Frame = NDArray[np.uint8]
 
-COLOURS = 64
+COLOURS = 96
+SMALL = (palette.HIT, palette.LANDMARK, palette.GOAL, palette.DOOR, palette.ESTIMATE, palette.TRUTH, palette.INK)
 LAST_FRAME_MS = 2500
 
 
@@ -35,8 +38,17 @@ class Film:
     def save(self, path: Path, seconds: float = 16.0) -> None:
         """Write the film as a GIF that lasts about so long and repeats; the last frame stays a while."""
         pictures = [Image.fromarray(frame) for frame in self.frames]
-        palette = pictures[-1].quantize(COLOURS)  # one for all: frames then differ only where something moved
-        plain = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+        colours = _palette(self.frames)  # one for all: frames then differ only where something moved
+        plain = [picture.quantize(palette=colours, dither=Image.Dither.NONE) for picture in pictures]
         each = max(20, round(1000.0 * seconds / len(plain)))
         times = [each] * (len(plain) - 1) + [LAST_FRAME_MS]
         plain[0].save(path, save_all=True, append_images=plain[1:], duration=times, loop=0, optimize=True)
+
+
+def _palette(frames: list[Frame]) -> Image.Image:
+    """A picture with the colours of some frames spread over the film, and patches of what is small but must be seen."""
+    count = min(len(frames), 5)
+    some = [frames[i] for i in np.linspace(0, len(frames) - 1, count).astype(int)]
+    wide = np.repeat(np.array(SMALL, np.uint8)[None], max(frames[0].shape[0] // 4, 1), axis=0)
+    patches = np.repeat(wide, -(-frames[0].shape[1] // len(SMALL)), axis=1)[:, : frames[0].shape[1]]
+    return Image.fromarray(np.vstack([*some, patches])).quantize(COLOURS)

@@ -23,10 +23,12 @@ ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; 
 def draw_world(brush: Brush, view: View, box: Box) -> None:
     """The true walls, the robot with its scan, and the way it has come."""
     camera = Camera.fit(view.bounds, box)
+    for strip in shapes.wall_strips(view.segments):
+        brush.area(camera.pixels(strip), palette.SOLID)
     for ring in loops(view.segments):
         brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
     ends, hit = shapes.beam_ends(view.report, view.T_world_robot)
-    brush.area(camera.pixels(ends), palette.BEAM, alpha=50)
+    brush.veil([(camera.pixels(ends), palette.BEAM)], alpha=50)
     brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
     for pixel in camera.pixels(ends[hit]):
         brush.dot(pixel, 1.3, palette.HIT)
@@ -93,11 +95,14 @@ def _pixels(view: View, camera: Camera, p_map: Array) -> Array:
 
 
 def _draw_polygons(brush: Brush, view: View, camera: Camera) -> None:
-    for polygon, ring in shapes.polygon_rings(view.report):
-        colour = palette.room_colour(view.report.graph.resolve(polygon.room))
-        pixels = _pixels(view, camera, ring)
-        brush.area(pixels, colour, alpha=20)
-        brush.ring(pixels, palette.mix(colour, palette.FREE, 0.3))
+    graph = view.report.graph
+    areas = [
+        (_pixels(view, camera, ring), palette.room_colour(graph.resolve(polygon.room)))
+        for polygon, ring in shapes.polygon_rings(view.report)
+    ]
+    brush.veil(areas, alpha=60)
+    for pixels, colour in areas:
+        brush.ring(pixels, palette.mix(colour, palette.FREE, 0.45))
 
 
 def _draw_doors(brush: Brush, view: View, camera: Camera) -> None:

@@ -24,6 +24,14 @@ def ellipse(mean: Array, cov: Array, magnified: float = 1.0) -> Array:
     return ring
 
 
+def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:
+    """Strips (S,4,2) behind the faces (S,2,2): the outside of a building has no face, its walls are drawn so thick."""
+    start, end = segments[:, 0], segments[:, 1]
+    along = thick_m * (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+    behind = np.stack([along[:, 1], -along[:, 0]], axis=1)  # free space is on the left
+    return np.stack([start - along, end + along, end + along + behind, start - along + behind], axis=1)
+
+
 def beam_ends(report: StepReport, T_world_robot: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Ends of all beams (B,2) in the frame of the pose, m, and which of them hit something (B,)."""
     z = np.column_stack([report.beams.ranges, report.beams.bearings])

@@ -1,0 +1,25 @@
+"""The paper's explorer: breadth first through rooms and doors, over the goals of the observation.
+
+`python -m agents.bfs [options]` is `mecp-env demo [options]`.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from mecp_env.cli import main
+from mecp_env.planning.breadth_first import BreadthFirst
+
+
+class BreadthFirstAgent(BreadthFirst):
+    """`BreadthFirst` as an agent: it chooses goals, planner and controller of the environment drive there."""
+
+    actions = "goal"
+
+    def reset(self, seed: int = 0) -> None:
+        """Begin an episode; nothing here is random."""
+        super().reset()
+
+
+if __name__ == "__main__":
+    sys.exit(main(["demo", *sys.argv[1:]]))

@@ -1,0 +1,70 @@
+"""What the demo says while it runs, and at its end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from mecp_env.demo import Run
+from mecp_env.render.text import summary
+from mecp_env.stopwatch import Stopwatch
+
+EVERY = 10  # periods between two updates
+
+
+class Progress:
+    """A bar of the share of the building that has been seen, with rooms, doors, pose error and speed."""
+
+    def __init__(self, run: Run, watch: Stopwatch) -> None:
+        self.watch = watch
+        name, now = TextColumn("[bold]{task.description}"), TextColumn("{task.fields[now]}")
+        self.bar = Bar(name, BarColumn(), TimeElapsedColumn(), now)
+        self.task = self.bar.add_task(f"exploring {run.env.config.layout}", total=1.0, now="preparing")
+
+    def show(self, run: Run) -> None:
+        """Bring the bar up to date, every few periods."""
+        if run.periods % EVERY:
+            return
+        metrics = run.env.view().metrics
+        now = "  ".join(f"{name} {value}" for name, value in summary(metrics))
+        speed = f"{self.watch.steps_per_s:,.0f} steps/s" if run.periods else ""
+        self.bar.update(self.task, completed=metrics["coverage"], now=f"{now}  {speed}")
+
+    def __enter__(self) -> Self:
+        self.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.bar.stop()
+
+
+ROWS = (
+    ("rooms found", "{rooms_found:.0f} of {rooms:.0f}, {rooms_false:.0f} false"),
+    ("doors found", "{doors_found:.0f} of {doors:.0f}, {doors_false:.0f} false"),
+    ("free area seen", "{coverage:.1%}"),
+    ("grid IoU with the truth", "{grid_iou:.3f}"),
+    ("pose error", "RMSE {pose_rmse_m:.3f} m, final {pose_error_final_m:.3f} m"),
+    ("pose NEES", "{nees_mean:.2f} (3 expected)"),
+    ("association", "precision {association_precision:.4f}, recall {association_recall:.4f}"),
+    ("landmarks", "{landmarks:.0f}, {duplicates:.0f} duplicates"),
+    ("way", "{metres:.0f} m in {periods:.0f} periods, {contacts:.0f} contacts"),
+    ("speed", "{steps_per_s:,.0f} steps/s"),
+)
+
+
+def say_result(metrics: dict[str, Any], folder: Path) -> None:
+    """Print the figures of a run and where its files are."""
+    table = Table(title=f"exploration {metrics['ended']}", show_header=False, title_justify="left")
+    for name, form in ROWS:
+        table.add_row(name, form.format(**metrics))
+    console = Console()
+    console.print(table)
+    console.print(f"map.png, run.gif, metrics.json, trajectory.tum, truth.tum, config.json in {folder}/")

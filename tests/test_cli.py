@@ -1,0 +1,154 @@
+"""The command: what it leaves behind, wrong input, interruption."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mecp_env import cli
+from mecp_env.config import EnvConfig
+from mecp_env.demo import Run, tum
+from mecp_env.slam.config import SlamConfig
+
+FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
+FIGURES = {
+    "rooms",
+    "rooms_found",
+    "doors",
+    "doors_found",
+    "coverage",
+    "grid_iou",
+    "pose_rmse_m",
+    "pose_error_final_m",
+    "nees_mean",
+    "association_precision",
+    "association_recall",
+    "duplicates",
+    "contacts",
+    "periods",
+    "metres",
+    "steps_per_s",
+    "us_per_period",
+}
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a demo on the small layout leaves behind."""
+    folder = tmp_path_factory.mktemp("demo") / "run"
+    assert cli.main(["demo", "--layout", "two_rooms", "--seed", "3", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_the_demo_leaves_its_six_files(kept: Path) -> None:
+    assert {path.name for path in kept.iterdir()} == FILES
+
+
+def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:
+    metrics = json.loads((kept / "metrics.json").read_text())
+    assert metrics.keys() >= FIGURES
+    assert metrics["ended"] == "complete"
+    assert (metrics["rooms_found"], metrics["doors_found"]) == (2, 1)
+    assert metrics["coverage"] > 0.95
+    assert all(np.isfinite(value) for value in metrics["us_per_period"].values())
+
+
+def test_the_paths_are_read_as_tum_and_lie_close_together(kept: Path) -> None:
+    estimated, true = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
+    periods = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert estimated.shape == true.shape == (periods + 1, 8)
+    assert np.diff(true[:, 0]) == pytest.approx(0.4)
+    assert np.linalg.norm(true[:, 4:], axis=1) == pytest.approx(1.0)
+    assert np.abs(estimated[:, 1:3] - true[:, 1:3]).max() < 0.3
+
+
+def test_the_pictures_can_be_opened(kept: Path) -> None:
+    with Image.open(kept / "run.gif") as film, Image.open(kept / "map.png") as picture:
+        assert film.n_frames > 3
+        assert picture.size[0] > 1000
+
+
+def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
+    recipe = json.loads((kept / "config.json").read_text())
+    run = Run.begin(EnvConfig.build(recipe["config"]), recipe["seed"])
+    run.explore(lambda run: None)
+    assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
+
+
+def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = Run.look
+
+    def look_and_stop(run: Run) -> None:
+        look(run)
+        if run.periods == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "look", look_and_stop)
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "run")]) == 130
+    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert (metrics["ended"], metrics["periods"]) == ("interrupted", 5)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ([], "demo"),
+        (["dance"], "dance"),
+        (["demo", "--seed", "first"], "first"),
+        (["demo", "--config.slam.filter.kindd", "ekf"], "--config.slam.filter.kind"),
+        (["demo", "--config.slam.filter.kind", "ukf"], "riekf"),
+        (["demo", "--config.max-periods", "0"], "max_periods"),
+        (["demo", "--render", "holo"], "human"),
+    ],
+)
+def test_a_wrong_line_ends_with_2_and_says_why(line: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(line)
+    assert ended.value.code == 2
+    streams = capsys.readouterr()
+    assert said in streams.err + streams.out
+
+
+def test_an_unknown_layout_ends_with_2_and_names_the_shipped_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["demo", "--layout", "castle", "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "castle" in said
+    assert "two_rooms" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "file" in capsys.readouterr().err
+
+
+def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
+    fields = cli.Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
+    config = cli.configuration("office", fields)
+    assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
+    assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
+    assert cli.configuration("two_rooms", cli.Fields()) == EnvConfig(layout="two_rooms")
+
+
+def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["one-scan", "--layout", "two_rooms", "--period", "4", "--out", str(tmp_path)]
+    assert cli.main(line) == 0
+    assert len(list(tmp_path.glob("*.png"))) == 6
+    assert cli.main([*line[:4], "99999", *line[5:]]) == 2
+    assert "period" in capsys.readouterr().err
+
+
+def test_the_command_runs_as_a_module() -> None:
+    done = subprocess.run([sys.executable, "-m", "mecp_env.cli", "--help"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "one-scan" in done.stdout
