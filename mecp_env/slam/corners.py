@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import CornerConfig, SensorModel
-from mecp_env.slam.crossings import MAX_REST, Found, Rules, Sight, Walls, add_crossing, empty_found
+from mecp_env.slam.crossings import MAX_REST, Found, Rules, Sight, Walls, add_crossing, empty_found, spread_of
 from mecp_env.slam.data import Beams, Corners, Doorways, Segments
 from mecp_env.slam.doorways import JAMB, DoorRules, find_doorways, mark_beyond
-from mecp_env.slam.free_ends import add_free_end
+from mecp_env.slam.free_ends import add_end
+from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.noise import Noise, noise_of, roll_beams
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+TWIN_M, TWIN_RAD = 0.25, math.radians(45.0)  # two finds of one corner lie so near each other, and their faces look alike
 
 
 def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
@@ -41,7 +43,7 @@ def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sens
 
 def _rules(config: CornerConfig, noise: Noise) -> Rules:
     return Rules(
-        math.sin(math.radians(config.min_angle_deg)),
+        math.radians(config.min_angle_deg),
         config.end_jump_m + config.end_jump_sigmas * noise.range_m,
         config.max_sigma_m**2,
         config.floor_share * noise.range_m,
@@ -67,9 +69,10 @@ def find_corners(
         if size > 1 and rest <= MAX_REST and walls.cluster[segment] == walls.cluster[following]:
             n = add_crossing(raw, n, sight, walls, (segment, following), rules)
         if n == known:
-            n = add_free_end(raw, n, sight, walls, (segment, 1), (rules, noise))
-            n = add_free_end(raw, n, sight, walls, (following, -1), (rules, noise))
-    found = sorted_by_bearing(raw, n)
+            n = add_end(raw, n, sight, walls, (segment, 1), (rules, noise))
+            n = add_end(raw, n, sight, walls, (following, -1), (rules, noise))
+    found = sorted_by_bearing(raw, drop_twins(raw, n, walls))
+    n = found.z.shape[0]
     jambs, width, good = find_doorways(found, n, sight, walls, doors)
     for g in range(jambs.shape[0]):
         found.kind[jambs[g, 0]] = JAMB
@@ -78,20 +81,50 @@ def find_corners(
 
 
 @kernel
+def drop_twins(raw: Found, n: int, walls: Walls) -> int:
+    """Number of corners left, moved to the front, when a corner found from both its faces counts once."""
+    kept = 0
+    for i in range(n):
+        twin = -1
+        for j in range(kept):
+            if is_twin(raw, i, j):
+                twin = j
+        if twin < 0:
+            copy_row(raw, i, raw, kept)
+            kept += 1
+        elif spread_of(raw, i, walls) < spread_of(raw, twin, walls):
+            copy_row(raw, i, raw, twin)
+    return kept
+
+
+@kernel
+def is_twin(found: Found, i: int, j: int) -> bool:
+    """True when two corners are one: near each other, of one convexity, with no face that contradicts."""
+    turn = wrap_angle(found.z[i, 1] - found.z[j, 1])
+    distance = math.hypot(found.z[i, 0] - found.z[j, 0], found.z[j, 0] * turn)
+    if found.convex[i] != found.convex[j] or distance > TWIN_M:
+        return False
+    for slot in range(2):
+        if abs(wrap_angle(found.normals[i, slot] - found.normals[j, slot])) > TWIN_RAD:  # false for nan
+            return False
+    return True
+
+
+@kernel
+def copy_row(source: Found, i: int, target: Found, k: int) -> None:
+    """Row i of `source` becomes row k of `target`."""
+    target.z[k], target.own[k], target.lines[k] = source.z[i], source.own[i], source.lines[i]
+    target.jacobian[k], target.normals[k], target.border[k] = source.jacobian[i], source.normals[i], source.border[i]
+    target.kind[k], target.convex[k] = source.kind[i], source.convex[i]
+
+
+@kernel
 def sorted_by_bearing(raw: Found, n: int) -> Found:
     """The first n rows of `raw` in order of bearing."""
     found = empty_found(n)
     order = np.argsort(raw.z[:n, 1])
     for k in range(n):
-        row = order[k]
-        found.z[k], found.own[k], found.lines[k], found.jacobian[k] = (
-            raw.z[row],
-            raw.own[row],
-            raw.lines[row],
-            raw.jacobian[row],
-        )
-        found.kind[k], found.convex[k] = raw.kind[row], raw.convex[row]
-        found.normals[k], found.border[k] = raw.normals[row], raw.border[row]
+        copy_row(raw, order[k], found, k)
     return found
 
 

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 CROSSING = int(CornerKind.CROSSING)
+TURN_SIGMAS = 3.0
 NEAR_M, NEAR_SIGMAS, NEAR_BEAMS = 0.08, 3.0, 2.0  # how far a crossing may lie from the break between its segments
 MAX_REST = 4  # beams between two segments that still cross
 POST_M = 0.4  # a face shorter than this may be the end of a wall
@@ -25,7 +26,7 @@ POST_M = 0.4  # a face shorter than this may be the end of a wall
 class Rules(NamedTuple):
     """What makes a crossing or a free end a corner."""
 
-    min_sine: float  # of the angle between two lines
+    min_angle: float  # rad, between two lines
     jump: float  # m, to what lies behind a free end
     max_variance: float  # m^2
     floor: float  # m, least sigma
@@ -87,7 +88,8 @@ def add_crossing(
     """n + 1 when the lines of the consecutive segments `pair` cross at a corner, written to row n; else n."""
     before, after = pair
     turn = wrap_angle(walls.line[after, 0] - walls.line[before, 0])
-    if abs(math.sin(turn)) < rules.min_sine:
+    doubt = TURN_SIGMAS * math.sqrt(walls.cov[before, 0, 0] + walls.cov[after, 0, 0])
+    if not rules.min_angle + doubt < abs(turn) < math.pi - rules.min_angle - doubt:
         return n
     x, y = cross_lines(walls.line, before, after)
     if not write_crossing(found, n, walls, pair, (x, y)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,47 +16,107 @@ from mecp_env.slam.lines import STEEPEST
 from mecp_env.slam.noise import Noise
 
 Array = NDArray[np.float64]
-FREE_END = int(CornerKind.FREE_END)
-REACH = 14  # beams beside an end that are looked at
+CROSSING, FREE_END = int(CornerKind.CROSSING), int(CornerKind.FREE_END)
+REACH = 14  # beams on either side of an end that are looked at
 COUNT_BEAMS = 3  # beams on either side of the transition in which raw beams are counted
 PLAIN_REST = 2  # beams after an end that belong to neither side, where no face can be seen
-COLLINEAR_M, SIGMAS = 0.1, 4.0
+COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
+EVIDENCE = 15.0  # chi-square that a face too short for a segment must save, to be believed
+MISFIT = 2.5  # mean chi-square of its beams at most
 SMEAR = 0.5642  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
+FAR, OTHER = 1, 2  # what follows the beams beside an end
+
+
+class End(NamedTuple):
+    """One end of a segment, and the beams that follow it."""
+
+    alpha: float
+    rho: float
+    position: int  # of the segment's last beam on this side
+    side: int  # +1: ccw end, -1: beginning
+    inner: int  # beams of the segment to look at
+    rest: int  # beams after it before something else begins
+    follows: int  # FAR: the scan jumps back there; OTHER: something nearer, or no end in reach
+
+
+class Ray(NamedTuple):
+    """Where an end lies, and how much speaks for a second face there."""
+
+    bearing: float
+    variance: float
+    evidence: float
 
 
 @kernel
-def add_free_end(
+def add_end(
     found: Found, n: int, sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tuple[Rules, Noise]
 ) -> int:
-    """n + 1 when segment end[0] ends freely on side end[1] (+1: ccw end, -1: its beginning), written to row n."""
+    """n + 1 when segment end[0] ends in a corner on side end[1] (+1: ccw end, -1: its beginning), in row n; else n.
+
+    Either something farther follows (the free end of III-A.1), or a second face at a right angle is seen that is too
+    short for a segment of its own; it recedes at a convex corner and comes nearer at a concave one.
+    """
     rules, noise = rules_and_noise
     segment, side = end
-    position = walls.last[segment] if side > 0 else walls.first[segment]
-    line = (walls.line[segment, 0], walls.line[segment, 1])
-    rest = beams_to_jump(sight, line, position, side, rules_and_noise)
-    if rest < 0:
-        return n
-    face_visible = side * math.tan(sight.polar[position, 1] - line[0]) < 0.0  # seen at a right angle to the wall
-    if face_visible:
-        inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
-        bearing, variance = kink_bearing(sight, line, (position, side, inner, rest), noise)
-    elif rest <= PLAIN_REST:
-        bearing, variance = counted_bearing(sight, line, (position, side, rest), rules_and_noise)
+    what = end_of(sight, walls, end, rules_and_noise)
+    tangent = side * math.tan(sight.polar[what.position, 1] - what.alpha)
+    if tangent >= 0.0 and what.follows == FAR and what.rest <= PLAIN_REST:
+        ray = counted_ray(sight, what, rules_and_noise)
+    elif tangent >= 0.0 or not comes_nearer(sight, what, noise):
+        ray = kink_ray(sight, what, noise)
     else:
         return n
-    cosine = math.cos(bearing - line[0])
-    if cosine < STEEPEST:
+    seen = ray.evidence > EVIDENCE
+    if not seen and (what.follows != FAR or (tangent >= 0.0 and what.rest > PLAIN_REST)):
         return n
-    write_end(found, n, segment, line, (bearing, variance))
+    if math.cos(ray.bearing - what.alpha) < STEEPEST:
+        return n
+    write_end(found, n, segment, (what.alpha, what.rho), (ray.bearing, ray.variance))
     if spread_of(found, n, walls) + rules.floor**2 > rules.max_variance:
         return n
-    found.kind[n], found.convex[n] = FREE_END, True
     slot = 0 if side > 0 else 1
-    found.normals[n, slot], found.normals[n, 1 - slot] = wrap_angle(line[0] + math.pi), np.nan
-    found.border[n, slot], found.border[n, 1 - slot] = segment, -1
+    found.kind[n], found.convex[n] = CROSSING if seen else FREE_END, not seen or tangent < 0.0
+    found.normals[n, slot] = wrap_angle(what.alpha + math.pi)
+    found.normals[n, 1 - slot] = wrap_angle(what.alpha - math.copysign(0.5 * math.pi, side * tangent)) if seen else np.nan
+    found.border[n, slot], found.border[n, 1 - slot] = segment if found.convex[n] else -1, -1
     add_floor(found, n, rules.floor)
     return n + 1
+
+
+@kernel
+def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tuple[Rules, Noise]) -> End:
+    """The end of segment end[0] on side end[1], with the beams that follow up to a jump."""
+    rules, noise = rules_and_noise
+    segment, side = end
+    alpha, rho = walls.line[segment, 0], walls.line[segment, 1]
+    position = walls.last[segment] if side > 0 else walls.first[segment]
+    inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
+    end_range = rho / math.cos(sight.polar[position, 1] - alpha)
+    previous, far = end_range, 0
+    for k in range(1, REACH + 3):
+        q = (position + side * k) % sight.polar.shape[0]
+        r = sight.polar[q, 0]
+        behind = r - end_range > rules.jump and not collinear(walls, segment, r, sight.polar[q, 1], noise)
+        if behind or not sight.hit[q]:
+            far += 1
+            if far == 2:
+                return End(alpha, rho, position, side, inner, k - 2, FAR)
+            continue
+        if far > 0 or abs(r - previous) > STEP_SHARE * previous + SIGMAS * noise.range_m:
+            return End(alpha, rho, position, side, inner, k - 1 - far, OTHER)
+        previous = r
+    return End(alpha, rho, position, side, inner, REACH, OTHER)
+
+
+@kernel
+def comes_nearer(sight: Sight, end: End, noise: Noise) -> bool:
+    """True when a beam after the end hits something in front of the wall: it may hide the end."""
+    for k in range(1, end.rest + 1):
+        q = (end.position + end.side * k) % sight.polar.shape[0]
+        if sight.polar[q, 0] * math.cos(sight.polar[q, 1] - end.alpha) - end.rho < -SIGMAS * noise.range_m:
+            return True
+    return False
 
 
 @kernel
@@ -73,127 +134,120 @@ def write_end(found: Found, n: int, segment: int, line: tuple[float, float], ray
 
 
 @kernel
-def beams_to_jump(
-    sight: Sight, line: tuple[float, float], position: int, side: int, rules_and_noise: tuple[Rules, Noise]
-) -> int:
-    """How many beams follow the end before the scan jumps back; -1 when it does not, or something nearer follows."""
-    rules, noise = rules_and_noise
-    size = sight.polar.shape[0]
-    end_range = line[1] / math.cos(sight.polar[position, 1] - line[0])
-    far = 0
-    for k in range(1, REACH + 2):
-        q = (position + side * k) % size
-        cosine, r = math.cos(sight.polar[q, 1] - line[0]), sight.polar[q, 0]
-        if not sight.hit[q]:
-            far += 1
-        elif r * cosine - line[1] < -SIGMAS * noise.range_m:
-            return -1
-        elif r - end_range > rules.jump and not collinear(line, r, cosine, noise):
-            far += 1
-        elif far > 0:
-            return -1
-        if far == 2:
-            return k - 2
-    return -1
-
-
-@kernel
-def collinear(line: tuple[float, float], r: float, cosine: float, noise: Noise) -> bool:
-    """True when a beam of range r at cosine of incidence may have hit the line's extension."""
+def collinear(walls: Walls, segment: int, r: float, bearing: float, noise: Noise) -> bool:
+    """True when a beam of range r may have hit the extension of the segment's line, as uncertain as that is."""
+    alpha, rho = walls.line[segment, 0], walls.line[segment, 1]
+    cosine = math.cos(bearing - alpha)
     if cosine < STEEPEST:
         return False
-    expected = line[1] / cosine
-    slant = expected * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / cosine
-    return r - expected < COLLINEAR_M + SIGMAS * math.hypot(noise.range_m, slant * noise.bearing)
+    expected = rho / cosine
+    slant = expected * math.tan(bearing - alpha)
+    cov = walls.cov[segment]
+    variance = noise.range_m**2 + (slant * noise.bearing) ** 2
+    variance += slant * slant * cov[0, 0] - 2.0 * slant / cosine * cov[0, 1] + cov[1, 1] / (cosine * cosine)
+    return r - expected < COLLINEAR_M + SIGMAS * math.sqrt(variance)
 
 
 @kernel
-def counted_bearing(
-    sight: Sight,
-    line: tuple[float, float],
-    end: tuple[int, int, int],
-    rules_and_noise: tuple[Rules, Noise],
-) -> tuple[float, float]:
-    """Bearing of the end and its variance from the number of raw beams on the line around the transition.
+def counted_ray(sight: Sight, end: End, rules_and_noise: tuple[Rules, Noise]) -> Ray:
+    """Bearing of a plain end from the number of raw beams on the line around the transition.
 
     Bearing noise makes beams beside the edge hit or miss at random; the count stays unbiased, its variance is the
     smear plus spacing^2 / 12.
     """
-    position, side, rest = end
+    rules, noise = rules_and_noise
     total, size = sight.raw_ranges.shape[0], sight.polar.shape[0]
     sweeps = total // size
     spacing = (sight.raw_bearings[total - 1] - sight.raw_bearings[0]) / (total - 1)
-    beam = (position - side * COUNT_BEAMS + sight.roll) % size
-    first = beam * sweeps if side > 0 else beam * sweeps + sweeps - 1
+    beam = (end.position - end.side * COUNT_BEAMS + sight.roll) % size
+    first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
     on_line = 0
-    limit = 0.5 * rules_and_noise[0].jump
-    for k in range((2 * COUNT_BEAMS + 1 + rest) * sweeps):
-        raw = (first + side * k) % total
-        cosine = math.cos(sight.raw_bearings[raw] - line[0])
+    for k in range((2 * COUNT_BEAMS + 1 + end.rest) * sweeps):
+        raw = (first + end.side * k) % total
+        cosine = math.cos(sight.raw_bearings[raw] - end.alpha)
         if cosine < STEEPEST:
             continue
-        slant = line[1] * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
-        allowed = min(SIGMAS * math.hypot(rules_and_noise[1].range_m, slant * rules_and_noise[1].bearing), limit)
-        on_line += sight.raw_ranges[raw] - line[1] / cosine < allowed
-    bearing = sight.raw_bearings[first] + side * (on_line - 0.5) * spacing
-    return bearing, SMEAR * spacing * rules_and_noise[1].bearing + spacing * spacing / 12.0
+        slant = end.rho * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
+        allowed = min(SIGMAS * math.hypot(noise.range_m, slant * noise.bearing), 0.5 * rules.jump)
+        on_line += sight.raw_ranges[raw] - end.rho / cosine < allowed
+    bearing = sight.raw_bearings[first] + end.side * (on_line - 0.5) * spacing
+    return Ray(bearing, SMEAR * spacing * noise.bearing + spacing * spacing / 12.0, 0.0)
 
 
 @kernel
-def kink_bearing(
-    sight: Sight, line: tuple[float, float], end: tuple[int, int, int, int], noise: Noise
-) -> tuple[float, float]:
-    """Bearing of the end and its variance where the face beyond, at a right angle to the wall, may be seen.
+def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
+    """Bearing of an end beside which a face at a right angle to the wall may be seen.
 
     Its beams lie so near the wall's extension that no single one can be told apart; the mean and variance over all
     places of the corner (half a beam apart), weighted by their likelihood, can.
     """
-    position, side, inner, rest = end
-    size = sight.polar.shape[0]
-    step = 2.0 * math.pi / size
-    origin = sight.polar[position, 1]
-    weight, first, second, best = 0.0, 0.0, 0.0, math.inf
-    costs = np.empty(2 * (inner + rest + 2))
+    after = end.rest + (2 if end.follows == FAR else 0)
+    step = 2.0 * math.pi / sight.polar.shape[0]
+    table = beam_table(sight, end, after, noise)
+    costs = np.empty(2 * (end.inner + end.rest) + 1)
+    best = 0
     for k in range(costs.shape[0]):
-        offset = (0.5 * k + 0.25 - inner) * step
+        offset = (0.5 * k + 0.25 - end.inner) * step
+        along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
         costs[k] = 0.0
-        for m in range(-inner, rest + 3):
-            q = (position + side * m) % size
-            turn = wrap_angle(sight.polar[q, 1] - origin) * side
-            behind = turn > offset
-            costs[k] += beam_cost(sight, line, q, (behind, origin + side * offset), noise)
-        best = min(best, costs[k])
+        for m in range(table.shape[0]):
+            costs[k] += table[m, 1] if table[m, 0] < offset else face_cost(table[m], along, noise)
+        if costs[k] < costs[best]:
+            best = k
+    weight, first, second = 0.0, 0.0, 0.0
     for k in range(costs.shape[0]):
-        offset = (0.5 * k + 0.25 - inner) * step
-        likelihood = math.exp(-0.5 * (costs[k] - best))
+        likelihood = math.exp(-0.5 * (costs[k] - costs[best]))
+        offset = (0.5 * k + 0.25 - end.inner) * step
         weight, first, second = weight + likelihood, first + likelihood * offset, second + likelihood * offset * offset
     mean = first / weight
     spacing = step * sight.polar.shape[0] / sight.raw_ranges.shape[0]
     variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
-    return origin + side * mean, variance
+    bearing = sight.polar[end.position, 1] + end.side * mean
+    return Ray(bearing, variance, face_evidence(table, end, (0.5 * best + 0.25 - end.inner) * step, noise))
 
 
 @kernel
-def beam_cost(
-    sight: Sight, line: tuple[float, float], q: int, corner: tuple[bool, float], noise: Noise
-) -> float:
-    """Chi-square of averaged beam q: on the wall, or (corner[0]) behind the corner at bearing corner[1]."""
-    cosine, sine = math.cos(sight.polar[q, 1] - line[0]), math.sin(sight.polar[q, 1] - line[0])
-    r = sight.polar[q, 0]
-    if not corner[0]:
-        if cosine < STEEPEST or not sight.hit[q]:
-            return COST_CAP
-        expected, slope = line[1] / cosine, sine / cosine
-    else:
-        if not sight.hit[q]:
-            return COST_FAR
-        along = line[1] * math.tan(corner[1] - line[0])
-        if along * sine <= 1e-9:
-            return COST_FAR if r * cosine > line[1] + SIGMAS * noise.range_m else COST_CAP
-        expected, slope = along / sine, cosine / sine
-    residual = r - expected
-    variance = (noise.range_m**2 + (expected * slope * noise.bearing) ** 2) / sight.polar[q, 2]
-    cost = residual * residual / variance
-    if corner[0] and residual > 0.0:
-        return min(cost, COST_FAR)
-    return min(cost, COST_CAP)
+def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
+    """For each beam beside the end: offset from its last beam (rad), cost on the line, sine, cotangent, range, count."""
+    size = sight.polar.shape[0]
+    table = np.empty((end.inner + after + 1, 6))
+    for m in range(table.shape[0]):
+        q = (end.position + end.side * (m - end.inner)) % size
+        turn, r = sight.polar[q, 1] - end.alpha, sight.polar[q, 0]
+        cosine, sine = math.cos(turn), math.sin(turn)
+        cost = COST_CAP
+        if cosine > STEEPEST and sight.hit[q]:
+            expected = end.rho / cosine
+            variance = noise.range_m**2 + (expected * sine / cosine * noise.bearing) ** 2
+            cost = min(cost, (r - expected) ** 2 / variance * sight.polar[q, 2])
+        table[m, 0] = wrap_angle(sight.polar[q, 1] - sight.polar[end.position, 1]) * end.side
+        table[m, 1], table[m, 2] = cost, sine
+        table[m, 3] = cosine / sine if abs(sine) > 1e-6 else 0.0
+        table[m, 4], table[m, 5] = r if sight.hit[q] else math.inf, sight.polar[q, 2]
+    return table
+
+
+@kernel
+def face_cost(beam: Array, along: float, noise: Noise) -> float:
+    """Chi-square of a beam (row of beam_table) on the face at a right angle, `along` metres along the wall."""
+    if along * beam[2] <= 1e-9:
+        return COST_FAR if beam[4] == math.inf else COST_CAP
+    expected = along / beam[2]
+    residual = beam[4] - expected
+    if residual == math.inf:
+        return COST_FAR
+    variance = noise.range_m**2 + (expected * beam[3] * noise.bearing) ** 2
+    return min(residual * residual * beam[5] / variance, COST_FAR if residual > 0.0 else COST_CAP)
+
+
+@kernel
+def face_evidence(table: Array, end: End, offset: float, noise: Noise) -> float:
+    """How much chi-square the second face from `offset` on saves, over the wall going on; 0 when it does not fit."""
+    along = end.rho * math.tan(math.atan2(table[end.inner, 2], table[end.inner, 3] * table[end.inner, 2]) + end.side * offset)
+    saved, misfit, beams = 0.0, 0.0, 0
+    for m in range(end.inner + end.rest + 1):
+        if table[m, 0] < offset:
+            continue
+        cost = face_cost(table[m], along, noise)
+        saved, misfit, beams = saved + table[m, 1] - cost, misfit + cost, beams + 1
+    return saved if misfit <= MISFIT * beams else 0.0

@@ -12,7 +12,7 @@ from mecp_env.slam.noise import Noise
 from mecp_env.slam.stretches import scatter
 
 Array = NDArray[np.float64]
-ITERATIONS = 3
+ITERATIONS = 2
 OUTLIER2 = 16.0  # squared sigmas beyond which a beam loses weight
 STEEPEST = 0.035  # cosine of the largest incidence (88 degrees) for which a ray still meets its line
 
@@ -31,18 +31,18 @@ def rough_line(sums: Array, first: int, last: int) -> tuple[float, float]:
 @kernel
 def fit_line(
     polar: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float], noise: Noise
-) -> tuple[float, float, float, float, float]:
-    """alpha, rho and their variances and covariance (aa, ar, rr): Gauss-Newton from `start`.
+) -> tuple[float, float, float, float, float, float]:
+    """alpha, rho, their variances and covariance (aa, ar, rr) and the chi-square: Gauss-Newton from `start`.
 
     The residual r cos(theta - alpha) - rho has the variance sigma_r^2 cos^2 + (r sin sigma_theta)^2. The coordinate
     along the wall is taken from the line, not from the noisy range: with the measured one short oblique faces
     come out centimetres too long. aa is inf when the beams do not carry a line.
     """
     alpha, rho = start
-    haa, har, hrr = 1.0, 0.0, 1.0
+    haa, har, hrr, cost = 1.0, 0.0, 1.0, 0.0
     for _ in range(ITERATIONS):
         ca, sa = math.cos(alpha), math.sin(alpha)
-        haa, har, hrr, ga, gr = 0.0, 0.0, 0.0, 0.0, 0.0
+        haa, har, hrr, ga, gr, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(stretch[0], stretch[1] + 1):
             ahead, r = points[i, 0] * ca + points[i, 1] * sa, polar[i, 0]
             cosine = ahead / r
@@ -53,11 +53,12 @@ def fit_line(
             variance = ((noise.range_m * cosine) ** 2 + (along * noise.bearing) ** 2) / polar[i, 2]
             weight = 1.0 / max(variance, residual * residual / OUTLIER2)
             haa, har, hrr = haa + weight * along * along, har - weight * along, hrr + weight
+            cost += weight * residual * residual
             ga, gr = ga + weight * along * residual, gr - weight * residual
         determinant = haa * hrr - har * har
         if not determinant > 1e-9 * haa * hrr:
-            return alpha, rho, math.inf, 0.0, math.inf
+            return alpha, rho, math.inf, 0.0, math.inf, cost
         alpha -= (hrr * ga - har * gr) / determinant
         rho -= (haa * gr - har * ga) / determinant
     determinant = haa * hrr - har * har
-    return alpha, rho, hrr / determinant, -har / determinant, haa / determinant
+    return alpha, rho, hrr / determinant, -har / determinant, haa / determinant, cost

@@ -15,10 +15,13 @@ from mecp_env.slam.data import Beams, Clusters, Segments
 from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.lines import STEEPEST, fit_line, rough_line
 from mecp_env.slam.noise import Noise, noise_of, roll_beams
+from mecp_env.slam.rounds import is_round
 from mecp_env.slam.stretches import beam_points, break_cluster, straighten
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+MISFIT_SIGMAS = 3.0  # a chi-square this far above what is expected means no straight wall
+LONG = 15  # degrees of freedom from which on a misfit only widens the covariance
 
 
 class Rules(NamedTuple):
@@ -77,6 +80,8 @@ def cut_cluster(
     ends = np.empty(last - first + 2, np.int64)
     size = break_cluster(points, first, last, rules.split_sigmas, ends)
     size = straighten(sums, first, ends, size, rules.merge_gain)
+    if is_round(points, sums, first, ends, size):
+        return found
     start = first
     for k in range(size):
         if ends[k] - start + 1 >= rules.min_beams:
@@ -99,8 +104,10 @@ def fit_segments(
         first, last = spans[k, 1], spans[k, 2]
         trim = min(rules.trim_beams, (last - first + 1 - rules.min_beams) // 2)
         inner = (first + trim, last - trim)
-        alpha, rho, aa, ar, rr = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]), noise)
-        usable = aa <= rules.max_alpha_variance and rho > 0.0
+        alpha, rho, aa, ar, rr, cost = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]), noise)
+        freedom = max(inner[1] - inner[0] - 1, 1)
+        excess = cost / (freedom + MISFIT_SIGMAS * math.sqrt(2.0 * freedom))
+        usable = aa <= rules.max_alpha_variance and rho > 0.0 and (excess <= 1.0 or freedom >= LONG)
         usable = usable and math.cos(polar[first, 1] - alpha) > STEEPEST and math.cos(polar[last, 1] - alpha) > STEEPEST
         if not usable:
             continue
@@ -112,7 +119,9 @@ def fit_segments(
         if length2 < rules.min_length * rules.min_length:
             continue
         line[found, 0], line[found, 1] = wrap_angle(alpha), rho
-        cov[found, 0, 0], cov[found, 0, 1], cov[found, 1, 0], cov[found, 1, 1] = aa, ar, ar, rr
+        inflate = max(excess, 1.0)
+        cov[found, 0, 0], cov[found, 1, 1] = inflate * aa, inflate * rr
+        cov[found, 0, 1] = cov[found, 1, 0] = inflate * ar
         for column in range(3):
             kept[found, column] = spans[k, column]
         found += 1

@@ -1,0 +1,101 @@
+"""Kernels that tell a round pillar from walls: its arc would be cut into short segments with corners that wander."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+from mecp_env.slam.stretches import start_of, stretch_cost
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+WIDEST_M, LARGEST_RADIUS_M = 1.6, 0.8  # of a cluster that may be a pillar
+PER_FREEDOM, SAVED = 4.0, 12.0  # chi-square that a parameter must save; that a circle must save over one line
+ITERATIONS = 5
+COST_CAP = 16.0
+
+
+@kernel
+def is_round(points: Array, sums: Array, first: int, ends: Ints, size: int) -> bool:
+    """True when a circle in front of the robot explains the cluster better than its `size` straight stretches."""
+    last = ends[size - 1]
+    if last - first < 4 or extent_of(points, first, last) > WIDEST_M:
+        return False
+    straight = 0.0
+    for k in range(size):
+        straight += stretch_cost(sums, start_of(first, ends, k), ends[k])
+    bound = straight - SAVED if size == 1 else straight + PER_FREEDOM * (3 * size - 4)
+    return bound > 0.0 and circle_cost(points, first, last) < bound
+
+
+@kernel
+def extent_of(points: Array, first: int, last: int) -> float:
+    """Diagonal (m) of the box around positions first to last."""
+    x0, x1, y0, y1 = points[first, 0], points[first, 0], points[first, 1], points[first, 1]
+    for i in range(first + 1, last + 1):
+        x0, x1 = min(x0, points[i, 0]), max(x1, points[i, 0])
+        y0, y1 = min(y0, points[i, 1]), max(y1, points[i, 1])
+    return math.hypot(x1 - x0, y1 - y0)
+
+
+@kernel
+def circle_cost(points: Array, first: int, last: int) -> float:
+    """Chi-square of the best circle whose near side is seen; inf when there is none of a pillar's size.
+
+    Gauss-Newton on centre and radius; every beam counts by its variance along the radius.
+    """
+    mx, my = 0.5 * (points[first, 0] + points[last, 0]), 0.5 * (points[first, 1] + points[last, 1])
+    radius = 0.5 * math.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
+    x, y, cost = mx, my, math.inf
+    for _ in range(ITERATIONS):
+        A, g = np.zeros((3, 3)), np.zeros(3)
+        cost = add_normal_equations(points, (first, last), (x, y, radius), A, g)
+        step = solve3(A, g)
+        x, y, radius = x + step[0], y + step[1], radius + step[2]
+        if not 0.0 < radius < LARGEST_RADIUS_M:
+            return math.inf
+    return cost if math.hypot(x, y) > math.hypot(mx, my) - 0.5 * radius else math.inf
+
+
+@kernel
+def add_normal_equations(
+    points: Array, span: tuple[int, int], circle: tuple[float, float, float], A: Array, g: Array
+) -> float:
+    """Fills A and g of the step A d = g of (x, y, radius); returns the chi-square before it."""
+    cost = 0.0
+    row = np.empty(3)
+    for i in range(span[0], span[1] + 1):
+        dx, dy = points[i, 0] - circle[0], points[i, 1] - circle[1]
+        distance = math.hypot(dx, dy) + 1e-12
+        steep = (dx * points[i, 0] + dy * points[i, 1]) ** 2 / (distance**2 * (points[i, 0] ** 2 + points[i, 1] ** 2))
+        variance = points[i, 2] * steep + points[i, 3] * (1.0 - steep)
+        residual = distance - circle[2]
+        row[0], row[1], row[2] = dx / distance, dy / distance, 1.0
+        cost += min(residual * residual / variance, COST_CAP)  # rays that graze the rim are far off at times
+        for a in range(3):
+            g[a] += row[a] * residual / variance
+            for b in range(3):
+                A[a, b] += row[a] * row[b] / variance
+    return cost
+
+
+@kernel
+def solve3(A: Array, g: Array) -> Array:
+    """d (3,) of (A + a little) d = g for a symmetric positive A (3,3), by elimination."""
+    M, d = A.copy(), g.copy()
+    for k in range(3):
+        M[k, k] *= 1.0 + 1e-6
+    for k in range(3):
+        for i in range(k + 1, 3):
+            share = M[i, k] / M[k, k]
+            d[i] -= share * d[k]
+            for j in range(k, 3):
+                M[i, j] -= share * M[k, j]
+    for k in range(2, -1, -1):
+        for j in range(k + 1, 3):
+            d[k] -= M[k, j] * d[j]
+        d[k] /= M[k, k]
+    return d
