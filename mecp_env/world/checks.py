@@ -15,12 +15,16 @@ from mecp_env.world.schema import Door, Layout, Pillar
 ON_LINE_M = 0.01
 SQUARE_DEG = 1.0
 OVERLAP_M2 = 0.01
+DOORSTEP_M = 0.15  # what lies so near to a room's border may be its doorway
+MAX_PAIRS = 200_000  # every wall counts with itself, and every pair twice
+CHUNK = 100
 
 
 def check_geometry(layout: Layout) -> Layout:
     """`layout` itself. Raises LayoutError with the field, the value and the bound of what is impossible."""
     _check_rooms(layout)
     _check_obstacles(layout)
+    _check_crowding(layout)
     _check_doors(layout)
     try:
         outline = build_outline(layout)
@@ -48,6 +52,16 @@ def _check_obstacles(layout: Layout) -> None:
     for i, obstacle in enumerate(layout.obstacles):
         if not isinstance(obstacle, Pillar):
             _require_simple(obstacle_shape(obstacle), f"obstacles.{i}.points")
+
+
+def _check_crowding(layout: Layout) -> None:
+    """The boxes around walls and obstacles overlap seldom enough for their union to be quick."""
+    shapes = [*wall_lines(layout)[0], *map(obstacle_shape, layout.obstacles)]
+    tree, pairs = shapely.STRtree(shapes), 0
+    for first in range(0, len(shapes), CHUNK):
+        pairs += tree.query(shapes[first : first + CHUNK]).shape[1]
+        if pairs > MAX_PAIRS:
+            raise LayoutError(f"walls: too many of them lie across each other, at most {MAX_PAIRS} pairs")
 
 
 def _require_simple(shape: Polygon, field: str) -> None:
@@ -116,8 +130,9 @@ def _check_starts(layout: Layout, outline: Outline) -> None:
 def _check_reach(layout: Layout, outline: Outline) -> None:
     """Every room, every door and every start can be reached by the robot's centre from the first start."""
     reach = reachable(outline)
+    shapely.prepare(reach)
     for i, room in enumerate(outline.rooms):
-        if reach.intersection(room).is_empty:
+        if not reach.intersects(room.buffer(-DOORSTEP_M)):
             raise LayoutError(
                 f"rooms.{i}: {layout.rooms[i].name!r} cannot be reached by a radius of {ROBOT_RADIUS_M} m"
             )

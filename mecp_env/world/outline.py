@@ -19,14 +19,14 @@ from shapely.geometry.polygon import orient
 
 from mecp_env.errors import LayoutError
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.world.schema import Box, Layout, Obstacle, Pillar, Wall
+from mecp_env.world.schema import Box, Layout, Obstacle, Pillar
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 ROBOT_RADIUS_M = 0.22  # the paper's robot
-SNAP_M = 1e-6  # the union is computed on this grid, so that touching solids leave no slivers
+SNAP_M = 1e-6  # the free area is rounded to this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 CIRCLE_SIDES = 32  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
@@ -123,7 +123,7 @@ def wall_lines(layout: Layout) -> tuple[list[LineString], Array]:
 
 def reachable(outline: Outline) -> BaseGeometry:
     """Where the centre of the paper's robot can go from the first start."""
-    parts = shapely.get_parts(outline.free_area.buffer(-ROBOT_RADIUS_M))
+    parts = shapely.get_parts(outline.free_area.buffer(-ROBOT_RADIUS_M, quad_segs=4))
     return parts[int(np.argmin(shapely.distance(parts, Point(outline.starts[0, :2]))))]
 
 
@@ -177,20 +177,22 @@ def _doors(layout: Layout) -> Doors:
 
 def _free_area(layout: Layout, doors: Doors) -> Polygon:
     """The free space around the first start."""
-    walls = [_wall_solid(wall) for wall in layout.walls]
-    cuts = shapely.union_all([Polygon(_door_ring(doors, i, 0.02)) for i in range(len(doors))])
-    solids = shapely.union_all(walls, grid_size=SNAP_M)
-    solids = shapely.difference(solids, cuts, grid_size=SNAP_M)
-    blocks = shapely.union_all([obstacle_shape(obstacle) for obstacle in layout.obstacles])
-    solids = shapely.union(solids, blocks, grid_size=SNAP_M)
+    cuts = [Polygon(_door_ring(doors, i, 0.02)) for i in range(len(doors))]
+    blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
+    solids = shapely.difference(shapely.union_all(_wall_solids(layout)), shapely.union_all(cuts))
+    solids = shapely.union(solids, shapely.union_all(blocks))
     x0, y0, x1, y1 = solids.bounds
     around = box(x0 - 1.0, y0 - 1.0, x1 + 1.0, y1 + 1.0)
-    return _part_with_start(shapely.difference(around, solids, grid_size=SNAP_M), around, layout)
+    free = shapely.set_precision(around.difference(solids), SNAP_M)
+    return _part_with_start(shapely.set_precision(free, 0.0), around, layout)  # 0: what follows is not rounded
 
 
-def _wall_solid(wall: Wall) -> Polygon:
-    line = LineString(wall.points)
-    return line.buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
+def _wall_solids(layout: Layout) -> NDArray[np.object_]:
+    """The solid of each wall, with square ends and mitred corners."""
+    lines = np.array([LineString(wall.points) for wall in layout.walls])
+    half = np.array([wall.thickness_m / 2.0 for wall in layout.walls])
+    solids: NDArray[np.object_] = shapely.buffer(lines, half, cap_style="square", join_style="mitre")
+    return solids
 
 
 def _door_ring(doors: Doors, index: int, overhang_m: float) -> Array:

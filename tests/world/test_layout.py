@@ -114,6 +114,7 @@ BAD_DOCUMENTS = {
     "zero-length wall": (replace("walls.1.points", [[5, 0], [5, 0]]), r"walls\.1.*0\.01 m apart"),
     "no walls": (replace("walls", []), r"walls.*at least 1"),
     "too many walls": (replace("walls", [{"points": [[0, 0], [1, 0]]}] * 10_001), r"walls.*at most 10000"),
+    "walls in a heap": (replace("walls", [{"points": [[0, 0], [9, 5]]}] * 1000), r"walls: too many .* at most 200000"),
     "no rooms": (replace("rooms", []), r"rooms.*at least 1"),
     "no starts": (replace("starts", []), r"starts.*at least 1"),
     "later version": (replace("version", 2), r"version.*1.*2"),
