@@ -1,0 +1,185 @@
+"""Association in closed loop: three associators on the same breadth-first drives (maths.md 4.6).
+
+The identity of a landmark is the true corner it was paired with most often. An *event* is the return to a room not
+visited for 30 scans or more in which at least two corners that are mapped can be seen; it succeeds when within five
+scans at least two pairings are right and none is wrong, and is a false closure when at least two are wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share
+from benchmarks.drives import Drive, Replay, record_drive, replay
+from mecp_env.metrics import AssociationLog
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+METHODS = ("mecp", "mecp_paper", "nearest")
+SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
+AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
+
+GATES = (
+    Gate("paper/mecp/precision/value", "share", 0.003),
+    Gate("paper/mecp/recall/value", "share", 0.01),
+    Gate("paper/mecp/rmse_m/value", "error", 1.5),
+    Gate("paper/mecp/closure_recall/value", "share", 0.05),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pairs:
+    """Every corner of a drive and what became of it, by what each landmark turned out to be."""
+
+    period: Ints
+    true: Ints  # true corner, -1 for none
+    claimed: Ints  # true corner of the landmark it was paired with, -1 for none or no pairing
+    matched: NDArray[np.bool_]
+
+    @property
+    def wrong(self) -> NDArray[np.bool_]:
+        return self.matched & ((self.true < 0) | (self.claimed != self.true))
+
+
+def run(options: Options) -> Figures:
+    """Figures of every layout and associator."""
+    figures: Figures = {}
+    for layout, seeds in SEEDS.items():
+        count = 2 if options.quick else seeds
+        runs = list(in_parallel(partial(compare, layout), range(count), options.jobs))
+        figures[layout] = {method: summarise([r[method] for r in runs]) for method in METHODS}
+    return figures
+
+
+def compare(layout: str, seed: int) -> dict[str, Figures]:
+    """Counts of each associator on the drive of one seed."""
+    drive = record_drive(layout, seed)
+    return {method: counts(drive, replay(drive, with_method(drive, method))) for method in METHODS}
+
+
+def with_method(drive: Drive, method: str):
+    """The estimator of the drive with another associator; everything else is the same."""
+    slam = drive.slam.model_dump()
+    slam["association"]["method"] = method
+    return type(drive.slam)(**slam)
+
+
+def counts(drive: Drive, outcome: Replay) -> Figures:
+    """What is counted in one drive."""
+    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
+    pairs = all_pairs(outcome.log)
+    rooms = rooms_of(drive)[: len(outcome.error_m)]
+    events = closures(drive, outcome.log, pairs, rooms)
+    after_door = np.isin(pairs.period, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
+    return {
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
+        "corners": len(pairs.true),
+        "duplicates": outcome.duplicates,
+        "mapped": len(np.unique(pairs.claimed[pairs.claimed >= 0])),
+        "events": len(events),
+        "closed": sum(right >= 2 and wrong == 0 for right, wrong in events),
+        "false_closures": sum(wrong >= 2 for _, wrong in events),
+        "after_door": int(after_door.sum()),
+        "after_door_wrong": int((after_door & pairs.wrong).sum()),
+        "swapped": swapped(drive, pairs),
+        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
+        "final_m": float(outcome.error_m[-1]),
+        "nees": float(outcome.nees.mean()),
+        "diverged": outcome.diverged,
+        "periods": len(outcome.error_m),
+    }
+
+
+def all_pairs(log: AssociationLog) -> Pairs:
+    """Every corner of the log with the final identities."""
+    period, true, feature, matched = log.rows[: log.used].T
+    matched = matched.astype(bool)
+    claimed = np.where(matched, log.identity[feature], -1)
+    return Pairs(period, true, claimed, matched)
+
+
+def rooms_of(drive: Drive) -> Ints:
+    """(n,) true room of the robot at each scan; in a doorway the room it came from."""
+    rooms = [drive.truth.room_at(pose[:2]) for pose in drive.T_world_robot]
+    for i, room in enumerate(rooms):
+        rooms[i] = room if room >= 0 else rooms[i - 1]
+    return np.array(rooms)
+
+
+def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> list[tuple[int, int]]:
+    """Right and wrong pairings within five scans of each return to a room; see the module's text."""
+    corner_room = drive.truth.outline.corners.room
+    last_visit: dict[int, int] = {}
+    events = []
+    for i, room in enumerate(rooms.tolist()):
+        returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
+        last_visit[room] = i
+        window = (pairs.period > i) & (pairs.period <= i + WITHIN_SCANS) & (corner_room[pairs.true] == room)
+        window &= pairs.true >= 0
+        if returned and mapped_before(log, np.unique(pairs.true[window]), i) >= 2:
+            events.append((int((window & pairs.matched & ~pairs.wrong).sum()), int((window & pairs.wrong).sum())))
+    return events
+
+
+def mapped_before(log: AssociationLog, corners: Ints, period: int) -> int:
+    """How many of the true corners had a landmark before `period`."""
+    return sum(bool((log.birth[log.identity == corner] < period).any()) for corner in corners.tolist())
+
+
+def swapped(drive: Drive, pairs: Pairs) -> int:
+    """Wrong pairs of two corners of different rooms that lie within 0.4 m: the two faces of a thin wall."""
+    corners = drive.truth.outline.corners
+    wrong = pairs.wrong & (pairs.true >= 0) & (pairs.claimed >= 0)
+    true, claimed = pairs.true[wrong], pairs.claimed[wrong]
+    apart = np.hypot(*(corners.p_world[true] - corners.p_world[claimed]).T)
+    return int(((corners.room[true] != corners.room[claimed]) & (apart < ACROSS_WALL_M)).sum())
+
+
+def summarise(runs: list[Figures]) -> Figures:
+    """Figures of all seeds, each with its 95 % interval."""
+    table = {name: np.array([float(r[name]) for r in runs]) for name in runs[0]}
+    per_thousand = table["corners"] / 1000.0
+    return {
+        "precision": ratio(table["tp"], table["tp"] + table["fp"]),
+        "recall": ratio(table["tp"], table["tp"] + table["fn"]),
+        "wrong_per_1000": ratio(table["fp"], per_thousand),
+        "duplicates_per_corner": ratio(table["duplicates"], table["mapped"]),
+        "closure_recall": ratio(table["closed"], table["events"]),
+        "false_closures": ratio(table["false_closures"], table["events"]),
+        "events": int(table["events"].sum()),
+        "after_door_wrong": ratio(table["after_door_wrong"], table["after_door"]),
+        "swapped_per_1000": ratio(table["swapped"], per_thousand),
+        "rmse_m": estimate(table["rmse_m"]),
+        "final_m": estimate(table["final_m"]),
+        "nees": estimate(table["nees"]),
+        "diverged": share(table["diverged"] > 0),
+        "periods": estimate(table["periods"]),
+    }
+
+
+def report(figures: Figures) -> str:
+    """One table a layout: a row an associator."""
+    columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
+    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "nees", "diverged")
+    lines = []
+    for layout, methods in figures.items():
+        lines += [f"### {layout} ({methods[METHODS[0]]['precision']['n']} seeds)", ""]
+        lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+        for method, row in methods.items():
+            lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def cell(figure: Figures) -> str:
+    """value [low, high]."""
+    if figure["value"] is None:
+        return "-"
+    return f"{figure['value']:.4g} [{figure['low']:.4g}, {figure['high']:.4g}]"

@@ -1,0 +1,101 @@
+"""Recorded drives: what the sensors gave in a breadth-first episode, to compare estimators on the same data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.config import EnvConfig
+from mecp_env.env import MecpEnv
+from mecp_env.metrics import AssociationLog
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.data import Odometry, Scan
+from mecp_env.slam.geometry import compose, inverse, wrap_angle
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.truth import Truth
+from mecp_env.world.simulation import Motion
+from mecp_env.wrappers import GoalActions
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """One episode as the sensors saw it; the first scans are taken at rest, before any odometry."""
+
+    truth: Truth
+    slam: SlamConfig  # the estimator it was driven with
+    odometry: list[Odometry | None]
+    scans: list[Scan]
+    T_world_robot: list[Array]  # true poses
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """What an estimator made of a drive."""
+
+    log: AssociationLog
+    error_m: Array  # (n,) position error after each scan
+    nees: Array  # (n,) of the pose, 3 expected
+    duplicates: int
+    diverged: bool
+
+
+class RecordingEnv(MecpEnv):
+    """The environment, keeping what its sensors gave."""
+
+    def __init__(self, config: EnvConfig | dict[str, Any] | None = None, **keywords: Any) -> None:
+        super().__init__(config, **keywords)
+        self.drive = Drive(self._truth, self._slam, [], [], [])
+
+    def _look(self) -> Scan:
+        scan = super()._look()
+        self._keep(None, scan)
+        return scan
+
+    def _sense(self, motion: Motion) -> tuple[Odometry, Scan]:
+        odometry, scan = super()._sense(motion)
+        self._keep(odometry, scan)
+        return odometry, scan
+
+    def _keep(self, odometry: Odometry | None, scan: Scan) -> None:
+        self.drive.odometry.append(odometry)
+        self.drive.scans.append(scan)
+        self.drive.T_world_robot.append(self._simulation.T_world_robot)
+
+
+def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:
+    """A breadth-first exploration of `layout` by its own map, from a start that the seed chooses."""
+    inner = RecordingEnv(layout=layout, start="random", **keywords)
+    env = GoalActions(inner)
+    policy = BreadthFirst()
+    policy.reset()
+    observation, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
+        over = terminated or truncated
+    return inner.drive
+
+
+def replay(drive: Drive, slam: SlamConfig) -> Replay:
+    """Run an estimator over a drive; its own decisions feed back into its filter (closed loop)."""
+    pipeline = SlamPipeline(slam)
+    log = AssociationLog(len(drive.truth.outline.corners))
+    T_map_world = inverse(drive.T_world_robot[0])
+    errors, nees = [], []
+    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        log.record(report, drive.truth.identify(report.corners, T_world_robot))
+        error = compose(T_map_world, T_world_robot) - report.belief.T_map_robot
+        error[2] = wrap_angle(error[2])
+        errors.append(float(np.hypot(error[0], error[1])))
+        nees.append(float(error @ np.linalg.solve(report.belief.pose_cov, error)))
+        if report.diverged:
+            break
+    return Replay(log, np.array(errors), np.array(nees), log.duplicates(report.belief.ids), report.diverged)
