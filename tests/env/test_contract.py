@@ -17,13 +17,13 @@ from gymnasium.vector import AutoresetMode
 
 import mecp_env
 from mecp_env.config import EnvConfig
-from mecp_env.wrappers import GoalActions
 from mecp_env.world.layout import load_layout
+from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, SMALL, make
 
 ACTIONS = ("velocity", "discrete", "goal")
-# Stable-Baselines3 wants images and flat vectors; tables of landmarks and goals are neither, and its flattening extractor
-# takes them as they are.
+# Stable-Baselines3 wants images and flat vectors; tables of landmarks and goals are neither, and its flattening
+# extractor takes them as they are.
 SB3_ALLOWED = ("Your observation landmarks has an unconventional", "Your observation goals has an unconventional")
 # The goal actions are a wrapper by design; the check would leave it out.
 GYM_ALLOWED = r".*is different from the unwrapped version.*"

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from mecp_env.errors import ConfigError
+from mecp_env.observations import GOALS
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.wrappers import GoalActions
+from tests.env.helpers import make, same
+from tests.env.test_contract import below
+
+
+def explore(env, seed=1, limit=60):
+    """The results of an exploration by the paper's explorer."""
+    policy = BreadthFirst()
+    observation, _ = env.reset(seed=seed)
+    rows = []
+    for _ in range(limit):
+        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
+        rows.append(env.step(action))
+        observation = rows[-1][0]
+        if rows[-1][2] or rows[-1][3]:
+            break
+    return rows
+
+
+def test_the_explorer_completes_two_rooms():
+    env = make(actions="goal", laser={"preset": "paper", "sweeps": 4})
+    rows = explore(env)
+    assert rows[-1][2]
+    summary = env.unwrapped.summary()
+    assert (summary["rooms_found"], summary["doors_found"], summary["doors_false"]) == (2, 1, 0)
+    assert summary["coverage"] > 0.95
+    assert summary["contacts"] == 0
+    assert sum(row[4]["periods"] for row in rows) == summary["periods"]
+
+
+def test_the_mask_tells_the_rows_with_goals():
+    env = make(actions="goal")
+    observation, info = env.reset(seed=1)
+    mask = env.get_wrapper_attr("action_masks")()
+    assert mask.dtype == np.bool_
+    assert np.array_equal(mask, observation["goals"][:, 8] == 1.0)
+    assert mask.sum() == info["goals"] > 0
+
+
+def test_a_masked_choice_is_one_waiting_period_and_an_event():
+    env = make(actions="goal")
+    env.reset(seed=1)
+    before = env.unwrapped._simulation.T_world_robot
+    _, reward, terminated, truncated, info = env.step(GOALS - 1)
+    assert (info["event"], info["periods"], info["period"]) == ("masked", 1, 1)
+    assert (terminated, truncated) == (False, False)
+    assert same(env.unwrapped._simulation.T_world_robot, before)
+    assert reward <= 0.1
+
+
+def test_rewards_are_summed_and_the_callback_sees_every_period():
+    env = make(actions="goal")
+    env.reset(seed=1)
+    seen = []
+    below(env).callback = seen.append
+    _, reward, _, _, info = env.step(0)
+    assert len(seen) == info["periods"] == info["period"]
+    assert reward == pytest.approx(sum(step[1] for step in seen))
+    assert [step[4]["period"] for step in seen] == list(range(1, len(seen) + 1))
+
+
+def test_the_limit_lies_inside():
+    env = make(actions="goal", max_periods=2)
+    env.reset(seed=1)
+    _, _, terminated, truncated, info = env.step(0)
+    assert (terminated, truncated, info["event"], info["periods"]) == (False, True, "ended", 2)
+
+
+def test_every_choice_takes_at_least_a_period_and_every_policy_comes_to_an_end():
+    env = make(actions="goal", max_periods=300)
+    rng = np.random.default_rng(0)
+    env.reset(seed=2)
+    total = 0
+    for _ in range(400):
+        _, _, terminated, truncated, info = env.step(int(rng.integers(GOALS)))
+        assert info["periods"] >= 1
+        total += info["periods"]
+        assert info["period"] == total
+        if terminated or truncated:
+            break
+    assert terminated or truncated
+
+
+def test_an_episode_ends_when_no_goal_is_left():
+    env = make(actions="goal")
+    rows = explore(env)
+    for row in rows[:-1]:
+        assert row[4]["goals"] > 0
+    assert rows[-1][4]["goals"] == 0
+    assert rows[-1][4]["reward_completion"] == 10.0
+
+
+def test_a_copy_between_two_drives_continues_bit_for_bit():
+    env = make(actions="goal", layout="paper")
+    env.reset(seed=3)
+    env.step(0)
+    other = copy.deepcopy(env)
+    assert same(env.step(0), other.step(0))
+    state = env.unwrapped.get_state()
+    row = env.step(0)
+    env.unwrapped.set_state(state)
+    assert same(row, env.step(0))
+
+
+def test_only_the_environment_itself_can_be_wrapped():
+    with pytest.raises(ConfigError, match="GoalActions"):
+        GoalActions(make(actions="discrete"))
+    wrapped = GoalActions(make())
+    wrapped.reset(seed=1)
+    assert wrapped.step(0)[4]["periods"] >= 1
+    assert wrapped.spec.additional_wrappers[-1].name == "GoalActions"

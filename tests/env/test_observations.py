@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env import observation_kernels as kernels
+from mecp_env.observations import COV_MAX, EXTENT_M, GOALS, GRID, LANDMARKS, Trail, landmark_table, make_space
+from mecp_env.slam.data import Belief, Cell, FeatureTable, RoomGraph
+from tests.env.helpers import drive, make
+
+LAYER = {name: index for index, name in enumerate(kernels.LAYERS)}
+
+
+def random_grid(rng, rows=37, cols=53):
+    label = rng.integers(0, 4, (rows, cols)).astype(np.uint8)
+    return label, rng.random((rows, cols)) < 0.3, rng.integers(-1, 3, (rows, cols)).astype(np.int16)
+
+
+def test_cell_codes_against_a_plain_twin():
+    rng = np.random.default_rng(0)
+    label, polygon, room = random_grid(rng)
+    layers = kernels.unpack_layers(kernels.cell_codes(label, polygon, room, 1)[:37, :37].copy()) == 255
+    padded = np.pad(label, 1, constant_values=int(Cell.UNKNOWN))
+    beside = [
+        padded[1 + a : 38 + a, 1 + b : 54 + b] == int(Cell.UNKNOWN) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0))
+    ]
+    expected = {
+        "free": np.isin(label, (int(Cell.FREE), int(Cell.DOOR))),
+        "polygon": polygon,
+        "occupied": label == int(Cell.OCCUPIED),
+        "unknown": label == int(Cell.UNKNOWN),
+        "door": label == int(Cell.DOOR),
+        "room": room == 1,
+        "frontier": (label == int(Cell.FREE)) & np.logical_or.reduce(beside),
+        "path": np.zeros_like(polygon),
+    }
+    for name, layer in expected.items():
+        assert np.array_equal(layers[LAYER[name]], layer[:37, :37]), name
+
+
+def test_an_unknown_room_is_nobodys_current_room():
+    room = np.full((4, 4), -1, np.int16)
+    codes = kernels.cell_codes(np.ones((4, 4), np.uint8), np.zeros((4, 4), np.bool_), room, -1)
+    assert not (codes & kernels.ROOM).any()
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 8])
+def test_pooling_against_a_plain_twin(width):
+    rng = np.random.default_rng(1)
+    codes = rng.integers(0, 128, (21, 17)).astype(np.uint8)
+    padded = np.pad(codes, width - 1, constant_values=kernels.UNKNOWN)
+    pooled = kernels.pool_codes(codes, width)
+    for i in range(pooled.shape[0]):
+        for j in range(pooled.shape[1]):
+            assert pooled[i, j] == np.bitwise_or.reduce(padded[i : i + width, j : j + width], axis=None)
+
+
+def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_column():
+    codes = np.zeros((100, 100), np.uint8)
+    ahead, left, n = kernels.OCCUPIED, kernels.DOOR, 9
+    for heading in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi):
+        codes[:] = 0
+        c, s = round(math.cos(heading)), round(math.sin(heading))
+        codes[50 + 4 * s, 50 + 4 * c] = ahead
+        codes[50 + 3 * c, 50 - 3 * s] = left
+        pose = np.array([5.05, 5.05, heading])
+        window = kernels.sample_window(codes, np.zeros(2), 0.1, pose, (n, 0.1))
+        assert window[0, 4] == ahead
+        assert window[4, 1] == left
+        assert np.count_nonzero(window) == 2
+
+
+def test_outside_the_grid_everything_is_unknown():
+    window = kernels.sample_window(np.zeros((5, 5), np.uint8), np.zeros(2), 0.1, np.array([50.0, 50.0, 1.0]), (8, 0.2))
+    assert (window == kernels.UNKNOWN).all()
+
+
+def test_the_path_lies_where_the_window_shows_it():
+    window = np.zeros((96, 96), np.uint8)
+    pose = np.array([1.0, 2.0, 0.7])
+    points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
+    kernels.mark_path(window, points, 3, pose, 0.2)
+    rows, cols = np.nonzero(window)
+    assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
+    assert set(cols.tolist()) <= {47, 48}
+
+
+def belief_of(n: int, rng) -> Belief:
+    a = rng.normal(size=(n, 2, 2)) * 0.1
+    covs = a @ a.transpose(0, 2, 1) + 1e-4 * np.eye(2)
+    pose = np.array([1.0, -2.0, 2.5])
+    return Belief(pose, np.eye(3) * 1e-3, np.arange(n), rng.uniform(-20, 20, (n, 2)), covs)
+
+
+def features_of(n: int) -> FeatureTable:
+    return FeatureTable(room=np.arange(n) % 4, kind=np.arange(n) % 3)
+
+
+GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
+
+
+def test_landmark_rows_against_a_plain_twin():
+    belief = belief_of(60, np.random.default_rng(2))
+    rows = landmark_table(belief, features_of(60), GRAPH)
+    c, s = math.cos(belief.T_map_robot[2]), math.sin(belief.T_map_robot[2])
+    to_robot = np.array([[c, s], [-s, c]])
+    p_robot = (belief.p_map - belief.T_map_robot[:2]) @ to_robot.T
+    order = np.argsort(np.hypot(*p_robot.T))
+    covs = to_robot @ belief.covs @ to_robot.T
+    assert np.allclose(rows[:60, :2], p_robot[order], atol=1e-5)
+    assert np.allclose(rows[:60, 2:5], covs[order][:, [0, 0, 1], [0, 1, 1]], atol=1e-6)
+    assert np.array_equal(rows[:60, 5], np.where(order % 4 == 3, 1, order % 4))  # room 3 was merged into 1
+    assert np.array_equal(rows[:60, 6], order % 3)
+    assert rows[:60, 7].all()
+    assert not rows[60:].any()
+
+
+def test_the_nearest_landmarks_are_kept_when_there_are_too_many():
+    belief = belief_of(300, np.random.default_rng(3))
+    rows = landmark_table(belief, features_of(300), GRAPH)
+    far = np.hypot(rows[:, 0], rows[:, 1])
+    assert rows[:, 7].all()
+    assert (np.diff(far) >= -1e-5).all()
+    assert np.isclose(far[-1], np.sort(np.hypot(*(belief.p_map - belief.T_map_robot[:2]).T))[LANDMARKS - 1])
+
+
+def test_saturation_is_cut_and_counted():
+    low, high = np.full((1, 3), -1, np.float32), np.full((1, 3), 2, np.float32)
+    rows = np.array([[0.5, 3.0, -np.inf]], np.float32)
+    assert kernels.saturate(rows, low, high) == 2
+    assert rows.tolist() == [[0.5, 2.0, -1.0]]
+    rows = np.array([[np.nan, np.inf, -1.0]], np.float32)
+    assert kernels.saturate(rows, low, high) == 2
+    assert rows.tolist() == [[0.0, 2.0, -1.0]]
+
+
+def test_left_out_and_cut_values_are_counted_in_info():
+    env = make().unwrapped
+    env.reset(seed=1)
+    episode = env._episode
+    report = episode.report
+    far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
+    far.p_map[:] = 2.0 * EXTENT_M
+    far.covs[:, 0, 0] = 2.0 * COV_MAX
+    object.__setattr__(report, "belief", far)
+    episode.pipeline.features = features_of(LANDMARKS + 5)
+    observation = env.observation()
+    assert observation in env.observation_space
+    assert episode.saturated >= 5 + 2 * LANDMARKS
+
+
+def test_spaces_are_finite_and_of_the_promised_shapes():
+    space = make_space(True, 720, 30.0)
+    shapes = {name: (box.shape, box.dtype.name) for name, box in space.items()}
+    assert shapes == {
+        "pose": ((4,), "float32"),
+        "pose_cov": ((6,), "float32"),
+        "landmarks": ((LANDMARKS, 8), "float32"),
+        "goals": ((GOALS, 9), "float32"),
+        "grid": ((8, GRID[0], GRID[0]), "uint8"),
+        "map": ((8, 64, 64), "uint8"),
+        "scan": ((720,), "float32"),
+    }
+    assert all(np.isfinite(box.low).all() and np.isfinite(box.high).all() for box in space.values())
+
+
+def test_the_robot_stands_on_free_ground_of_its_room_on_its_path():
+    env = make(observation={"map": True, "scan": True})
+    env.reset(seed=1)
+    observation = drive(env, 12)[-1][0]
+    for part in ("grid", "map"):
+        n = observation[part].shape[-1] // 2
+        middle = observation[part][:, n - 1 : n + 1, n - 1 : n + 1].max(axis=(1, 2))
+        assert middle[LAYER["free"]] == 255
+        assert middle[LAYER["room"]] == 255
+        assert middle[LAYER["path"]] == 255
+    assert set(np.unique(observation["grid"])) == {0, 255}
+    assert 0.0 < observation["scan"].min() < 5.0
+
+
+def test_the_trail_grows_and_leaves_out_what_is_near():
+    trail = Trail()
+    for i in range(1000):
+        trail.add(np.array([0.05 * i, 0.0, 0.0]))
+    steps = np.diff(trail.points[: trail.count, 0])
+    assert trail.count > 256  # it grew
+    assert steps.min() >= 0.1
+    assert steps.max() < 0.16
