@@ -40,7 +40,7 @@ class OneScan:
 
     layout: str = "paper"  # as for demo
     seed: int = 0
-    period: int = 60  # the scan of this control period of an exploration is shown
+    period: int = 40  # the first scan from here on in which a polygon of the map is recognised
     out: Path = Path("docs/images/one-scan")  # folder for the pictures
 
 

@@ -11,6 +11,7 @@ from mecp_env.demo import Run
 from mecp_env.errors import ConfigError
 from mecp_env.render.figures import save
 from mecp_env.render.stages import stage_figures
+from mecp_env.slam.data import StepReport
 
 pipeline: Any = mecp_env.slam.pipeline
 
@@ -20,22 +21,13 @@ class _Reached(Exception):
 
 
 def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
-    """Explore until `period` and write a PNG for each stage of its scan; returns their paths.
+    """Write a PNG for each stage of a scan; returns their paths.
 
-    Raises `ConfigError` when the exploration ends before.
+    The scan is the first from `period` on in which a polygon of the map is recognised. Raises `ConfigError` when the
+    exploration ends before.
     """
     run = Run.begin(config, seed)
-
-    def stop(run: Run) -> None:
-        if run.periods == period:
-            raise _Reached
-
-    try:
-        run.explore(stop)
-    except _Reached:
-        report = run.env.view().report
-    else:
-        raise ConfigError(f"period: {period} is past the end of the exploration ({run.periods} periods)")
+    report = recognition(run, period)
     slam = run.env.config.estimator_config
     clusters = pipeline.cluster_beams(report.beams, slam.clustering, slam.sensor)
     folder.mkdir(parents=True, exist_ok=True)
@@ -44,3 +36,17 @@ def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
         paths.append(folder / f"{number}-{name}.png")
         save(figure, paths[-1], dpi=80)
     return paths
+
+
+def recognition(run: Run, period: int) -> StepReport:
+    """Explore until the first scan from `period` on in which a polygon is recognised."""
+
+    def stop(run: Run) -> None:
+        if run.periods >= period and run.env.report.match.known >= 0:
+            raise _Reached
+
+    try:
+        run.explore(stop)
+    except _Reached:
+        return run.env.report
+    raise ConfigError(f"period: no polygon is recognised from {period} on; the exploration ends at {run.periods}")

@@ -23,7 +23,7 @@ class Progress:
 
     def __init__(self, run: Run, watch: Stopwatch) -> None:
         self.watch = watch
-        name, now = TextColumn("[bold]{task.description}"), TextColumn("{task.fields[now]}")
+        name, now = TextColumn("{task.description}", style="bold"), TextColumn("{task.fields[now]}")
         self.bar = Bar(name, BarColumn(), TimeElapsedColumn(), now)
         self.task = self.bar.add_task(f"exploring {run.env.config.layout}", total=1.0, now="preparing")
 

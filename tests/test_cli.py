@@ -141,7 +141,7 @@ def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> Non
 
 
 def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["one-scan", "--layout", "two_rooms", "--period", "4", "--out", str(tmp_path)]
+    line = ["one-scan", "--layout", "two_rooms", "--period", "3", "--out", str(tmp_path)]
     assert cli.main(line) == 0
     assert len(list(tmp_path.glob("*.png"))) == 6
     assert cli.main([*line[:4], "99999", *line[5:]]) == 2

@@ -41,8 +41,8 @@ def stage_figures(report: StepReport, clusters: Clusters) -> dict[str, Figure]:
 
 
 def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
-    low, high = hits.min(axis=0) - 0.4, hits.max(axis=0) + 0.4
-    figure = Figure(figsize=(8.0, 8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.3), layout="constrained")
+    low, high = np.percentile(hits, 3.0, axis=0) - 0.8, np.percentile(hits, 97.0, axis=0) + 0.8
+    figure = Figure(figsize=(8.0, 8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.5), layout="constrained")
     axes = figure.add_subplot()
     draw(axes)
     axes.plot(0.0, 0.0, marker=(3, 0, -90), color=unit(palette.INK), markersize=14)
@@ -52,7 +52,7 @@ def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
     axes.tick_params(labelsize=8, colors=unit(palette.FAINT))
     axes.spines[:].set_visible(False)
     axes.grid(alpha=0.25)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.04), ncols=6, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
     return figure
 
 
@@ -151,4 +151,4 @@ def _draw_association(axes: Axes, report: StepReport) -> None:
         axes.plot(*points[chosen].T, "o", color=unit(colour), fillstyle="none", label=decision.name.lower())
     for point, name, reason in zip(points, match.ids, match.reason, strict=True):
         words = f"{name} {Reason(int(reason)).name.lower()}" if name >= 0 else Reason(int(reason)).name.lower()
-        axes.annotate(words, point, (5, 5), textcoords="offset points", fontsize=7, color=unit(palette.INK))
+        axes.annotate(words, point, (5, 5), textcoords="offset points", fontsize=8, annotation_clip=True)
