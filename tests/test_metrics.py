@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env import metric_kernels as kernels
+from mecp_env.map_scores import distances, door_centre, doors_found, grid_iou, nearest_pairs, room_centre, rooms_found
+from mecp_env.metrics import AssociationLog, EpisodeMetrics, pose_nees
+from mecp_env.slam.data import Belief, Door, RoomGraph, SemanticGrid
+from mecp_env.slam.geometry import compose, inverse
+from mecp_env.truth import CELL_M, Truth
+from mecp_env.world.laser import line_of_sight
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import build_outline, random_free_pose
+from tests.env.helpers import make
+
+
+@pytest.fixture(scope="module", params=["two_rooms", "paper"])
+def truth(request):
+    return Truth(build_outline(load_layout(request.param)), 30.0)
+
+
+class Report:
+    """Only what the functions under test read."""
+
+    def __init__(self, **parts):
+        self.__dict__.update(parts)
+
+
+class Matched:
+    def __init__(self, ids, decision):
+        self.ids, self.decision = np.array(ids, np.int64), np.array(decision, np.int64)
+
+
+def report_of(period, ids, decision, landmarks):
+    n = len(landmarks)
+    belief = Belief(np.zeros(3), np.eye(3), np.array(landmarks, np.int64), np.zeros((n, 2)), np.zeros((n, 2, 2)))
+    return Report(period=period, match=Matched(ids, decision), belief=belief)
+
+
+def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        pose = random_free_pose(truth.outline, rng, 0.3)
+        seen = np.zeros_like(truth.free)
+        new = truth.sweep(pose, seen)
+        cells = np.ascontiguousarray(truth.centres[truth.free])
+        visible = line_of_sight(truth.outline.segments, pose[0], pose[1], cells)
+        agree = visible == seen[truth.free]
+        assert new == seen.sum()
+        assert not seen[~truth.free].any()
+        assert agree.mean() > 0.985  # cells half behind an edge
+        assert (visible & ~seen[truth.free]).sum() < 0.01 * visible.sum()
+        assert truth.sweep(pose, seen) == 0
+
+
+def test_the_free_area_of_the_raster_is_that_of_the_outline(truth):
+    assert truth.free_cells * CELL_M**2 == pytest.approx(truth.outline.free_area.area, rel=0.02)
+
+
+def test_rooms_of_the_raster(truth):
+    for index, room in enumerate(truth.outline.rooms):
+        point = room.representative_point()
+        assert truth.room_at(np.array([point.x, point.y])) == index
+    assert truth.room_at(np.array([-50.0, 0.0])) == -1
+    assert truth.room_at(np.array([500.0, 0.0])) == -1
+
+
+def test_identities_of_exact_corners_are_their_own(truth):
+    pose = truth.outline.starts[0]
+    corners = truth.outline.corners.p_world
+    visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
+    args = (corners, truth.outline.segments, pose, 0.3)
+    seen = corners[visible] + 0.01
+    assert np.array_equal(kernels.pair_corners(seen, *args), np.flatnonzero(visible))
+    assert (kernels.pair_corners(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
+    assert not (kernels.pair_corners(corners[~visible], *args) == np.flatnonzero(~visible)).any()
+    assert kernels.pair_corners(np.empty((0, 2)), *args).shape == (0,)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pairs_are_nearest_first_and_one_to_one(seed):
+    rng = np.random.default_rng(seed)
+    seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
+    got = kernels.pair_corners(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
+    expected = np.full(len(seen), -1)
+    for row, column in nearest_pairs(distances(seen, true), 0.3):
+        expected[row] = column
+    assert np.array_equal(got, expected)
+
+
+def test_association_counts_by_the_book():
+    log = AssociationLog(4)
+    log.record(report_of(1, [0, 1], [2, 2], []), np.array([0, 1]))  # two new ones: nothing was known
+    assert log.counts.tolist() == [0, 0, 0, 2]
+    log.record(report_of(2, [0, 1], [1, 1], [0, 1]), np.array([0, 1]))  # provisional; they become landmarks
+    assert log.counts.tolist() == [0, 0, 0, 4]
+    log.record(report_of(3, [0, 1], [0, 0], [0, 1]), np.array([0, 1]))  # both right
+    assert log.counts.tolist() == [2, 0, 0, 4]
+    log.record(report_of(4, [1, 2], [0, 2], [0, 1]), np.array([0, 1]))  # 0 paired with 1; 1 taken for new
+    assert log.counts.tolist() == [2, 1, 1, 4]
+    log.record(report_of(5, [0, -1], [0, 3], [0, 1]), np.array([-1, -1]))  # spurious paired; spurious ignored
+    assert log.counts.tolist() == [2, 2, 1, 5]
+    assert log.final_counts().tolist() == [2, 2, 1, 5]
+
+
+def test_identity_is_the_majority_not_the_birth():
+    log = AssociationLog(3)
+    log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2
+    for period in range(2, 6):
+        log.record(report_of(period, [0], [0], [0]), np.array([1]))
+    assert log.identity[0] == 1
+    assert log.counts.tolist()[:2] == [3, 1]  # at the time: a tie is for the earlier
+    assert log.final_counts().tolist() == [4, 0, 0, 1]
+
+
+def test_the_log_grows():
+    log = AssociationLog(5)
+    rng = np.random.default_rng(0)
+    for period in range(1, 400):
+        ids = rng.integers(0, 300, 6)
+        log.record(report_of(period, ids, [0] * 6, np.unique(ids)), rng.integers(-1, 5, 6))
+    assert log.counts.sum() == log.final_counts().sum() == 399 * 6
+
+
+def test_duplicates():
+    log = AssociationLog(3)
+    log.record(report_of(1, [0, 1, 2, 3], [2, 2, 2, 2], [0, 1, 2, 3]), np.array([0, 0, 1, -1]))
+    assert log.duplicates(np.array([0, 1, 2, 3])) == 1
+    assert log.duplicates(np.array([1, 2, 3])) == 0
+    assert log.duplicates(np.empty(0, np.int64)) == 0
+
+
+def test_nees_of_the_pose():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(3, 3))
+    cov, error = a @ a.T + np.eye(3), rng.normal(size=3)
+    assert pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
+    assert pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
+    assert pose_nees(error, -cov) == pose_nees(error, np.zeros((3, 3))) == 1e9
+    assert pose_nees(error, np.full((3, 3), np.nan)) == 1e9
+
+
+def test_the_pose_error_is_measured_in_the_map_frame(truth):
+    start = np.array(truth.outline.starts[0])
+    metrics = EpisodeMetrics.begin(truth, start)
+    moved = compose(start, np.array([1.0, 0.5, 3.0]))
+    assert np.allclose(metrics.T_map_robot(moved), [1.0, 0.5, 3.0])
+    belief = Belief(
+        np.array([1.03, 0.46, -3.2]), np.eye(3) * 0.01, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
+    )
+    metrics._compare_pose(moved, belief)
+    assert metrics.pose_error_m == pytest.approx(0.05)
+    assert metrics.heading_error_rad == pytest.approx(2 * math.pi - 6.2)
+
+
+def perfect_map(truth, T_world_map, resolution=0.1):
+    """The grid, graph and belief of somebody who knows everything; the map frame is turned against the world's."""
+    x0, y0, x1, y1 = truth.outline.bounds
+    corners = np.array([[x, y] for x in (x0, x1) for y in (y0, y1)])
+    p_map = np.array([compose(inverse(T_world_map), np.array([*corner, 0.0]))[:2] for corner in corners])
+    origin = p_map.min(axis=0) - 0.5
+    cols, rows = np.ceil((p_map.max(axis=0) + 0.5 - origin) / resolution).astype(int)
+    y, x = np.mgrid[0:rows, 0:cols]
+    cells = origin + (np.stack([x, y], axis=-1) + 0.5) * resolution
+    c, s = math.cos(T_world_map[2]), math.sin(T_world_map[2])
+    world = T_world_map[:2] + cells @ np.array([[c, s], [-s, c]])
+    index = np.floor((world - truth.corner) / CELL_M).astype(int)
+    inside = (index >= 0).all(axis=-1) & (index < np.array(truth.free.shape[::-1])).all(axis=-1)
+    index[~inside] = 0
+    free = truth.free[index[..., 1], index[..., 0]] & inside
+    room = np.where(free, truth.room[index[..., 1], index[..., 0]], -1).astype(np.int16)
+    grid = SemanticGrid(free.astype(np.uint8), free, room, origin, resolution, 1)
+    outline = truth.outline
+    half = (
+        0.5 * outline.doors.width[:, None] * np.stack([-np.sin(outline.doors.normal), np.cos(outline.doors.normal)], 1)
+    )
+    jambs = np.concatenate([outline.doors.centre - half, outline.doors.centre + half])
+    p_jambs = np.array([compose(inverse(T_world_map), np.array([*jamb, 0.0]))[:2] for jamb in jambs]).reshape(-1, 2)
+    n, d = len(p_jambs), len(outline.doors)
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(n), p_jambs, np.zeros((n, 2, 2)))
+    doors = tuple(Door(i, (i, d + i), None, tuple(outline.doors.rooms[i].tolist()), 3) for i in range(d))
+    graph = RoomGraph(0, False, tuple(range(len(outline.rooms))), doors, (), {})
+    return Report(grid=grid, graph=graph, belief=belief)
+
+
+@pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
+def test_a_perfect_map_gets_full_marks(truth, T_world_map):
+    report = perfect_map(truth, T_world_map)
+    assert rooms_found(truth, report, T_world_map) == (len(truth.outline.rooms), 0)
+    assert doors_found(truth, report, T_world_map) == (len(truth.outline.doors), 0)
+    assert grid_iou(truth, report.grid, T_world_map) > 0.95
+
+
+def test_false_doors_and_rooms_are_counted_once(truth):
+    report = perfect_map(truth, np.zeros(3))
+    doors = (
+        *report.graph.doors,
+        Door(99, report.graph.doors[0].jambs, None, (0, 1), 3),
+        Door(98, (900, 901), None, (0, 1), 1),
+    )
+    report.graph = RoomGraph(0, False, report.graph.rooms, doors, (), {})
+    assert doors_found(truth, report, np.zeros(3)) == (len(truth.outline.doors), 2)
+    room = report.grid.room.copy()
+    room[room == 1] = 0
+    rows, cols = np.nonzero(room == 0)
+    room[rows[: len(rows) // 4], cols[: len(cols) // 4]] = 77  # one room in two pieces, another one missing
+    grid = SemanticGrid(report.grid.label, report.grid.polygon, room, report.grid.origin, 0.1, 2)
+    graph = RoomGraph(0, False, (*range(len(truth.outline.rooms)), 77, 78), (), (), {})
+    found, false = rooms_found(truth, Report(grid=grid, graph=graph), np.zeros(3))
+    assert found < len(truth.outline.rooms) + 1
+    assert found + false == len(truth.outline.rooms)  # room 1 and room 78 have no cell
+
+
+def test_the_centre_of_a_room_is_one_of_its_cells():
+    room = np.full((20, 20), -1, np.int16)
+    room[2:18, 2:5] = room[2:5, 2:18] = 3  # an L: the mean of its cells lies outside
+    grid = SemanticGrid(np.ones((20, 20), np.uint8), room >= 0, room, np.array([10.0, -5.0]), 0.5, 1)
+    x, y = room_centre(grid, 3)
+    assert room[int((y + 5.0) / 0.5), int((x - 10.0) / 0.5)] == 3
+    assert room_centre(grid, 4) is None
+
+
+def test_the_centre_of_a_door_takes_both_faces():
+    belief = Belief(
+        np.zeros(3),
+        np.eye(3),
+        np.array([4, 7, 9, 2]),
+        np.array([[0, 0], [1, 0], [0, 2], [1, 2.0]]),
+        np.zeros((4, 2, 2)),
+    )
+    assert door_centre(Door(0, (4, 7), (9, 2), (0, 1), 1), belief).tolist() == [0.5, 1.0]
+    assert door_centre(Door(0, (4, 7), None, (0, 1), 1), belief).tolist() == [0.5, 0.0]
+    assert np.isnan(door_centre(Door(0, (40, 70), None, (0, 1), 1), belief)).all()
+
+
+def test_an_episode_adds_up():
+    env = make()
+    env.reset(seed=1)
+    base = env.unwrapped
+    errors = []
+    for _ in range(10):
+        _, _, _, _, info = env.step(np.array([0.5, 0.3], np.float32))
+        errors.append(info["pose_error_m"])
+    summary = base.summary()
+    assert summary["periods"] == 10
+    assert summary["pose_error_final_m"] == errors[-1]
+    assert summary["pose_error_worst_m"] >= max(errors)
+    assert summary["metres"] == pytest.approx(info["metres"])
+    assert 0.5 < summary["metres"] < 10 * 0.4 * 0.75 * 0.6
+    assert 0.0 < summary["grid_iou"] <= 1.0
+    assert all(math.isfinite(value) for value in summary.values())
