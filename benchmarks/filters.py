@@ -1,0 +1,115 @@
+"""The filters: microseconds of each call over the size of the map, and consistency (NEES) on a ring of rooms.
+
+Identities are known here, so that nothing but the filter is measured. Three expected for the NEES of a pose; the 95 %
+band of the mean of 60 runs is 2.41-3.65.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
+from benchmarks.ring import Variance, linear, make_course, monte_carlo, per_metre, per_step
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.data import Odometry
+from mecp_env.slam.filters import make_filter
+
+Array = NDArray[np.float64]
+
+Kind = Literal["riekf", "ekf"]
+KINDS: tuple[Kind, ...] = ("riekf", "ekf")
+LANDMARKS = (25, 50, 100, 200)
+CORNERS = 12  # of a scan
+READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
+    "per_metre": (per_metre, 0.25),
+    "per_step_0.25_m": (per_step, 0.25),
+    "per_step_1_m": (per_step, 1.0),
+    "linear": (linear, 0.25),
+}
+
+GATES = (
+    Gate("time_us/riekf/100/update", "time", 1.3),
+    Gate("time_us/riekf/100/predict", "time", 1.3),
+    Gate("nees/per_metre/riekf/lap_2", "error", 1.25),
+)
+
+
+def run(options: Options) -> Figures:
+    """Times of both filters, and NEES and error of both under every reading of the paper's odometry noise."""
+    runs = 8 if options.quick else 60
+    cases = [(reading, kind, runs) for reading in READINGS for kind in KINDS]
+    nees: Figures = {reading: {} for reading in READINGS}
+    for (reading, kind, _), figures in zip(cases, in_parallel(consistency, cases, options.jobs), strict=True):
+        nees[reading][kind] = figures
+    times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in KINDS}
+    return {"time_us": times, "nees": nees}
+
+
+def consistency(case: tuple[str, Kind, int]) -> Figures:
+    """NEES by phase, at the closing scan with a one-shot and with an iterated update, and the position error."""
+    reading, kind, runs = case
+    variance, step_m = READINGS[reading]
+    config = FilterConfig(kind=kind)
+    figures = monte_carlo(config, make_course(step_m), runs, variance=variance)
+    once = monte_carlo(config, make_course(step_m, laps=1.1), runs, variance=variance, iterate=False)
+    lap_2 = figures.lap > 1.0
+    return {
+        "lap_1_second_half": estimate(figures.nees[:, (figures.lap > 0.5) & ~lap_2].mean(axis=1)),
+        "lap_2": estimate(figures.nees[:, lap_2].mean(axis=1)),
+        "closing_scan": estimate(figures.nees[:, figures.closure]),
+        "closing_scan_one_shot": estimate(once.nees[:, once.closure]),
+        "position_rmse_lap_2_m": estimate(np.sqrt((figures.error_m[:, lap_2] ** 2).mean(axis=1))),
+    }
+
+
+def times_us(kind: Kind, count: int) -> Figures:
+    """Microseconds of each call with `count` landmarks and a scan of 12 corners, polygons of 5."""
+    calls = prepared_calls(kind, count)
+    return {name: 1e6 * best_of(call, repeats=15, calls=50) for name, call in calls.items()}
+
+
+def prepared_calls(kind: Kind, count: int) -> dict[str, Callable[[], object]]:
+    """The calls of one period, ready to be timed."""
+    rng = np.random.default_rng(0)
+    belief = make_filter(FilterConfig(kind=kind))
+    z = np.stack([rng.uniform(1, 10, count), rng.uniform(-3, 3, count)], axis=1)
+    belief.augment(z, sensor_cov(count), np.arange(count))
+    arcs = np.tile([0.05, 0.01], (4, 1))
+    odometry = Odometry(np.zeros((4, 2)), per_metre(arcs)[:, :, None] * np.eye(2), False)
+    ids = np.arange(CORNERS) * (count // CORNERS)
+    z, R = z[ids], sensor_cov(CORNERS)
+    ring_R = np.ascontiguousarray(R[:10, :10])
+    return {
+        "predict": partial(belief.predict, odometry),
+        "update": partial(belief.update, z, R, ids),
+        "innovation": partial(belief.innovation, z, R, ids),
+        "individual_nis": partial(belief.individual_nis, z, np.tile(R[:2, :2], (CORNERS, 1, 1)), belief.ids),
+        "joint_nis": partial(belief.joint_nis, z[:5], ring_R, ids[:5]),
+        "mean_of_gaussians_nis": partial(belief.mean_of_gaussians_nis, z[:5], ring_R, ids[:5]),
+        "belief": belief.belief,
+    }
+
+
+def sensor_cov(count: int) -> Array:
+    """(2n,2n) m, rad: corners of 1 cm and 0.3 degrees."""
+    return np.diag(np.tile([0.01**2, 0.005**2], count))
+
+
+def report(figures: Figures) -> str:
+    """Tables of the times and of the consistency."""
+    lines = ["| us, landmarks | " + " | ".join(figures["time_us"]["riekf"]["25"]) + " |"]
+    lines.append("|---" * (lines[0].count("|") - 1) + "|")
+    for kind, sizes in figures["time_us"].items():
+        for count, times in sizes.items():
+            lines.append(f"| {kind}, {count} | " + " | ".join(f"{us:.1f}" for us in times.values()) + " |")
+    columns = list(figures["nees"]["per_metre"]["riekf"])
+    lines += ["", "| NEES (3 expected) | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for reading, kinds in figures["nees"].items():
+        for kind, row in kinds.items():
+            lines.append(f"| {reading}, {kind} | " + " | ".join(f"{row[c]['value']:.2f}" for c in columns) + " |")
+    return "\n".join(lines)

@@ -1,0 +1,211 @@
+"""A ring of eight rooms driven along their centres, with known identities: the ground for tests of consistency.
+
+Rooms of 6 x 6 m stand on a 3 x 3 grid without its middle; the robot sees the four corners of the room it is in. The
+true path is the same in all runs (unless it slips), noise is on what is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.data import Belief, Odometry
+from mecp_env.slam.filters import Filter, make_filter
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+ROOM_M = 6.0
+RING = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
+TURN_M = 0.5 / (math.pi / 2)  # noise of a turn, in metres of driving a radian
+SENSOR_SIGMA = np.array([0.05, math.radians(0.3)])  # the paper's, range and bearing
+DISTANCE_SIGMA, HEADING_SIGMA = 0.1, math.radians(1.5)  # the paper's
+
+Variance = Callable[[Array], Array]
+
+
+def per_metre(arcs: Array) -> Array:
+    """(M,2) variances of distance and turn: sigma sqrt(m)."""
+    length = np.abs(arcs[:, 0]) + TURN_M * np.abs(arcs[:, 1])
+    return np.stack([DISTANCE_SIGMA**2 * length, HEADING_SIGMA**2 * length], axis=1)
+
+
+def per_step(arcs: Array) -> Array:
+    """(M,2): the paper's sigmas in every step, however short."""
+    return np.tile([DISTANCE_SIGMA**2, HEADING_SIGMA**2], (len(arcs), 1))
+
+
+def linear(arcs: Array) -> Array:
+    """(M,2): a tenth of the distance, 1.5 degrees a metre."""
+    length = np.abs(arcs[:, 0]) + TURN_M * np.abs(arcs[:, 1])
+    return np.stack([(0.1 * length) ** 2, (HEADING_SIGMA * length) ** 2], axis=1)
+
+
+def corners() -> tuple[Array, Ints]:
+    """(32,2) true corners in the world, and the (32,) room of each."""
+    inset = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (0.5 * ROOM_M - 0.1)
+    return np.concatenate([ROOM_M * np.array(c) + inset for c in RING]), np.repeat(np.arange(len(RING)), 4)
+
+
+def nearest_room(p: Array) -> int:
+    """Index in RING of the room at p (2,)."""
+    return int(np.argmin(np.linalg.norm(ROOM_M * np.array(RING) - p, axis=1)))
+
+
+def moved(T: Array, d: float, sideways: float, w: float) -> Array:
+    """The pose after an arc of length d and turn w, with a slip to the left."""
+    c, s = np.cos(T[2] + w / 2), np.sin(T[2] + w / 2)
+    moved_pose: Array = T + np.array([d * c - sideways * s, d * s + sideways * c, w])
+    return moved_pose
+
+
+def measure(T: Array, points: Array) -> Array:
+    """(n,2) noise-free range and bearing."""
+    d = points - T[:2]
+    return np.stack([np.hypot(d[:, 0], d[:, 1]), wrap(np.arctan2(d[:, 1], d[:, 0]) - T[2])], axis=1)
+
+
+def wrap(angle: Array) -> Array:
+    """In [-pi, pi)."""
+    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The truth of a drive, step by step."""
+
+    arcs: Array  # (S,2) m, rad: distance and turn that odometry measures
+    slipped: Bools  # (S,) the bumper speaks
+    T_true: list[Array]  # (S) of (3,)
+    ids: list[Ints]  # (S) of (n,) corners in sight
+    z: list[Array]  # (S) of (n,2) noise-free
+    lap: Array  # (S,) laps driven at the end of the step
+
+
+def straight_and_turn(step_m: float, laps: float) -> Array:
+    """(S,2) distance and turn of each step: straight between the centres of rooms, turning on the spot at corners."""
+    arcs: list[tuple[float, float]] = []
+    steps = round(ROOM_M / step_m)
+    for leg in range(math.ceil(laps * len(RING))):
+        arcs += [(ROOM_M / steps, 0.0)] * steps
+        if leg % 2 == 1:
+            arcs += [(0.0, math.pi / 12)] * 6
+    return np.array(arcs)
+
+
+def make_course(step_m: float = 0.25, laps: float = 2.0, slips: Array | None = None) -> Course:
+    """Laps round the ring; slips (S,2) m, rad: sideways and heading slip after each step, unseen by odometry."""
+    landmarks, room = corners()
+    arcs = straight_and_turn(step_m, laps)
+    slips = np.zeros_like(arcs) if slips is None else slips
+    lap = np.arange(1, len(arcs) + 1) / len(straight_and_turn(step_m, 1))
+    course = Course(arcs, np.any(slips != 0.0, axis=1), [], [], [], lap)
+    T = np.zeros(3)
+    for (d, w), (sideways, turn) in zip(arcs, slips, strict=True):
+        T = moved(moved(T, d, 0.0, w), 0.0, sideways, turn)
+        seen = np.flatnonzero(room == nearest_room(T[:2]))
+        course.T_true.append(T)
+        course.ids.append(seen)
+        course.z.append(measure(T, landmarks[seen]))
+    return course
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What is measured in one period."""
+
+    odometry: Odometry
+    z: Array  # (n,2)
+    R: Array  # (2n,2n)
+    ids: Ints  # (n,)
+
+
+def drive(
+    rng: np.random.Generator, course: Course, variance: Variance = per_metre, arcs_per_step: int = 1
+) -> Iterator[Step]:
+    """The course as one robot measures it."""
+    for arc, slipped, ids, z in zip(course.arcs, course.slipped, course.ids, course.z, strict=True):
+        parts = np.tile(arc / arcs_per_step, (arcs_per_step, 1))
+        var = variance(parts)
+        measured = parts + rng.normal(size=parts.shape) * np.sqrt(var)
+        odometry = Odometry(measured, var[:, :, None] * np.eye(2), bool(slipped))
+        R = np.diag(np.tile(SENSOR_SIGMA**2, len(ids)))
+        yield Step(odometry, z + rng.normal(size=z.shape) * SENSOR_SIGMA, R, ids)
+
+
+def cycle(estimate: Filter, step: Step, iterate: bool = False) -> None:
+    """Predict, update by known landmarks, take in new ones."""
+    estimate.predict(step.odometry)
+    known = np.isin(step.ids, estimate.ids)
+    if known.all():
+        estimate.update(step.z, step.R, step.ids, iterate)
+        return
+    rows = np.repeat(known, 2)
+    estimate.update(step.z[known], step.R[np.ix_(rows, rows)], step.ids[known], iterate)
+    estimate.augment(step.z[~known], step.R[np.ix_(~rows, ~rows)], step.ids[~known])
+
+
+def pose_nees(belief: Belief, T_true: Array) -> float:
+    """Normalised estimation error squared of the pose; 3 expected."""
+    e = T_true - belief.T_map_robot
+    e[2] = wrap(e[2])
+    return float(e @ np.linalg.solve(belief.pose_cov, e))
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """What a set of runs gave."""
+
+    nees: Array  # (runs, S)
+    error_m: Array  # (runs, S)
+    lap: Array  # (S,)
+    closure: int  # the step that comes home
+
+    def mean_nees(self, first_lap: float, last_lap: float) -> float:
+        """Mean NEES between two lap counts."""
+        return float(self.nees[:, (self.lap > first_lap) & (self.lap <= last_lap)].mean())
+
+
+def one_run(
+    config: FilterConfig, seed: int, course: Course, closure: int, variance: Variance, arcs_per_step: int
+) -> tuple[list[float], list[float]]:
+    """NEES and position error after every step; the update of step `closure` is iterated."""
+    estimate = make_filter(config)
+    nees, error_m = [], []
+    for k, step in enumerate(drive(np.random.default_rng(seed), course, variance, arcs_per_step)):
+        cycle(estimate, step, iterate=k == closure)
+        belief = estimate.belief()
+        nees.append(pose_nees(belief, course.T_true[k]))
+        error_m.append(math.hypot(*(belief.T_map_robot - course.T_true[k])[:2]))
+    return nees, error_m
+
+
+def monte_carlo(
+    config: FilterConfig,
+    course: Course | list[Course],
+    runs: int,
+    *,
+    variance: Variance = per_metre,
+    arcs_per_step: int = 1,
+    iterate: bool = True,
+) -> Runs:
+    """`runs` runs with seeds 0, 1, ... over one course, or over one each."""
+    courses = course if isinstance(course, list) else [course] * runs
+    closing = closing_step(courses[0])
+    iterated = closing if iterate else -1
+    rows = [one_run(config, seed, courses[seed], iterated, variance, arcs_per_step) for seed in range(runs)]
+    return Runs(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), courses[0].lap, closing)
+
+
+def closing_step(course: Course) -> int:
+    """The step in which the first room is seen again after a lap, or -1."""
+    for k, ids in enumerate(course.ids):
+        if course.lap[k] > 0.5 and 0 in ids:
+            return k
+    return -1
