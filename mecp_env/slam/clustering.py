@@ -69,12 +69,13 @@ def join_beams(ranges: Array, bearings: Array, hit: Bools, count: Ints, threshol
         turn = bearings[j] - bearings[i] + (2.0 * math.pi if j == 0 else 0.0)
         if not (hit[i] and hit[j]) or turn > WIDEST_STEP * step:
             continue
-        nearer = min(ranges[i], ranges[j])
+        nearer, jump = min(ranges[i], ranges[j]), abs(ranges[i] - ranges[j])
+        across = ranges[i] * ranges[j] * turn * turn
         allowed = threshold.fixed + threshold.per_metre * nearer
-        allowed += threshold.sigma * math.sqrt(1.0 / count[i] + 1.0 / count[j])
-        chord = 2.0 * math.sin(turn / 2.0)
-        distance2 = (ranges[i] - ranges[j]) ** 2 + ranges[i] * ranges[j] * chord * chord
-        joined[i] = distance2 <= allowed * allowed
+        joined[i] = jump * jump + across <= allowed * allowed
+        if threshold.sigma > 0.0 and not joined[i]:
+            allowed += threshold.sigma * math.sqrt(1.0 / count[i] + 1.0 / count[j])
+            joined[i] = jump * jump + across <= allowed * allowed
     return joined
 
 

@@ -14,7 +14,7 @@ from mecp_env.slam.data import Beams, Corners, Doorways, Segments
 from mecp_env.slam.doorways import JAMB, DoorRules, find_doorways, mark_beyond
 from mecp_env.slam.free_ends import add_end
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.noise import Noise, noise_of, roll_beams
+from mecp_env.slam.noise import Noise, noise_of, roll_beams, roll_hits
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,15 +30,18 @@ def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sens
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
     noise = noise_of(sensor)
-    polar = roll_beams(beams.ranges, beams.bearings, beams.count, segments.roll)
-    sight = Sight(polar, np.roll(beams.hit, -segments.roll), beams.raw_ranges, beams.raw_bearings, segments.roll)
-    walls = Walls(
-        segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last
+    sight = Sight(
+        roll_beams(beams.ranges, beams.bearings, beams.count, segments.roll),
+        roll_hits(beams.hit, segments.roll),
+        beams.raw_ranges,
+        beams.raw_bearings,
+        segments.roll,
     )
-    found, cov, jambs, width, good, beyond = find_corners(sight, walls, _rules(config, noise), _doors(config), noise)
-    sites = (found.kind != JAMB) & (beyond < 0)
-    doorways = Doorways(jambs, width, good)
-    return Corners(found.z, cov, found.kind, found.convex, found.normals, beyond, sites, doorways)
+    walls = Walls(segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last)
+    (z, cov, kind, convex, normals, beyond, sites), (jambs, width, good) = find_corners(
+        sight, walls, _rules(config, noise), _doors(config), noise
+    )
+    return Corners(z, cov, kind, convex, normals, beyond, sites, Doorways(jambs, width, good))
 
 
 def _rules(config: CornerConfig, noise: Noise) -> Rules:
@@ -57,8 +60,8 @@ def _doors(config: CornerConfig) -> DoorRules:
 @kernel
 def find_corners(
     sight: Sight, walls: Walls, rules: Rules, doors: DoorRules, noise: Noise
-) -> tuple[Found, Array, Ints, Array, Bools, Ints]:
-    """Corners sorted by bearing, joint covariance, jamb pairs, widths, seen well, and beyond which gap each lies."""
+) -> tuple[tuple[Array, Array, Ints, Bools, Array, Ints, Bools], tuple[Ints, Array, Bools]]:
+    """The fields of `Corners`, doorways apart, and those of `Doorways`."""
     size, beams = walls.line.shape[0], sight.polar.shape[0]
     raw = empty_found(2 * size + 2)
     n = 0
@@ -73,11 +76,15 @@ def find_corners(
             n = add_end(raw, n, sight, walls, (following, -1), (rules, noise))
     found = sorted_by_bearing(raw, drop_twins(raw, n, walls))
     n = found.z.shape[0]
-    jambs, width, good = find_doorways(found, n, sight, walls, doors)
-    for g in range(jambs.shape[0]):
-        found.kind[jambs[g, 0]] = JAMB
-        found.kind[jambs[g, 1]] = JAMB
-    return found, joint_covariance(found, walls.cov), jambs, width, good, mark_beyond(found, n, jambs)
+    doorways = find_doorways(found, n, sight, walls, doors)
+    beyond = mark_beyond(found, n, doorways[0])
+    sites = np.ones(n, np.bool_)
+    for jamb in doorways[0].ravel():
+        found.kind[jamb] = JAMB
+    for k in range(n):
+        sites[k] = found.kind[k] != JAMB and beyond[k] < 0
+    cov = joint_covariance(found, walls.cov)
+    return (found.z, cov, found.kind, found.convex, found.normals, beyond, sites), doorways
 
 
 @kernel

@@ -42,7 +42,7 @@ def find_doorways(
         if found.border[right, 0] < 0:
             continue
         left = facing_end(found, n, right, walls, rules)
-        if left < 0 or not passes_through(found, sight, right, left):
+        if left < 0 or not passes_through(found, sight, walls, (right, left)):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
         (ax, ay), (bx, by) = point_of(found, right), point_of(found, left)
@@ -89,17 +89,19 @@ def off_line(line: Array, p: tuple[float, float]) -> float:
 
 
 @kernel
-def passes_through(found: Found, sight: Sight, right: int, left: int) -> bool:
-    """True when most beams between the two corners pass well beyond the line through them."""
-    a, b = point_of(found, right), point_of(found, left)
+def passes_through(found: Found, sight: Sight, walls: Walls, gap: tuple[int, int]) -> bool:
+    """True when most beams between the two walls beside the gap pass well beyond the line through its jambs."""
+    a, b = point_of(found, gap[0]), point_of(found, gap[1])
     size = sight.polar.shape[0]
-    turn = wrap_angle(found.z[left, 1] - found.z[right, 1])
+    last, first = walls.last[found.border[gap[0], 0]], walls.first[found.border[gap[1], 1]]
+    turn = wrap_angle(found.z[gap[1], 1] - found.z[gap[0], 1])
     between, beyond = 0, 0
-    for q in range(size):
-        ahead = wrap_angle(sight.polar[q, 1] - found.z[right, 1])
+    for k in range(1, (first - last) % size):
+        q = (last + k) % size
+        r, bearing = sight.polar[q, 0], sight.polar[q, 1]
+        ahead = wrap_angle(bearing - found.z[gap[0], 1])
         if ahead <= 0.0 or ahead >= turn:
             continue
-        r, bearing = sight.polar[q, 0], sight.polar[q, 1]
         between += 1
         beyond += (not sight.hit[q]) or depth_behind(a, b, (r * math.cos(bearing), r * math.sin(bearing))) > BEYOND_M
     return between > 0 and beyond >= BEYOND_SHARE * between

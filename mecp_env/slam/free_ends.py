@@ -18,10 +18,11 @@ from mecp_env.slam.noise import Noise
 Array = NDArray[np.float64]
 CROSSING, FREE_END = int(CornerKind.CROSSING), int(CornerKind.FREE_END)
 REACH = 14  # beams on either side of an end that are looked at
-COUNT_BEAMS = 3  # beams on either side of the transition in which raw beams are counted
+COUNT_BEAMS, FAR_BEAMS = 3, 2  # beams before and after a transition that make sure of it
 PLAIN_REST = 2  # beams after an end that belong to neither side, where no face can be seen
 COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
+FACE_BEAMS = 2  # beams of a second face, at least, without a jump behind it
 EVIDENCE = 15.0  # chi-square that a face too short for a segment must save, to be believed
 MISFIT = 2.5  # mean chi-square of its beams at most
 SMEAR = 0.5642  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
@@ -60,6 +61,8 @@ def add_end(
     rules, noise = rules_and_noise
     segment, side = end
     what = end_of(sight, walls, end, rules_and_noise)
+    if what.follows != FAR and what.rest < FACE_BEAMS:
+        return n
     tangent = side * math.tan(sight.polar[what.position, 1] - what.alpha)
     if tangent >= 0.0 and what.follows == FAR and what.rest <= PLAIN_REST:
         ray = counted_ray(sight, what, rules_and_noise)
@@ -94,14 +97,14 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
     inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
     end_range = rho / math.cos(sight.polar[position, 1] - alpha)
     previous, far = end_range, 0
-    for k in range(1, REACH + 3):
+    for k in range(1, REACH + FAR_BEAMS + 1):
         q = (position + side * k) % sight.polar.shape[0]
         r = sight.polar[q, 0]
         behind = r - end_range > rules.jump and not collinear(walls, segment, r, sight.polar[q, 1], noise)
         if behind or not sight.hit[q]:
             far += 1
-            if far == 2:
-                return End(alpha, rho, position, side, inner, k - 2, FAR)
+            if far == FAR_BEAMS:
+                return End(alpha, rho, position, side, inner, k - FAR_BEAMS, FAR)
             continue
         if far > 0 or abs(r - previous) > STEP_SHARE * previous + SIGMAS * noise.range_m:
             return End(alpha, rho, position, side, inner, k - 1 - far, OTHER)
@@ -162,14 +165,14 @@ def counted_ray(sight: Sight, end: End, rules_and_noise: tuple[Rules, Noise]) ->
     beam = (end.position - end.side * COUNT_BEAMS + sight.roll) % size
     first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
     on_line = 0
-    for k in range((2 * COUNT_BEAMS + 1 + end.rest) * sweeps):
+    for k in range((COUNT_BEAMS + 1 + end.rest + FAR_BEAMS) * sweeps):
         raw = (first + end.side * k) % total
         cosine = math.cos(sight.raw_bearings[raw] - end.alpha)
         if cosine < STEEPEST:
             continue
         slant = end.rho * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
         allowed = min(SIGMAS * math.hypot(noise.range_m, slant * noise.bearing), 0.5 * rules.jump)
-        on_line += sight.raw_ranges[raw] - end.rho / cosine < allowed
+        on_line += abs(sight.raw_ranges[raw] - end.rho / cosine) < allowed
     bearing = sight.raw_bearings[first] + end.side * (on_line - 0.5) * spacing
     return Ray(bearing, SMEAR * spacing * noise.bearing + spacing * spacing / 12.0, 0.0)
 
@@ -181,7 +184,7 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     Its beams lie so near the wall's extension that no single one can be told apart; the mean and variance over all
     places of the corner (half a beam apart), weighted by their likelihood, can.
     """
-    after = end.rest + (2 if end.follows == FAR else 0)
+    after = end.rest + (FAR_BEAMS if end.follows == FAR else 0)
     step = 2.0 * math.pi / sight.polar.shape[0]
     table = beam_table(sight, end, after, noise)
     costs = np.empty(2 * (end.inner + end.rest) + 1)

@@ -12,6 +12,7 @@ from mecp_env.slam.config import SensorModel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 SMALLEST_RANGE_SIGMA_M = 1e-3  # an ideal laser still has rounding and corners that are not quite sharp
 
 
@@ -42,3 +43,13 @@ def roll_beams(ranges: Array, bearings: Array, count: Ints, roll: int) -> Array:
         polar[position, 1] = bearings[beam] + turn
         polar[position, 2] = count[beam]
     return polar
+
+
+@kernel
+def roll_hits(hit: Bools, roll: int) -> Bools:
+    """(B,) `hit` from beam `roll` on."""
+    rolled = np.empty_like(hit)
+    size = hit.shape[0]
+    rolled[: size - roll] = hit[roll:]
+    rolled[size - roll :] = hit[:roll]
+    return rolled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,14 @@ SPLIT_SIGMAS = 3.0  # two neighbouring ranges of one surface differ by less than
 SPLIT_SLOPE = 4.0  # what a surface grazed at atan(4) = 76 degrees adds over the beams' bearings
 
 
+class Group(NamedTuple):
+    """The raw beams behind one averaged beam."""
+
+    sweeps: int
+    max_range: float  # m
+    noise: Noise  # of one raw beam
+
+
 def merge_sweeps(scan: Scan, sensor: SensorModel) -> Beams:
     """The B beams of `scan`, each averaged over the K raw beams around one nominal bearing.
 
@@ -26,71 +35,91 @@ def merge_sweeps(scan: Scan, sensor: SensorModel) -> Beams:
     are the means of the beams used. Differs from the paper: III-A.1 clusters the union of all sweeps; the average keeps
     the angular step of one sweep, which the adaptive threshold needs, and divides the noise by sqrt(K).
     """
-    noise = noise_of(sensor)
     raw_ranges, raw_bearings, raw_hit = sort_beams(scan.ranges, scan.bearings, scan.hit)
     if len(scan.ranges) == 1:
-        ranges, bearings, hit, count = raw_ranges, raw_bearings, raw_hit, np.ones(len(raw_ranges), np.int64)
-    else:
-        ranges, bearings, hit, count = average_beams(raw_ranges, raw_bearings, raw_hit, len(scan.ranges), noise)
-        ranges[~hit] = scan.max_range_m
-    return Beams(ranges, bearings, hit, count, scan.max_range_m, raw_ranges, raw_bearings)
+        count = np.ones(len(raw_ranges), np.int64)
+        return Beams(raw_ranges, raw_bearings, raw_hit, count, scan.max_range_m, raw_ranges, raw_bearings)
+    group = Group(len(scan.ranges), scan.max_range_m, noise_of(sensor))
+    averaged = average_beams(raw_ranges, raw_bearings, raw_hit, group)
+    return Beams(*averaged, scan.max_range_m, raw_ranges, raw_bearings)
 
 
 @kernel
 def sort_beams(ranges: Array, bearings: Array, hit: Bools) -> tuple[Array, Array, Bools]:
     """All K*B raw beams in order of bearing: ranges, bearings, hit (insertion sort: interleaved is nearly sorted)."""
     sweeps, size = ranges.shape
-    total = sweeps * size
-    out_ranges, out_bearings, out_hit = np.empty(total), np.empty(total), np.empty(total, np.bool_)
-    for n in range(total):
-        sweep, beam = n % sweeps, n // sweeps
-        bearing = bearings[sweep, beam]
-        at = n
-        while at > 0 and out_bearings[at - 1] > bearing:
-            out_ranges[at], out_bearings[at], out_hit[at] = out_ranges[at - 1], out_bearings[at - 1], out_hit[at - 1]
-            at -= 1
-        out_ranges[at], out_bearings[at], out_hit[at] = ranges[sweep, beam], bearing, hit[sweep, beam]
+    out_ranges, out_bearings = np.empty(sweeps * size), np.empty(sweeps * size)
+    out_hit = np.empty(sweeps * size, np.bool_)
+    at = 0
+    for beam in range(size):
+        for sweep in range(sweeps):
+            out_ranges[at], out_bearings[at], out_hit[at] = ranges[sweep, beam], bearings[sweep, beam], hit[sweep, beam]
+            at += 1
+    for n in range(1, at):
+        if out_bearings[n] < out_bearings[n - 1]:
+            sink_beam(out_ranges, out_bearings, out_hit, n)
     return out_ranges, out_bearings, out_hit
 
 
 @kernel
-def average_beams(
-    ranges: Array, bearings: Array, hit: Bools, sweeps: int, noise: Noise
-) -> tuple[Array, Array, Bools, Ints]:
-    """Ranges, bearings, hit and count (B,) of groups of `sweeps` raw beams (B*sweeps,) that follow each other."""
-    size = ranges.shape[0] // sweeps
+def sink_beam(ranges: Array, bearings: Array, hit: Bools, n: int) -> None:
+    """Moves beam n down to its place among the sorted beams before it."""
+    distance, bearing, did_hit = ranges[n], bearings[n], hit[n]
+    while n > 0 and bearings[n - 1] > bearing:
+        ranges[n], bearings[n], hit[n] = ranges[n - 1], bearings[n - 1], hit[n - 1]
+        n -= 1
+    ranges[n], bearings[n], hit[n] = distance, bearing, did_hit
+
+
+@kernel
+def average_beams(ranges: Array, bearings: Array, hit: Bools, group: Group) -> tuple[Array, Array, Bools, Ints]:
+    """Ranges, bearings, hit and count (B,) of groups of raw beams (B*K,) that follow each other."""
+    sweeps, size = group.sweeps, ranges.shape[0] // group.sweeps
     out_ranges, out_bearings = np.empty(size), np.empty(size)
     out_hit, count = np.empty(size, np.bool_), np.empty(size, np.int64)
-    step = (bearings[-1] - bearings[0]) / max(ranges.shape[0] - 1, 1)
-    slope = SPLIT_SLOPE * (step + noise.bearing)
-    sorted_ranges, sorted_bearings = np.empty(sweeps), np.empty(sweeps)
+    allowed = SPLIT_SIGMAS * group.noise.range_m
+    slope = SPLIT_SLOPE * ((bearings[-1] - bearings[0]) / max(ranges.shape[0] - 1, 1) + group.noise.bearing)
+    sorted_beams = np.empty((sweeps, 2))
     for beam in range(size):
-        for k in range(sweeps):
-            raw = beam * sweeps + k
-            distance = ranges[raw] if hit[raw] else math.inf
-            at = k
-            while at > 0 and sorted_ranges[at - 1] > distance:
-                sorted_ranges[at], sorted_bearings[at] = sorted_ranges[at - 1], sorted_bearings[at - 1]
-                at -= 1
-            sorted_ranges[at], sorted_bearings[at] = distance, bearings[raw]
-        first, last = main_group(sorted_ranges, SPLIT_SIGMAS * noise.range_m, slope)
-        out_hit[beam] = sorted_ranges[first] < math.inf
-        count[beam] = last - first + 1
-        out_ranges[beam] = mean(sorted_ranges, first, last)
-        out_bearings[beam] = mean(sorted_bearings, first, last)
+        low, high, total, turn, hits = math.inf, 0.0, 0.0, 0.0, 0
+        for raw in range(beam * sweeps, (beam + 1) * sweeps):
+            low, high = min(low, ranges[raw]), max(high, ranges[raw])
+            total, turn, hits = total + ranges[raw], turn + bearings[raw], hits + hit[raw]
+        out_hit[beam], count[beam] = hits > 0, sweeps
+        if hits not in (0, sweeps) or high - low > allowed + slope * low:
+            sort_group(ranges, bearings, hit, beam * sweeps, sorted_beams)
+            first, last = main_group(sorted_beams, allowed, slope)
+            out_hit[beam], count[beam] = sorted_beams[first, 0] < math.inf, last - first + 1
+            total, turn = 0.0, 0.0
+            for k in range(first, last + 1):
+                total, turn = total + sorted_beams[k, 0], turn + sorted_beams[k, 1]
+        out_ranges[beam] = total / count[beam] if out_hit[beam] else group.max_range
+        out_bearings[beam] = turn / count[beam]
     return out_ranges, out_bearings, out_hit, count
 
 
 @kernel
-def main_group(sorted_ranges: Array, allowed: float, slope: float) -> tuple[int, int]:
-    """First and last index of the largest group of rising ranges without a gap > allowed + slope * range."""
-    first, last = 0, sorted_ranges.shape[0] - 1
+def sort_group(ranges: Array, bearings: Array, hit: Bools, start: int, sorted_beams: Array) -> None:
+    """Fills sorted_beams (K,2) with range (inf without a hit) and bearing of the beams from `start` on, nearest first."""
+    for k in range(sorted_beams.shape[0]):
+        distance = ranges[start + k] if hit[start + k] else math.inf
+        at = k
+        while at > 0 and sorted_beams[at - 1, 0] > distance:
+            sorted_beams[at, 0], sorted_beams[at, 1] = sorted_beams[at - 1, 0], sorted_beams[at - 1, 1]
+            at -= 1
+        sorted_beams[at, 0], sorted_beams[at, 1] = distance, bearings[start + k]
+
+
+@kernel
+def main_group(sorted_beams: Array, allowed: float, slope: float) -> tuple[int, int]:
+    """First and last row of the largest group of rising ranges without a gap > allowed + slope * range."""
+    first, last = 0, sorted_beams.shape[0] - 1
     while True:
         split, widest = -1, 0.0
         for k in range(first, last):
-            if sorted_ranges[k] == math.inf:
+            if sorted_beams[k, 0] == math.inf:
                 break
-            excess = sorted_ranges[k + 1] - sorted_ranges[k] * (1.0 + slope) - allowed
+            excess = sorted_beams[k + 1, 0] - sorted_beams[k, 0] * (1.0 + slope) - allowed
             if excess > widest:
                 split, widest = k, excess
         if split < 0:
@@ -99,12 +128,3 @@ def main_group(sorted_ranges: Array, allowed: float, slope: float) -> tuple[int,
             last = split
         else:
             first = split + 1
-
-
-@kernel
-def mean(values: Array, first: int, last: int) -> float:
-    """Mean of values[first] to values[last], included."""
-    total = 0.0
-    for k in range(first, last + 1):
-        total += values[k]
-    return total / (last - first + 1)
