@@ -99,40 +99,61 @@ def record_doorways(
     config: RoomConfig,
 ) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
+    if not len(corners.doorways.jambs):
+        return
     p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-    for g, pair in enumerate(corners.doorways.jambs):
-        if (through[pair] >= 0).any() or (corners.beyond[pair] >= 0).any():
+    frames = door_frames(book.doors, belief)
+    for pair, confirmable in zip(corners.doorways.jambs, corners.doorways.confirmable.tolist(), strict=True):
+        if max(through[pair[0]], through[pair[1]], corners.beyond[pair[0]], corners.beyond[pair[1]]) >= 0:
             continue
         ids = (int(match.ids[pair[0]]), int(match.ids[pair[1]]))
-        if min(ids) >= 0 and corners.doorways.confirmable[g]:
+        if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
-            _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), belief)
+            frames = _confirm(book, ids, features, belief, frames, room, config)
+        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), frames)
 
 
 def _confirm(
-    book: DoorBook, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
-) -> None:
-    """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
-    landmarks = all(features.state[i] == int(FeatureState.LANDMARK) for i in ids)
-    if book.sightings[ids] < config.confirm_sightings or not landmarks:
-        return
+    book: DoorBook,
+    ids: tuple[int, int],
+    features: FeatureTable,
+    belief: Belief,
+    frames: Array,
+    room: int,
+    config: RoomConfig,
+) -> Array:
+    """The frames (D,5) of all doors once a pair of jambs seen often enough is a door, or the second face of one."""
+    known = next((d for d, door in enumerate(book.doors) if _is_face(ids, door)), -1)
+    if known >= 0:
+        book.doors[known] = replace(book.doors[known], sightings=book.doors[known].sightings + 1)
+        return frames
+    if book.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
+        return frames
     features.kind[list(ids)] = int(CornerKind.JAMB)
     new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
     frame = door_frames([new], belief)[0]
-    for d, (door, other) in enumerate(zip(book.doors, door_frames(book.doors, belief), strict=True)):
-        joined = _joined(door, other, new, frame, room, config)
+    for d, other in enumerate(frames):
+        joined = _joined(book.doors[d], other, new, frame, room, config)
         if joined is not None:
             book.doors[d] = joined
-            return
+            return door_frames(book.doors, belief)
     book.doors.append(new)
     book.next_id += 1
+    return door_frames(book.doors, belief)
+
+
+def _is_face(ids: tuple[int, int], door: Door) -> bool:
+    """True when the jambs `ids`, in either order, are those of one of the door's faces."""
+    faces = (door.jambs, door.other_face)
+    return ids in faces or ids[::-1] in faces
+
+
+def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
+    return all(i >= 0 and features.state[i] == int(FeatureState.LANDMARK) for i in ids)
 
 
 def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomConfig) -> Door | None:
     """The known door with this sighting added, when the new pair of jambs is one of its faces; None otherwise."""
-    if set(new.jambs) in (set(door.jambs), set(door.other_face or ())):
-        return replace(door, sightings=door.sightings + 1)
     offset = new_frame[:2] - frame[:2]
     alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
     apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
@@ -146,9 +167,9 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
+def _note_candidate(book: DoorBook, new: Candidate, frames: Array) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    offsets = door_frames(book.doors, belief)[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
+    offsets = frames[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
     is_door = bool((offsets[:, 0] ** 2 + offsets[:, 1] ** 2 < SAME_GAP_M**2).any())
     same = [i for i, known in enumerate(book.candidates) if _middle_distance(known, new) < SAME_GAP_M]
     if is_door:
@@ -176,7 +197,7 @@ def candidate_frame(candidate: Candidate) -> Array:
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:
     """True when both jambs of the candidate are landmarks, so that it can become a door."""
-    return min(candidate.ids) >= 0 and bool((features.state[list(candidate.ids)] == int(FeatureState.LANDMARK)).all())
+    return _landmarks(candidate.ids, features)
 
 
 def pass_through(book: DoorBook, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:

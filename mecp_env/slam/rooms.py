@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.kernel import kernel
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.data import (
     UNKNOWN_ROOM,
@@ -95,19 +96,17 @@ class RoomKeeper:
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
-        frames = door_frames(self.book.doors, belief)
-        p_map = belief.T_map_robot[:2]
         self.in_doorway = False
-        for d, frame in enumerate(frames):
-            ahead, aside = _door_coordinates(p_map, frame)
-            if abs(aside) > frame[4] + self.config.hysteresis_m or abs(ahead) > 1.0:
-                continue
-            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < frame[4]
-            door = self.book.doors[d]
+        if not self.book.doors:
+            return
+        frames = door_frames(self.book.doors, belief)
+        for d, ahead, aside in _doors_near(belief.T_map_robot[:2], frames, self.config.hysteresis_m):
+            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < frames[int(d), 4]
+            door = self.book.doors[int(d)]
             if self.current == door.rooms[0] and ahead < -self.config.hysteresis_m:
-                self._enter(d, door.rooms[1])
+                self._enter(int(d), door.rooms[1])
             elif self.current == door.rooms[1] and ahead > self.config.hysteresis_m:
-                self._enter(d, door.rooms[0])
+                self._enter(int(d), door.rooms[0])
 
     def _enter(self, d: int, room: int) -> None:
         self.elsewhere.clear()
@@ -145,14 +144,14 @@ class RoomKeeper:
         if self.in_doorway:
             return False
         if polygon_room not in (UNKNOWN_ROOM, self.current):
-            return self._note_elsewhere(polygon_room, belief, self.config.recognise_m)
+            return self._note_elsewhere(polygon_room, belief, self.config.recognise_m, features)
         ids, rooms = self._seen_here(corners, match, through, features)
         if self._relabel(ids, rooms, features):
             return True
         other = self._majority(rooms)
         if other in (UNKNOWN_ROOM, self.current):
             return False
-        return self._note_elsewhere(other, belief, self.config.recognise_by_corners_m)
+        return self._note_elsewhere(other, belief, self.config.recognise_by_corners_m, features)
 
     def _seen_here(
         self, corners: Corners, match: Match, through: Ints, features: FeatureTable
@@ -161,7 +160,7 @@ class RoomKeeper:
         mine = (match.decision == int(Decision.LANDMARK)) & (through < 0) & (corners.beyond < 0)
         ids = match.ids[mine]
         ids = ids[features.kind[ids] != int(CornerKind.JAMB)]
-        return ids, [self.resolve(int(room)) for room in features.room[ids]]
+        return ids, features.room[ids].tolist()
 
     def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> bool:
         """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.
@@ -181,23 +180,24 @@ class RoomKeeper:
         likeliest = max(sorted(set(rooms)), key=rooms.count)
         return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
 
-    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float) -> bool:
+    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float, features: FeatureTable) -> bool:
         """Count a sign that this is room `other`; two from places apart settle it. Says whether rooms merged."""
         x, y = belief.T_map_robot[:2]
         before = [e for e in self.elsewhere if e[0] == other]
         if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
             self.elsewhere.clear()
-            return self._become(other)
+            return self._become(other, features)
         self.elsewhere.append((other, float(x), float(y)))
         return False
 
-    def _become(self, other: int) -> bool:
+    def _become(self, other: int, features: FeatureTable) -> bool:
         """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
         old, self.current = self.current, other
         if old != self.newest:
             return False
         self.newest = UNKNOWN_ROOM
         self.merged[old] = other
+        features.room[features.room == old] = other
         self.rooms.remove(old)
         self.book.doors = [self._with_rooms_resolved(door) for door in self.book.doors]
         # a door that leads from a room to itself is none: the gap lies inside the room
@@ -215,7 +215,21 @@ class RoomKeeper:
         return room
 
 
+@kernel
 def _door_coordinates(p_map: Array, frame: Array) -> tuple[float, float]:
     """Distance of a point in front of the door (towards its first room) and aside of its middle, in metres."""
     dx, dy = p_map[0] - frame[0], p_map[1] - frame[1]
-    return float(dx * frame[2] + dy * frame[3]), float(dx * frame[3] - dy * frame[2])
+    return dx * frame[2] + dy * frame[3], dx * frame[3] - dy * frame[2]
+
+
+@kernel
+def _doors_near(p_map: Array, frames: Array, margin: float) -> Array:
+    """(c,3) row, distance ahead and aside of each door within 1 m and not farther aside than its posts and `margin`."""
+    near = np.empty((frames.shape[0], 3))
+    count = 0
+    for d in range(frames.shape[0]):
+        ahead, aside = _door_coordinates(p_map, frames[d])
+        if abs(ahead) <= 1.0 and abs(aside) <= frames[d, 4] + margin:
+            near[count, 0], near[count, 1], near[count, 2] = d, ahead, aside
+            count += 1
+    return near[:count]

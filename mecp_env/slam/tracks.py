@@ -24,6 +24,7 @@ from mecp_env.slam.geometry import polar_to_points, to_map, wrap_angle
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 def record_sightings(
@@ -85,7 +86,7 @@ def _start_tracks(features: FeatureTable, corners: Corners, match: Match, p_map:
     return match
 
 
-def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: Array, p_map: Array) -> None:
+def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: Bools, p_map: Array) -> None:
     grown = {
         "state": np.full(count, int(FeatureState.TRACK), np.int64),
         "room": np.full(count, room, np.int64),
@@ -125,10 +126,10 @@ def position_sigma(corners: Corners) -> Array:
 def _nearest_tracks(
     p_map: Array,
     gate: Array,
-    convex: Array,
+    convex: Bools,
     normals: Array,
     track_p_map: Array,
-    track_convex: Array,
+    track_convex: Bools,
     track_normals: Array,
     tolerance: float,
 ) -> Ints:

@@ -1,5 +1,7 @@
 """Data association (III-B): a small interface and the associators that ship."""
 
+from collections.abc import Callable
+
 from mecp_env.slam.association.base import Associator
 from mecp_env.slam.association.known import KnownAssociator
 from mecp_env.slam.association.mecp import MecpAssociator
@@ -7,7 +9,7 @@ from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.config import AssociationConfig
 
-ASSOCIATORS = {
+ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
     "mecp_paper": MecpPaperAssociator,
     "nearest": NearestAssociator,

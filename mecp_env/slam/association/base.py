@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
@@ -12,11 +11,9 @@ from scipy.special import chdtri
 from mecp_env.kernel import kernel
 from mecp_env.slam.data import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.filters import Filter
-from mecp_env.slam.geometry import wrap_angle
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Associator(Protocol):
@@ -29,28 +26,6 @@ class Associator(Protocol):
 def chi2_gate(dof: int, probability: float) -> float:
     """The value that a chi-square variable of `dof` degrees of freedom stays under with `probability`."""
     return float(chdtri(dof, 1.0 - probability))
-
-
-@kernel
-def signature_compatible(
-    heading: float, convex: Bools, normals: Array, known_convex: Bools, known_normals: Array, tolerance: float
-) -> Bools:
-    """(n,N) True where corner i and landmark j can be one: both outer or both inner, and no face turned away.
-
-    `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame; one face at least is seen in both.
-    """
-    n, m = convex.shape[0], known_convex.shape[0]
-    compatible = np.zeros((n, m), np.bool_)
-    for i in range(n):
-        for j in range(m):
-            shared, opposed = 0, 0
-            for side in range(2):
-                difference = wrap_angle(normals[i, side] + heading - known_normals[j, side])
-                if not math.isnan(difference):
-                    shared += 1
-                    opposed += abs(difference) > tolerance
-            compatible[i, j] = convex[i] == known_convex[j] and shared > 0 and opposed == 0
-    return compatible
 
 
 @kernel

@@ -38,7 +38,7 @@ def _nis_2(nu: Array, S: Array, p: int) -> float:
     if determinant <= 0.0:
         return math.inf
     x, y = nu[2 * p], nu[2 * p + 1]
-    return (c * x * x - 2.0 * b * x * y + a * y * y) / determinant
+    return float((c * x * x - 2.0 * b * x * y + a * y * y) / determinant)
 
 
 @kernel

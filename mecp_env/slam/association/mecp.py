@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.kernel import kernel
 from mecp_env.slam.association.base import chi2_gate, undecided
 from mecp_env.slam.association.joint import best_growth, grow
 from mecp_env.slam.association.rings import RingMatch, match_rings
-from mecp_env.slam.association.singles import open_rooms, pairing_table, settle
+from mecp_env.slam.association.singles import pairing_table, possible_pairs, settle
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Belief, Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.filters import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+LANDMARK, IGNORED = int(Decision.LANDMARK), int(Decision.IGNORED)
+POLYGON, JOINT, AMBIGUOUS = int(Reason.POLYGON), int(Reason.JOINT), int(Reason.AMBIGUOUS)
 
 
 @dataclass(slots=True, eq=False)
@@ -28,17 +33,19 @@ class MecpAssociator:
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision a corner (III-B.2)."""
-        gate = chi2_gate(2, self.config.gate_probability)
         match = undecided(len(corners))
         nearest = np.full(len(corners), np.inf)
         if len(view.belief.ids) and len(corners):
-            table = pairing_table(corners, view, belief, self.config)
-            nearest = table.nis.min(axis=1)
+            table = pairing_table(corners, view, belief, self.config, self._gate)
+            nearest = table.nearest
             ring = self._recognise(corners, polygons, view, table.nis, belief)
-            costs = open_rooms(table, gate)
-            match = self._pair(match, corners, costs, ring, view, belief)
+            match = self._pair(match, corners, table.costs, ring, view, belief)
         settle(match, corners, view, nearest, self.config.ignore_gate)
         return match
+
+    @property
+    def _gate(self) -> float:
+        return chi2_gate(2, self.config.gate_probability)
 
     def _recognise(
         self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, nis: Array, belief: Filter
@@ -50,20 +57,23 @@ class MecpAssociator:
     def _pair(
         self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
     ) -> Match:
-        gate = chi2_gate(2, self.config.gate_probability)
-        corner, row = possible_pairs(costs, gate, ring, view.belief, self.config.most_pairs)
+        fixed = np.full(len(corners), -1, np.int64)
+        if ring is not None:
+            fixed[ring.corners] = view.belief.rows(ring.ids)
+        corner, row = possible_pairs(costs, self._gate, fixed, self.config.most_pairs)
         if not len(corner):
             return match
-        ids = view.belief.ids[row]
         z, R = corners.measurements(corner)
-        nu, S = belief.innovation(z, R, ids)
+        nu, S = belief.innovation(z, R, view.belief.ids[row])
         if ring is not None:
-            seed = np.flatnonzero(_of_ring(corner, ids, ring))
-            nis, ambiguous = grow(nu, S, corner, row, seed, gate, self.config.rival_gap)
+            seed = np.flatnonzero(fixed[corner] == row)
+            nis, ambiguous = grow(nu, S, corner, row, seed, self._gate, self.config.rival_gap)
         else:
             seeds = self._first_pairs(costs, corner, row, view)
-            nis, ambiguous = best_growth(nu, S, corner, row, seeds, gate, self.config.rival_gap)
-        return _decided(match, corner, ids, nis, ambiguous, ring)
+            nis, ambiguous = best_growth(nu, S, corner, row, seeds, self._gate, self.config.rival_gap)
+        ids = view.belief.ids[row]
+        write_pairs(match.ids, match.decision, match.reason, match.nis, corner, ids, nis, ambiguous, fixed >= 0)
+        return match if ring is None else replace(match, polygon=ring.polygon, known=ring.known)
 
     def _first_pairs(self, costs: Array, corner: Ints, row: Ints, view: MapView) -> Ints:
         """Which pairing to start from: a free choice while the pose is sharp, each of the likeliest otherwise."""
@@ -75,33 +85,23 @@ class MecpAssociator:
         return np.concatenate(([-1], order))
 
 
-def possible_pairs(costs: Array, gate: float, ring: RingMatch | None, belief: Belief, most: int) -> tuple[Ints, Ints]:
-    """Corner and landmark row (P,) of each pairing inside the gate, those of the recognised ring always included."""
-    possible = costs <= gate
-    if ring is not None:
-        possible[ring.corners, :] = False
-        possible[ring.corners, belief.rows(ring.ids)] = True
-    corner, row = np.nonzero(possible)
-    if len(corner) > most:
-        keep = np.sort(np.argsort(costs[corner, row], kind="stable")[:most])
-        corner, row = corner[keep], row[keep]
-    return corner, row
-
-
-def _of_ring(corner: Ints, ids: Ints, ring: RingMatch) -> Bools:
-    wanted = dict(zip(ring.corners.tolist(), ring.ids.tolist(), strict=True))
-    return np.array([wanted.get(c) == i for c, i in zip(corner.tolist(), ids.tolist(), strict=True)])
-
-
-def _decided(match: Match, corner: Ints, ids: Ints, nis: Array, ambiguous: Bools, ring: RingMatch | None) -> Match:
-    paired = ~np.isnan(nis)
-    match.ids[corner[paired]] = ids[paired]
-    match.decision[corner[paired]] = int(Decision.LANDMARK)
-    match.reason[corner[paired]] = int(Reason.JOINT)
-    match.nis[corner[paired]] = nis[paired]
-    match.decision[corner[ambiguous]] = int(Decision.IGNORED)
-    match.reason[corner[ambiguous]] = int(Reason.AMBIGUOUS)
-    if ring is None:
-        return match
-    match.reason[ring.corners[match.ids[ring.corners] == ring.ids]] = int(Reason.POLYGON)
-    return Match(match.ids, match.decision, match.reason, match.nis, ring.polygon, ring.known, match.closure)
+@kernel
+def write_pairs(
+    match_ids: Ints,
+    decision: Ints,
+    reason: Ints,
+    match_nis: Array,
+    corner: Ints,
+    ids: Ints,
+    nis: Array,
+    ambiguous: Bools,
+    by_polygon: Bools,
+) -> None:
+    """Enter the accepted pairs (nis not nan) and the ambiguous corners into the columns of a match; in place."""
+    for p in range(corner.shape[0]):
+        c = corner[p]
+        if ambiguous[p]:
+            decision[c], reason[c] = IGNORED, AMBIGUOUS
+        if not math.isnan(nis[p]):
+            match_ids[c], match_nis[c], decision[c] = ids[p], nis[p], LANDMARK
+            reason[c] = POLYGON if by_polygon[c] else JOINT

@@ -30,9 +30,9 @@ class MecpPaperAssociator:
         match = undecided(len(corners))
         if not len(view.belief.ids) or not len(corners):
             return match
-        table = pairing_table(corners, view, belief, self.config)
-        costs = np.where(table.allowed, table.nis, np.inf)
         gate = chi2_gate(2, self.config.gate_probability)
+        table = pairing_table(corners, view, belief, self.config, gate, elsewhere=False)
+        costs = table.costs
         for p, polygon in enumerate(polygons):
             known, ids = self._nearest_centre(corners, polygon, view, belief, gate)
             shift = _two_vertices(table.nis[polygon.corners], view.belief.rows(ids), gate) if known >= 0 else -1

@@ -4,8 +4,9 @@ import itertools
 
 import numpy as np
 
-from mecp_env.slam.association.base import chi2_gate, one_to_one, signature_compatible
+from mecp_env.slam.association.base import chi2_gate, one_to_one
 from mecp_env.slam.association.joint import best_growth, grow
+from mecp_env.slam.association.singles import possible_pairs, strike_by_room, strike_by_signature
 from mecp_env.slam.data import Belief
 
 
@@ -65,19 +66,42 @@ def test_one_to_one_takes_the_smallest_first():
     assert one_to_one(cost, 13.8).tolist() == [1, 0, -1]
 
 
+def compatible(heading, convex, seen, known_convex, known, tolerance):
+    nis = np.zeros((len(seen), len(known)))
+    strike_by_signature(nis, heading, convex, seen, known_convex, known, tolerance)
+    return (nis == 0.0).tolist()
+
+
 def test_signature_tells_the_two_faces_of_a_wall_apart():
     heading = 0.3
     north, south, east = np.pi / 2, -np.pi / 2, 0.0
     known = np.array([[north, east], [south, east], [np.nan, north]])
     seen = np.array([[north - heading, east - heading], [np.nan, south - heading]])
-    convex = np.array([False, False])
-    compatible = signature_compatible(heading, convex, seen, np.zeros(3, np.bool_), known, np.deg2rad(40))
-    assert compatible.tolist() == [[True, False, False], [False, False, False]]
+    inner = np.zeros(2, np.bool_)
+    expected = [[True, False, False], [False, False, False]]
+    assert compatible(heading, inner, seen, np.zeros(3, np.bool_), known, np.deg2rad(40)) == expected
+    assert not np.any(compatible(heading, ~inner, seen, np.zeros(3, np.bool_), known, np.deg2rad(40)))
 
 
 def test_signature_wraps_at_pi():
     seen, known = np.array([[np.pi - 0.01, np.nan]]), np.array([[-np.pi + 0.01, 0.0]])
-    assert signature_compatible(0.0, np.array([True]), seen, np.array([True]), known, 0.1).all()
+    assert compatible(0.0, np.array([True]), seen, np.array([True]), known, 0.1) == [[True]]
+
+
+def test_rooms_keep_corners_apart_but_not_those_unknown_at_home():
+    nis = np.array([[1.0, 2.0], [50.0, 2.0], [1.0, 2.0]])
+    seen, known = np.array([0, 0, -1]), np.array([0, 1])
+    inf = np.inf
+    assert strike_by_room(nis, seen, known, 13.8, False).tolist() == [[1.0, inf], [50.0, inf], [1.0, 2.0]]
+    assert strike_by_room(nis, seen, known, 13.8, True).tolist() == [[1.0, inf], [50.0, 2.0], [1.0, 2.0]]
+
+
+def test_possible_pairs_keep_the_fixed_ones_and_the_cheapest():
+    costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
+    free = np.array([-1, -1])
+    assert np.array(possible_pairs(costs, 13.8, free, 9)).T.tolist() == [[0, 0], [0, 1], [1, 1], [1, 2]]
+    assert np.array(possible_pairs(costs, 13.8, free, 2)).T.tolist() == [[0, 0], [1, 1]]
+    assert np.array(possible_pairs(costs, 13.8, np.array([2, -1]), 2)).T.tolist() == [[0, 2], [1, 1]]
 
 
 def test_rows_of_finds_ids_in_any_order():
