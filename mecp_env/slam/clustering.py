@@ -86,7 +86,7 @@ def find_gap(ranges: Array, joined: Bools) -> int:
     farthest = 0
     for i in range(size):
         if not joined[i]:
-            return (i + 1) % size
+            return int((i + 1) % size)
         if ranges[i] > ranges[farthest]:
             farthest = i
     return farthest
@@ -122,4 +122,4 @@ def collect_runs(
 def step_between(bearings: Array, beam: int, later: int) -> float:
     """Turn (rad, >= 0) from one beam ccw to a later one."""
     turn = bearings[later] - bearings[beam]
-    return turn if turn >= 0.0 else turn + 2.0 * math.pi
+    return float(turn if turn >= 0.0 else turn + 2.0 * math.pi)

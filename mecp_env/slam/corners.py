@@ -19,7 +19,7 @@ from mecp_env.slam.noise import Noise, noise_of, roll_beams, roll_hits
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-TWIN_M, TWIN_RAD = 0.25, math.radians(45.0)  # two finds of one corner lie so near each other, and their faces look alike
+TWIN_M, TWIN_RAD = 0.25, math.radians(45.0)  # how far apart two finds of one corner may lie and their faces may look
 
 
 def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
@@ -111,10 +111,9 @@ def is_twin(found: Found, i: int, j: int) -> bool:
     distance = math.hypot(found.z[i, 0] - found.z[j, 0], found.z[j, 0] * turn)
     if found.convex[i] != found.convex[j] or distance > TWIN_M:
         return False
-    for slot in range(2):
-        if abs(wrap_angle(found.normals[i, slot] - found.normals[j, slot])) > TWIN_RAD:  # false for nan
-            return False
-    return True
+    before = abs(wrap_angle(found.normals[i, 0] - found.normals[j, 0]))
+    after = abs(wrap_angle(found.normals[i, 1] - found.normals[j, 1]))
+    return not (before > TWIN_RAD or after > TWIN_RAD)  # nan, a face unseen, contradicts nothing
 
 
 @kernel
@@ -138,33 +137,26 @@ def sorted_by_bearing(raw: Found, n: int) -> Found:
 @kernel
 def joint_covariance(found: Found, line_cov: Array) -> Array:
     """(2n,2n) covariance of all z: each corner's own part, and J C J^T of the lines two corners share."""
-    n = found.z.shape[0]
-    cov = np.zeros((2 * n, 2 * n))
-    for i in range(n):
-        for j in range(i + 1):
-            block = shared_covariance(found, i, j, line_cov)
-            for row in range(2):
-                for column in range(2):
-                    total = block[row, column] + (found.own[i, row, column] if i == j else 0.0)
-                    cov[2 * i + row, 2 * j + column] = total
-                    cov[2 * j + column, 2 * i + row] = total
+    size = 2 * found.z.shape[0]
+    cov = np.empty((size, size))
+    for a in range(size):
+        for b in range(a + 1):
+            total = shared_covariance(found, a, b, line_cov)
+            if a // 2 == b // 2:
+                total += found.own[a // 2, a % 2, b % 2]
+            cov[a, b] = cov[b, a] = total
     return cov
 
 
 @kernel
-def shared_covariance(found: Found, i: int, j: int, line_cov: Array) -> Array:
-    """(2,2) covariance of z of corners i and j through the lines both hang on."""
-    block = np.zeros((2, 2))
-    for a in range(2):
-        for b in range(2):
-            line = found.lines[i, a]
-            if line < 0 or line != found.lines[j, b]:
-                continue
-            left, right, middle = found.jacobian[i, a], found.jacobian[j, b], line_cov[line]
-            for row in range(2):
-                for column in range(2):
-                    for p in range(2):
-                        block[row, column] += left[row, p] * (
-                            middle[p, 0] * right[column, 0] + middle[p, 1] * right[column, 1]
-                        )
-    return block
+def shared_covariance(found: Found, a: int, b: int, line_cov: Array) -> float:
+    """Covariance of entries a and b of all z in a row, through the lines both corners hang on."""
+    total = 0.0
+    for k in range(4):
+        i, j = k // 2, k % 2
+        line = found.lines[a // 2, i]
+        if line >= 0 and line == found.lines[b // 2, j]:
+            left, right, cov = found.jacobian[a // 2, i, a % 2], found.jacobian[b // 2, j, b % 2], line_cov[line]
+            total += left[0] * (cov[0, 0] * right[0] + cov[0, 1] * right[1])
+            total += left[1] * (cov[1, 0] * right[0] + cov[1, 1] * right[1])
+    return total

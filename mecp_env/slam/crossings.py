@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from mecp_env.kernel import kernel
 from mecp_env.slam.data import CornerKind
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.noise import Noise
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -82,9 +81,7 @@ def empty_found(size: int) -> Found:
 
 
 @kernel
-def add_crossing(
-    found: Found, n: int, sight: Sight, walls: Walls, pair: tuple[int, int], rules: Rules
-) -> int:
+def add_crossing(found: Found, n: int, sight: Sight, walls: Walls, pair: tuple[int, int], rules: Rules) -> int:
     """n + 1 when the lines of the consecutive segments `pair` cross at a corner, written to row n; else n."""
     before, after = pair
     turn = wrap_angle(walls.line[after, 0] - walls.line[before, 0])
@@ -95,8 +92,10 @@ def add_crossing(
     if not write_crossing(found, n, walls, pair, (x, y)):
         return n
     variance = spread_of(found, n, walls) + rules.floor**2
-    far = max(gap_to_break(sight, walls, before, walls.last[before], (x, y)),
-              gap_to_break(sight, walls, after, walls.first[after], (x, y)))
+    far = max(
+        gap_to_break(sight, walls, before, walls.last[before], (x, y)),
+        gap_to_break(sight, walls, after, walls.first[after], (x, y)),
+    )
     if variance > rules.max_variance or far > NEAR_M + NEAR_SIGMAS * math.sqrt(variance):
         return n
     found.kind[n] = CROSSING
@@ -148,7 +147,7 @@ def gap_to_break(sight: Sight, walls: Walls, segment: int, position: int, p: tup
     along = p[1] * math.cos(alpha) - p[0] * math.sin(alpha)
     step = 2.0 * math.pi / sight.polar.shape[0]
     spacing = rho * step / math.cos(bearing) ** 2
-    return abs(along - rho * math.tan(bearing)) - NEAR_BEAMS * spacing
+    return float(abs(along - rho * math.tan(bearing)) - NEAR_BEAMS * spacing)
 
 
 @kernel
@@ -165,7 +164,7 @@ def spread_of(found: Found, n: int, walls: Walls) -> float:
             scale = 1.0 if row == 0 else r * r
             cov = walls.cov[segment]
             total += scale * (a * a * cov[0, 0] + 2.0 * a * b * cov[0, 1] + b * b * cov[1, 1])
-    return total
+    return float(total)
 
 
 @kernel

@@ -32,10 +32,8 @@ class DoorRules(NamedTuple):
 
 
 @kernel
-def find_doorways(
-    found: Found, n: int, sight: Sight, walls: Walls, rules: DoorRules
-) -> tuple[Ints, Array, Bools]:
-    """Jambs (g,2) right then left, widths (g,) and whether seen well (g,); a corner is jamb of one gap a side at most."""
+def find_doorways(found: Found, n: int, sight: Sight, walls: Walls, rules: DoorRules) -> tuple[Ints, Array, Bools]:
+    """Jambs (g,2), right then left, widths (g,) and whether seen well (g,)."""
     jambs, width, good = np.empty((n, 2), np.int64), np.empty(n), np.empty(n, np.bool_)
     size = 0
     for right in range(n):
@@ -85,7 +83,7 @@ def point_of(found: Found, n: int) -> tuple[float, float]:
 @kernel
 def off_line(line: Array, p: tuple[float, float]) -> float:
     """Distance of p from the line (alpha, rho)."""
-    return abs(p[0] * math.cos(line[0]) + p[1] * math.sin(line[0]) - line[1])
+    return float(abs(p[0] * math.cos(line[0]) + p[1] * math.sin(line[0]) - line[1]))
 
 
 @kernel

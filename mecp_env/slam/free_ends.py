@@ -81,7 +81,8 @@ def add_end(
     slot = 0 if side > 0 else 1
     found.kind[n], found.convex[n] = CROSSING if seen else FREE_END, not seen or tangent < 0.0
     found.normals[n, slot] = wrap_angle(what.alpha + math.pi)
-    found.normals[n, 1 - slot] = wrap_angle(what.alpha - math.copysign(0.5 * math.pi, side * tangent)) if seen else np.nan
+    second = wrap_angle(what.alpha - math.copysign(0.5 * math.pi, side * tangent))
+    found.normals[n, 1 - slot] = second if seen else np.nan
     found.border[n, slot], found.border[n, 1 - slot] = segment if found.convex[n] else -1, -1
     add_floor(found, n, rules.floor)
     return n + 1
@@ -148,7 +149,7 @@ def collinear(walls: Walls, segment: int, r: float, bearing: float, noise: Noise
     cov = walls.cov[segment]
     variance = noise.range_m**2 + (slant * noise.bearing) ** 2
     variance += slant * slant * cov[0, 0] - 2.0 * slant / cosine * cov[0, 1] + cov[1, 1] / (cosine * cosine)
-    return r - expected < COLLINEAR_M + SIGMAS * math.sqrt(variance)
+    return bool(r - expected < COLLINEAR_M + SIGMAS * math.sqrt(variance))
 
 
 @kernel
@@ -206,12 +207,14 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     spacing = step * sight.polar.shape[0] / sight.raw_ranges.shape[0]
     variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
     bearing = sight.polar[end.position, 1] + end.side * mean
-    return Ray(bearing, variance, face_evidence(table, end, (0.5 * best + 0.25 - end.inner) * step, noise))
+    offset = (0.5 * best + 0.25 - end.inner) * step
+    along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
+    return Ray(bearing, variance, face_evidence(table[: end.inner + end.rest + 1], offset, along, noise))
 
 
 @kernel
 def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
-    """For each beam beside the end: offset from its last beam (rad), cost on the line, sine, cotangent, range, count."""
+    """A row a beam beside the end: offset from its last beam (rad), cost on the line, sine, cotangent, range, count."""
     size = sight.polar.shape[0]
     table = np.empty((end.inner + after + 1, 6))
     for m in range(table.shape[0]):
@@ -240,15 +243,14 @@ def face_cost(beam: Array, along: float, noise: Noise) -> float:
     if residual == math.inf:
         return COST_FAR
     variance = noise.range_m**2 + (expected * beam[3] * noise.bearing) ** 2
-    return min(residual * residual * beam[5] / variance, COST_FAR if residual > 0.0 else COST_CAP)
+    return float(min(residual * residual * beam[5] / variance, COST_FAR if residual > 0.0 else COST_CAP))
 
 
 @kernel
-def face_evidence(table: Array, end: End, offset: float, noise: Noise) -> float:
+def face_evidence(table: Array, offset: float, along: float, noise: Noise) -> float:
     """How much chi-square the second face from `offset` on saves, over the wall going on; 0 when it does not fit."""
-    along = end.rho * math.tan(math.atan2(table[end.inner, 2], table[end.inner, 3] * table[end.inner, 2]) + end.side * offset)
     saved, misfit, beams = 0.0, 0.0, 0
-    for m in range(end.inner + end.rest + 1):
+    for m in range(table.shape[0]):
         if table[m, 0] < offset:
             continue
         cost = face_cost(table[m], along, noise)

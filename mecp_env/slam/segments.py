@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.clustering import LINES
 from mecp_env.slam.config import SegmentConfig, SensorModel
-from mecp_env.slam.data import Beams, Clusters, Segments
+from mecp_env.slam.data import Beams, ClusterKind, Clusters, Segments
 from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.lines import STEEPEST, fit_line, rough_line
 from mecp_env.slam.noise import Noise, noise_of, roll_beams
@@ -20,6 +19,7 @@ from mecp_env.slam.stretches import beam_points, break_cluster, straighten
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+LINES = int(ClusterKind.LINES)
 MISFIT_SIGMAS = 3.0  # a chi-square this far above what is expected means no straight wall
 LONG = 15  # degrees of freedom from which on a misfit only widens the covariance
 
@@ -50,7 +50,8 @@ def extract_segments(beams: Beams, clusters: Clusters, config: SegmentConfig, se
         config.trim_beams,
     )
     polar = roll_beams(beams.ranges, beams.bearings, beams.count, clusters.roll)
-    points, line, cov, span = find_segments(polar, clusters.first, clusters.last, clusters.kind, (rules, noise_of(sensor)))
+    options = (rules, noise_of(sensor))
+    points, line, cov, span = find_segments(polar, clusters.first, clusters.last, clusters.kind, options)
     cluster, first, last = np.ascontiguousarray(span.T)
     return Segments(points, line, cov, cluster, first, last, clusters.roll)
 

@@ -64,7 +64,7 @@ def stretch_cost(sums: Array, first: int, last: int) -> float:
     cxx, cxy = sums[last + 1, 5] - sums[first, 5], sums[last + 1, 6] - sums[first, 6]
     cyy = sums[last + 1, 7] - sums[first, 7]
     variance = 0.5 * (cxx * (1.0 - cos2) + cyy * (1.0 + cos2)) - cxy * sin2
-    return 0.5 * n * max(sxx + syy - spread, 0.0) / variance
+    return float(0.5 * n * max(sxx + syy - spread, 0.0) / variance)
 
 
 @kernel
@@ -136,7 +136,7 @@ def merge_stretches(sums: Array, first: int, ends: Ints, size: int, gain: float)
 @kernel
 def start_of(first: int, ends: Ints, k: int) -> int:
     """First position of stretch k of a cluster that begins at `first`."""
-    return first if k == 0 else ends[k - 1] + 1
+    return first if k == 0 else int(ends[k - 1]) + 1
 
 
 @kernel

@@ -100,7 +100,7 @@ def average_beams(ranges: Array, bearings: Array, hit: Bools, group: Group) -> t
 
 @kernel
 def sort_group(ranges: Array, bearings: Array, hit: Bools, start: int, sorted_beams: Array) -> None:
-    """Fills sorted_beams (K,2) with range (inf without a hit) and bearing of the beams from `start` on, nearest first."""
+    """Fills sorted_beams (K,2), nearest first: range (inf without a hit) and bearing of the beams from `start` on."""
     for k in range(sorted_beams.shape[0]):
         distance = ranges[start + k] if hit[start + k] else math.inf
         at = k
