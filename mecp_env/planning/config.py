@@ -12,6 +12,8 @@ class GoalsConfig(Settings):
 
     open_beyond_m: float = Field(0.4, gt=0.0, le=2.0)  # the goal lies so far beyond the middle of an open interval
     open_width_m: float = Field(0.5, gt=0.0, le=5.0)  # narrower open intervals are no goals
+    bare_m: float = Field(0.6, gt=0.0, le=5.0)  # pieces of floor without a polygon as wide are goals
+    bare_cells: int = Field(10, ge=1, le=1000)  # and of so many cells, not counting the rim
     candidate_m: float = Field(1.5, gt=0.0, le=5.0)  # a door candidate is looked at from so far
     door_beyond_m: float = Field(0.7, gt=0.0, le=3.0)  # the goal lies so far beyond the middle of a door
     frontier_cells: int = Field(5, ge=1, le=1000)  # smaller frontiers are no goals
@@ -48,6 +50,7 @@ class NavigatorConfig(Settings):
     """One drive to one goal."""
 
     reached_m: float = Field(0.25, gt=0.0, le=2.0)
+    dwell_periods: int = Field(3, ge=0, le=100)  # the robot looks so long before it calls a goal reached
     limit_periods: int = Field(250, ge=1, le=10_000)
     replan_periods: int = Field(10, ge=1, le=1000)
     stuck_periods: int = Field(10, ge=2, le=1000)  # without progress for so long the robot backs off

@@ -6,16 +6,19 @@ settled by going there, is given up and remembered. Without a goal the explorati
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Belief, Door, EdgeLabel, Ints, RoomGraph, StepReport
+from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Belief, Door, Ints, RoomGraph, StepReport
 
 
 class GoalKind(IntEnum):
@@ -103,7 +106,8 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
         return Goals()
     field_ = way_field(report.grid, report.belief.T_map_robot, config.paths)
     found = [
-        open_goals(report, config.goals),
+        opened := open_goals(report, config.goals),
+        bare_goals(report, set(opened.room.tolist()), config.goals),
         candidate_goals(report, config.goals),
         frontier_goals(report, config.goals),
         door_goals(report, config.goals),
@@ -149,45 +153,30 @@ def open_goals(report: StepReport, config: GoalsConfig) -> Goals:
     Differs from the design: FREE cells do not close an open edge, or every edge would be closed by the scan that saw
     it; the paper asks for rooms divided into polygons, so that only a polygon does (front-end notes, section 3).
     """
-    rows = [
-        (beyond, width, report.graph.resolve(polygon.room))
-        for polygon in report.known_polygons
-        for beyond, width in open_strips(positions(report.belief, polygon.ids), polygon.intervals, config)
-        if not covered(report, beyond)
-    ]
-    rows.sort(key=lambda row: -row[1])
-    kept: list[tuple[Array, float, int]] = []
-    for beyond, width, room in rows:
-        if all(np.hypot(*(beyond[1] - other[0][1])) > config.apart_m for other in kept):
-            kept.append((beyond, width, room))
-    p_map = np.array([beyond[1] for beyond, _, _ in kept]).reshape(-1, 2)
-    rooms = np.array([room for _, _, room in kept], np.int64)
-    return make_goals(GoalKind.OPEN, p_map, np.array([width for _, width, _ in kept]), rooms)
+    polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
+    if not polygons:
+        return Goals()
+    first = np.cumsum([0, *(len(polygon.ids) for polygon in polygons)])
+    rings = positions(report.belief, np.concatenate([polygon.ids for polygon in polygons]))
+    owner = np.repeat(np.arange(len(polygons)), [len(polygon.intervals) for polygon in polygons])
+    intervals = np.concatenate([polygon.intervals for polygon in polygons])
+    limits = np.array([config.open_width_m, config.open_beyond_m])
+    strips = kernels.open_strips(rings, first, intervals, owner, limits)
+    strips = strips[kernels.uncovered(report.grid.polygon, strips, report.grid.origin, report.grid.resolution_m)]
+    kept = [strips[row] for row in thin_out(strips, config.apart_m)]
+    rooms = np.array([report.graph.resolve(polygons[int(strip[7])].room) for strip in kept], np.int64)
+    table = np.array(kept).reshape(-1, 8)
+    return make_goals(GoalKind.OPEN, table[:, 2:4].copy(), table[:, 6].copy(), rooms)
 
 
-def open_strips(ring: Array, intervals: Array, config: GoalsConfig) -> list[tuple[Array, float]]:
-    """Of each wide open interval of a polygon (k,2): three points (3,2) of the strip beyond it, and its width, m."""
-    strips: list[tuple[Array, float]] = []
-    for edge, first, last, label in intervals.tolist():
-        start, end = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
-        along = end - start
-        length = float(np.hypot(*along))
-        width = length * (last - first)
-        if label != EdgeLabel.OPEN or not width >= config.open_width_m:
-            continue
-        outward = np.array([along[1], -along[0]]) / length
-        shares = first + (last - first) * np.array([0.3, 0.5, 0.7])
-        strips.append((start + shares[:, None] * along + config.open_beyond_m * outward, width))
-    return strips
-
-
-def covered(report: StepReport, p_map: Array) -> bool:
-    """True when polygons cover most of the points (n,2) m."""
-    grid = report.grid
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
-    inside = ((cells >= 0) & (cells < np.array(grid.polygon.shape[::-1]))).all(axis=1)
-    hits = grid.polygon[cells[inside, 1], cells[inside, 0]]
-    return bool(2 * hits.sum() > len(p_map))
+def thin_out(strips: Array, apart_m: float) -> list[int]:
+    """Rows of the strips (s,8), the widest first, none as near as `apart_m` to a wider one."""
+    kept: list[int] = []
+    for row in np.argsort(-strips[:, 6], kind="stable").tolist():
+        x, y = strips[row, 2], strips[row, 3]
+        if all(math.hypot(x - strips[other, 2], y - strips[other, 3]) > apart_m for other in kept):
+            kept.append(row)
+    return kept
 
 
 def candidate_goals(report: StepReport, config: GoalsConfig) -> Goals:
@@ -201,40 +190,62 @@ def candidate_goals(report: StepReport, config: GoalsConfig) -> Goals:
     return make_goals(GoalKind.CANDIDATE, ends.mean(axis=1) + config.candidate_m * back, width, rooms)
 
 
-def door_middle(door: Door, belief: Belief) -> tuple[Array, Array]:
-    """Middle (2,) m of a door, map frame, and the unit normal (2,) from its first room into the next."""
-    p_jamb = positions(belief, np.array(door.jambs))
-    along = p_jamb[1] - p_jamb[0]
-    middle = p_jamb.mean(axis=0)
-    if door.other_face is not None:
-        other = positions(belief, np.array(door.other_face))
-        middle = 0.5 * (middle + other.mean(axis=0)) if np.isfinite(other).all() else middle
-    return middle, np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
+def door_places(doors: Sequence[Door], belief: Belief) -> tuple[Array, Array, Array]:
+    """Of each door: its middle (d,2) m, map frame, the unit normal (d,2) from its first room on, its width (d,) m."""
+    ids = np.array([(*door.jambs, *(door.other_face or door.jambs)) for door in doors], np.int64).reshape(-1, 4)
+    p_jamb = positions(belief, ids.reshape(-1)).reshape(-1, 4, 2)
+    along = p_jamb[:, 1] - p_jamb[:, 0]
+    width = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    onward = np.stack([along[:, 1], -along[:, 0]], axis=1) / width[:, None]
+    return p_jamb.mean(axis=1), onward, width
 
 
 def door_goals(report: StepReport, config: GoalsConfig) -> Goals:
     """A place beyond each door behind which nobody has been."""
     doors = [door for door in report.graph.doors if door.rooms[1] == UNKNOWN_ROOM]
-    places = [door_middle(door, report.belief) for door in doors]
-    p_map = np.array([middle + config.door_beyond_m * onward for middle, onward in places]).reshape(-1, 2)
-    p_jamb = positions(report.belief, np.array([door.jambs for door in doors], np.int64).reshape(-1, 2))
-    width = np.asarray(np.hypot(*(p_jamb[:, 0] - p_jamb[:, 1]).T), np.float64)
+    middle, onward, width = door_places(doors, report.belief)
     rooms = np.array([report.graph.resolve(door.rooms[0]) for door in doors], np.int64)
-    return make_goals(GoalKind.DOOR, p_map, width, rooms, np.array([door.id for door in doors], np.int64))
+    ids = np.array([door.id for door in doors], np.int64)
+    return make_goals(GoalKind.DOOR, middle + config.door_beyond_m * onward, width, rooms, ids)
+
+
+def bare_goals(report: StepReport, done: set[int], config: GoalsConfig) -> Goals:
+    """The middle of each wide piece of floor that no polygon covers, in rooms without open edges (not in `done`).
+
+    "There is no region of the room that is not occupied by at least one polygon" (III-B): a room just entered has no
+    polygon yet, and none with an open edge.
+    """
+    grid, cell = report.grid, report.grid.resolution_m
+    span = max(round(config.bare_m / 2 / cell), 1)
+    layers = (grid.label, grid.polygon, grid.room)
+    bare, cells = kernels.bare_cells(layers, span, gap_middles(report), config.door_clear_m / cell)
+    goals = cluster_goals(GoalKind.OPEN, report, (bare, cells), config.bare_cells)
+    return goals.take(np.flatnonzero([room not in done for room in goals.room.tolist()]))
 
 
 def frontier_goals(report: StepReport, config: GoalsConfig) -> Goals:
     """The middle of each frontier between the floor of a room and unknown cells, away from doors and candidates."""
-    grid, graph = report.grid, report.graph
-    doors = [door_middle(door, report.belief)[0] for door in graph.doors]
-    gaps = [candidate.ends.mean(axis=0) for candidate in graph.candidates]
-    middles = (np.array([*doors, *gaps]).reshape(-1, 2) - grid.origin) / grid.resolution_m
-    cells = kernels.frontier_cells(grid.label, grid.room, middles, config.door_clear_m / grid.resolution_m)
-    found = kernels.frontier_clusters(cells, grid.room, config.frontier_cells)
+    grid = report.grid
+    clear = config.door_clear_m / grid.resolution_m
+    marked = kernels.frontier_cells(grid.label, grid.room, gap_middles(report), clear)
+    return cluster_goals(GoalKind.FRONTIER, report, marked, config.frontier_cells)
+
+
+def gap_middles(report: StepReport) -> Array:
+    """(d,2) middles of the doors and of the candidates, in cells."""
+    doors, _, _ = door_places(report.graph.doors, report.belief)
+    gaps = np.array([candidate.ends.mean(axis=0) for candidate in report.graph.candidates]).reshape(-1, 2)
+    middles: Array = (np.concatenate([doors, gaps]) - report.grid.origin) / report.grid.resolution_m
+    return middles
+
+
+def cluster_goals(kind: GoalKind, report: StepReport, marked: tuple[NDArray[np.uint8], Ints], least: int) -> Goals:
+    """A goal in the middle of each cluster of at least so many marked cells: flags (H,W), and the cells (n,2)."""
+    grid = report.grid
+    found = kernels.clusters(marked[0], marked[1], grid.room, least)
     p_map = np.asarray(grid.origin + (found[:, 1::-1] + 0.5) * grid.resolution_m, np.float64)
-    rooms = np.array([graph.resolve(room) for room in found[:, 3].tolist()], np.int64)
-    size = np.asarray(found[:, 2] * grid.resolution_m, np.float64)
-    return make_goals(GoalKind.FRONTIER, p_map, size, rooms)
+    rooms = np.array([report.graph.resolve(room) for room in found[:, 3].tolist()], np.int64)
+    return make_goals(kind, p_map, np.asarray(found[:, 2] * grid.resolution_m, np.float64), rooms)
 
 
 def with_paths(goals: Goals, field_: WayField, config: GoalsConfig) -> Goals:

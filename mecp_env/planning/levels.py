@@ -34,13 +34,16 @@ def polygon_levels(report: StepReport, room: int, p_entry: Array | None) -> tupl
     Level 0 is the polygon nearest to where the room was entered.
     """
     row = {landmark: i for i, landmark in enumerate(report.belief.ids.tolist())}
-    rings = [set(p.ids.tolist()) for p in report.known_polygons if report.graph.resolve(p.room) == room]
-    rings = [ids for ids in rings if ids <= row.keys()]
+    rings = [p.ids.tolist() for p in report.known_polygons if report.graph.resolve(p.room) == room]
+    rings = [ids for ids in rings if all(i in row for i in ids)]
     if not rings:
         return np.empty((0, 2)), np.empty(0, np.int64)
-    centres = np.array([report.belief.p_map[[row[i] for i in sorted(ids)]].mean(axis=0) for ids in rings])
-    entry = centres[0] if p_entry is None else p_entry
-    first = int(np.hypot(*(centres - entry).T).argmin())
-    neighbours = {i: {j for j, other in enumerate(rings) if j != i and ids & other} for i, ids in enumerate(rings)}
+    member = np.zeros((len(rings), len(row)))
+    for i, ids in enumerate(rings):
+        member[i, [row[j] for j in ids]] = 1.0
+    centres = (member[:, :, None] * report.belief.p_map).sum(axis=1) / member.sum(axis=1)[:, None]
+    first = 0 if p_entry is None else int(np.hypot(*(centres - p_entry).T).argmin())
+    together = np.asarray((member[:, None] * member[None]).sum(axis=2) > 0.0)
+    neighbours = {i: set(np.flatnonzero(together[i]).tolist()) for i in range(len(rings))}
     level = levels_from(first, neighbours)
     return centres, np.array([level.get(i, len(rings)) for i in range(len(rings))], np.int64)

@@ -11,7 +11,7 @@ import numpy as np
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import follow, is_safe, look_ahead, off_path, seen_points, stop_path
-from mecp_env.planning.goals import GoalKind, Goals, covered, door_middle
+from mecp_env.planning.goals import GoalKind, Goals, door_places
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Cell, Door, StepReport
 
@@ -62,12 +62,13 @@ class Navigator:
     best_period: int = 0  # when it was
     recoveries: int = 0
     backing: int = 0  # periods of backing off that are left
+    dwelt: int = 0  # periods spent at the goal
 
     def start(self, target: Target) -> None:
         """Begin a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = np.empty((0, 2))
-        self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = 0
+        self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = self.dwelt = 0
         self.planned_version, self.best_left_m = -1, math.inf
 
     def step(self, report: StepReport) -> tuple[float, float]:
@@ -75,11 +76,14 @@ class Navigator:
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
         self.periods += 1
-        if self._arrived(self.target, report):
+        if settled(self.target, report) or self.dwelt >= self.config.navigator.dwell_periods:
             self.outcome = Outcome.REACHED
         elif self.periods > self.config.navigator.limit_periods:
             self.outcome = Outcome.REFUSED
         if self.outcome != Outcome.RUNNING:
+            return STOP
+        if self._there(self.target, report):
+            self.dwelt += 1
             return STOP
         if self.backing:
             return self._back_off(report)
@@ -87,16 +91,11 @@ class Navigator:
             self._plan(self.target, report)
         return self._drive(report)
 
-    def _arrived(self, target: Target, report: StepReport) -> bool:
-        """True when the robot is there, or what there was to see is seen."""
-        pose = report.belief.T_map_robot
-        if settled(target, report):
-            return True
-        reached_m = self.config.navigator.reached_m
-        if target.kind == GoalKind.DOOR:
-            return bool(np.hypot(*(pose[:2] - target.p_map)) < reached_m)
-        end = self.path[-1] if len(self.path) else target.p_map
-        return bool(min(np.hypot(*(pose[:2] - end)), np.hypot(*(pose[:2] - target.p_map))) < reached_m)
+    def _there(self, target: Target, report: StepReport) -> bool:
+        """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
+        here, reached_m = report.belief.T_map_robot[:2], self.config.navigator.reached_m
+        end = self.path[-1] if len(self.path) and target.kind != GoalKind.DOOR else target.p_map
+        return bool(min(np.hypot(*(here - end)), np.hypot(*(here - target.p_map))) < reached_m)
 
     def _must_plan(self, report: StepReport) -> bool:
         """True without a path, off it, when it is old, or when a wall appeared on it."""
@@ -155,7 +154,7 @@ class Navigator:
 def settled(target: Target, report: StepReport) -> bool:
     """True when a goal has nothing more to show: covered, confirmed, known, or passed."""
     if target.kind == GoalKind.OPEN:
-        return covered(report, target.p_map[None])
+        return covered(target.p_map, report)
     if target.kind == GoalKind.FRONTIER:
         return not unknown_near(target.p_map, report)
     if target.kind == GoalKind.CANDIDATE:
@@ -163,6 +162,14 @@ def settled(target: Target, report: StepReport) -> bool:
         return not any(float(np.hypot(*(gap - target.p_map))) < 3.0 for gap in gaps)
     door = door_of(target, report)
     return door is None or (door.rooms[1] != UNKNOWN_ROOM and not report.graph.in_doorway)
+
+
+def covered(p_map: Array, report: StepReport) -> bool:
+    """True when a polygon covers the place `p_map` (2,)."""
+    grid = report.grid
+    column, row = np.floor((p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
+    inside = 0 <= row < grid.polygon.shape[0] and 0 <= column < grid.polygon.shape[1]
+    return inside and bool(grid.polygon[row, column])
 
 
 def unknown_near(p_map: Array, report: StepReport) -> bool:
@@ -197,7 +204,7 @@ def plan(target: Target, report: StepReport, ways: WayField, config: PlanningCon
 
 def plan_through(door: Door, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
     """A path through the middle of a door along its normal; beyond it the floor need not be known."""
-    middle, onward = door_middle(door, report.belief)
+    (middle,), (onward,), _ = door_places([door], report.belief)
     beyond = middle + config.goals.door_beyond_m * onward
     robot = report.belief.T_map_robot[:2]
     offset = robot - middle

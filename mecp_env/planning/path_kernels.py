@@ -12,69 +12,51 @@ from mecp_env.kernel import kernel
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Costs = NDArray[np.int32]
+Distances = NDArray[np.float32]
+Rooms = NDArray[np.int16]
 Bytes = NDArray[np.uint8]
 
-FREE, OCCUPIED, DOOR = 1, 2, 3  # as in mecp_env.slam.data.Cell
-STRAIGHT, DIAGONAL = 10, 14  # lengths of steps, in tenths of a cell
+UNKNOWN, FREE, OCCUPIED, DOOR = 0, 1, 2, 3  # as in mecp_env.slam.data.Cell
+HALF_LENGTH = np.array([5, 5, 5, 5, 7, 7, 7, 7])  # of the steps, in tenths of a cell
 OPEN_COST = 10  # of a tenth of a cell far from walls; more near them
 MAX_COST = 250
 FAR = 2**30
+OPEN_LABEL = 2  # as in mecp_env.slam.data.EdgeLabel
+BUCKETS = 4096  # a power of two, more than a step can cost
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 @kernel
-def clearance(label: Bytes, reach: int) -> Costs:
-    """(H,W) distance of each cell to the nearest OCCUPIED one, in fifths of a cell, up to `reach`.
-
-    Two chamfer passes with steps 5, 7, 11: within 2 % of the Euclidean distance.
-    """
+def clearance(label: Bytes, reach: float) -> Distances:
+    """(H,W) distance of each cell to the nearest OCCUPIED one, centre to centre, in cells, up to `reach`."""
     height, width = label.shape
-    distance = np.full((height, width), reach, np.int32)
-    for turn in range(2):
-        sign = 1 if turn == 0 else -1
-        for i in range(height):
-            row = i if turn == 0 else height - 1 - i
-            for j in range(width):
-                column = j if turn == 0 else width - 1 - j
-                distance[row, column] = _nearer(label, distance, row, column, sign)
+    distance = np.full((height, width), np.float32(reach), np.float32)
+    near = math.ceil(reach)
+    disc = np.empty((2 * near + 1, 2 * near + 1), np.float32)
+    for i in range(2 * near + 1):
+        for j in range(2 * near + 1):
+            disc[i, j] = math.hypot(i - near, j - near)
+    for row in range(height):
+        for column in range(width):
+            if label[row, column] == OCCUPIED:
+                _stamp(distance, disc, row, column, near)
     return distance
 
 
 @kernel
-def _nearer(label: Bytes, distance: Costs, row: int, column: int, sign: int) -> int:
-    """The chamfer distance of one cell from those already passed."""
-    if label[row, column] == OCCUPIED:
-        return 0
-    height, width = label.shape
-    best = distance[row, column]
-    up, up2, left, right = row - sign, row - 2 * sign, column - sign, column + sign
-    row_in, left_in, right_in = 0 <= up < height, 0 <= left < width, 0 <= right < width
-    if left_in:
-        best = min(best, distance[row, left] + 5)
-    if row_in:
-        best = min(best, distance[up, column] + 5)
-        if left_in:
-            best = min(best, distance[up, left] + 7)
-        if right_in:
-            best = min(best, distance[up, right] + 7)
-        if 0 <= column - 2 < width:
-            best = min(best, distance[up, column - 2] + 11)
-        if 0 <= column + 2 < width:
-            best = min(best, distance[up, column + 2] + 11)
-    if 0 <= up2 < height:
-        if left_in:
-            best = min(best, distance[up2, left] + 11)
-        if right_in:
-            best = min(best, distance[up2, right] + 11)
-    return int(best)
+def _stamp(distance: Distances, disc: Distances, row: int, column: int, near: int) -> None:
+    """Let no cell around a wall be farther from it than it is."""
+    for r in range(max(row - near, 0), min(row + near + 1, distance.shape[0])):
+        for c in range(max(column - near, 0), min(column + near + 1, distance.shape[1])):
+            distance[r, c] = min(distance[r, c], disc[r - row + near, c - column + near])
 
 
 @kernel
-def cell_costs(label: Bytes, distance: Costs, least: float, comfort: float, wall_cost: float) -> Costs:
+def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, wall_cost: float) -> Costs:
     """(H,W) cost of a tenth of a cell: OPEN_COST in the open, more by `wall_cost` times that at `least`; 0: barred.
 
-    `distance` as from `clearance`; `least` and `comfort` in its unit. Unknown cells are barred.
+    `distance` as from `clearance`; `least` and `comfort` in cells. Unknown cells are barred.
     """
     height, width = label.shape
     cost = np.zeros((height, width), np.int32)
@@ -89,7 +71,7 @@ def cell_costs(label: Bytes, distance: Costs, least: float, comfort: float, wall
 
 
 @kernel
-def open_start(cost: Costs, label: Bytes, distance: Costs, row: int, column: int, radius: int) -> None:
+def open_start(cost: Costs, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
     """Let a robot that stands too near to a wall out: over cells near it that are no nearer to walls than it is."""
     if cost[row, column] > 0:
         return
@@ -106,59 +88,56 @@ def open_start(cost: Costs, label: Bytes, distance: Costs, row: int, column: int
 def distance_field(cost: Costs, row: int, column: int) -> tuple[Costs, Costs, Bytes]:
     """Cheapest ways from a cell to all others: cost (H,W), length in tenths of a cell, step that led there (8: none).
 
-    Dijkstra with one bucket a cost (all steps cost less than the number of buckets), 8 neighbours, no diagonal step
-    past a barred cell. FAR where there is no way.
+    Dijkstra with one bucket a cost (every step costs less than there are buckets), 8 neighbours, no diagonal step past
+    a barred cell. FAR where there is no way. The cells on the border of the grid are taken as barred. A bucket is a
+    ring of cells, linked both ways and closed by a node of its own; a cell in no bucket is a ring of one.
     """
-    height, width = cost.shape
-    count = DIAGONAL * MAX_COST + 1
-    total = np.full((height, width), FAR, np.int32)
-    length = np.full((height, width), FAR, np.int32)
-    step = np.full((height, width), 8, np.uint8)
-    head = np.full(count, -1, np.int64)
-    entry_cell, entry_next, entry_cost, used = _entries(8 * height * width)
-    total[row, column], length[row, column] = 0, 0
-    entry_cell[0], entry_next[0], entry_cost[0], used = row * width + column, -1, 0, 1
-    head[0], waiting, at = 0, 1, 0
-    while waiting > 0:
-        while head[at % count] < 0:
+    cells = cost.size
+    total, length = np.full(cells, FAR, np.int32), np.full(cells, FAR, np.int32)
+    step = np.full(cells, 8, np.uint8)
+    flat, steps = cost.reshape(-1), allowed_steps(cost).reshape(-1)
+    offset = DROW * cost.shape[1] + DCOL
+    onward, back = np.arange(cells + BUCKETS, dtype=np.int32), np.arange(cells + BUCKETS, dtype=np.int32)
+    start = row * cost.shape[1] + column
+    total[start], length[start] = 0, 0
+    onward[cells], back[cells], onward[start], back[start] = start, start, cells, cells
+    at, last = 0, 0
+    while at <= last:
+        cell = onward[cells + (at & (BUCKETS - 1))]
+        if cell >= cells:
             at += 1
-        entry = head[at % count]
-        head[at % count] = entry_next[entry]
-        waiting -= 1
-        r, c = entry_cell[entry] // width, entry_cell[entry] % width
-        if total[r, c] < entry_cost[entry]:
             continue
+        onward[back[cell]], back[onward[cell]] = onward[cell], back[cell]
         for k in range(8):
-            far = _step_cost(cost, r, c, k)
-            if far == 0 or total[r, c] + far >= total[r + DROW[k], c + DCOL[k]]:
+            near = cell + offset[k]
+            far = at + HALF_LENGTH[k] * (flat[cell] + flat[near])
+            if not (steps[cell] >> k) & 1 or far >= total[near]:
                 continue
-            nr, nc = r + DROW[k], c + DCOL[k]
-            total[nr, nc] = total[r, c] + far
-            length[nr, nc] = length[r, c] + (STRAIGHT if k < 4 else DIAGONAL)
-            step[nr, nc] = k
-            bucket = total[nr, nc] % count
-            entry_cell[used], entry_next[used], entry_cost[used] = nr * width + nc, head[bucket], total[nr, nc]
-            head[bucket] = used
-            used += 1
-            waiting += 1
-    return total, length, step
+            onward[back[near]], back[onward[near]] = onward[near], back[near]
+            node = cells + (far & (BUCKETS - 1))
+            onward[near], back[near] = onward[node], node
+            back[onward[node]], onward[node] = near, near
+            total[near], length[near], step[near] = far, length[cell] + 2 * HALF_LENGTH[k], k
+            last = max(last, far)
+    return total.reshape(cost.shape), length.reshape(cost.shape), step.reshape(cost.shape)
 
 
 @kernel
-def _entries(count: int) -> tuple[Ints, Ints, Ints, int]:
-    """Room for the entries of the buckets: cell, next of the bucket, cost; none used yet."""
-    return np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), 0
-
-
-@kernel
-def _step_cost(cost: Costs, row: int, column: int, k: int) -> int:
-    """Cost of step k from a cell, 0 when it is barred: the mean of the two cells, times the length."""
-    nr, nc = row + DROW[k], column + DCOL[k]
-    if not (0 <= nr < cost.shape[0] and 0 <= nc < cost.shape[1]) or cost[nr, nc] == 0:
-        return 0
-    if k >= 4 and (cost[row, nc] == 0 or cost[nr, column] == 0):
-        return 0
-    return int((STRAIGHT if k < 4 else DIAGONAL) * (cost[row, column] + cost[nr, nc]) // 2)
+def allowed_steps(cost: Costs) -> Bytes:
+    """(H,W) bit k set where step k leads to a passable cell, and past none that is barred; 0 on the border."""
+    height, width = cost.shape
+    steps = np.zeros((height, width), np.uint8)
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            if cost[row, column] == 0:
+                continue
+            bits = 0
+            for k in range(8):
+                r, c = row + DROW[k], column + DCOL[k]
+                inside = 0 < r < height - 1 and 0 < c < width - 1
+                bits |= (inside and min(cost[r, c], cost[row, c], cost[r, column]) > 0) << k
+            steps[row, column] = bits
+    return steps
 
 
 @kernel
@@ -193,7 +172,7 @@ def nearest_reached(total: Costs, x: float, y: float, reach: float) -> Ints:
 
 
 @kernel
-def clear_line(distance: Costs, x0: float, y0: float, x1: float, y1: float, least: float) -> bool:
+def clear_line(distance: Distances, x0: float, y0: float, x1: float, y1: float, least: float) -> bool:
     """True when every cell on the line between two points, in cells, is `least` or more from walls."""
     n = int(math.hypot(x1 - x0, y1 - y0) * 2.0) + 1
     for i in range(n + 1):
@@ -230,7 +209,7 @@ def _wall_within(label: Bytes, x: float, y: float, near: int, radius: float) -> 
 
 
 @kernel
-def shorten(points: Array, distance: Costs, cost: Costs, least: float) -> Array:
+def shorten(points: Array, distance: Distances, cost: Costs, least: float) -> Array:
     """The path (n,2), in cells, without the points that a clear line over known cells jumps; the ends stay."""
     kept = np.empty_like(points)
     kept[0] = points[0]
@@ -245,7 +224,7 @@ def shorten(points: Array, distance: Costs, cost: Costs, least: float) -> Array:
 
 
 @kernel
-def _may_jump(points: Array, distance: Costs, cost: Costs, first: int, last: int, least: float) -> bool:
+def _may_jump(points: Array, distance: Distances, cost: Costs, first: int, last: int, least: float) -> bool:
     """True when the line between two points of a path is clear and passable."""
     x0, y0, x1, y1 = points[first, 0], points[first, 1], points[last, 0], points[last, 1]
     if not clear_line(distance, x0, y0, x1, y1, least):
@@ -258,44 +237,80 @@ def _may_jump(points: Array, distance: Costs, cost: Costs, first: int, last: int
 
 
 @kernel
-def frontier_cells(label: Bytes, room: NDArray[np.int16], doors: Array, clear: float) -> Bytes:
-    """(H,W) 1 at FREE cells of a room beside UNKNOWN ones, not within `clear` of the doors' middles (d,2); in cells."""
+def frontier_cells(label: Bytes, room: Rooms, doors: Array, clear: float) -> tuple[Bytes, Ints]:
+    """(H,W) 1 at FREE cells of a room beside UNKNOWN ones, not within `clear` of the doors' middles (d,2), in cells.
+
+    Also where they are (n,2), row and column.
+    """
     height, width = label.shape
     frontier = np.zeros((height, width), np.uint8)
+    cells = np.empty((height * width, 2), np.int64)
+    n = 0
     for row in range(1, height - 1):
         for column in range(1, width - 1):
             if label[row, column] != FREE or room[row, column] < 0:
                 continue
-            unknown = label[row - 1, column] == 0 or label[row + 1, column] == 0
-            if not (unknown or label[row, column - 1] == 0 or label[row, column + 1] == 0):
+            beside = min(label[row - 1, column], label[row + 1, column], label[row, column - 1], label[row, column + 1])
+            if beside != UNKNOWN or _near_any(doors, column + 0.5, row + 0.5, clear):
                 continue
-            near = False
-            for i in range(doors.shape[0]):
-                near = near or math.hypot(doors[i, 0] - column - 0.5, doors[i, 1] - row - 0.5) < clear
-            frontier[row, column] = np.uint8(0 if near else 1)
-    return frontier
+            frontier[row, column] = 1
+            cells[n, 0], cells[n, 1] = row, column
+            n += 1
+    return frontier, cells[:n].copy()
 
 
 @kernel
-def frontier_clusters(frontier: Bytes, room: NDArray[np.int16], least: int) -> Ints:
-    """(c,4) row, column, size and room of the connected frontiers (8 neighbours, one room) of `least` cells or more.
+def bare_cells(
+    grid: tuple[Bytes, NDArray[np.bool_], Rooms], span: int, doors: Array, clear: float
+) -> tuple[Bytes, Ints]:
+    """(H,W) 1 at FREE cells of a room that no polygon covers, nor its neighbours `span` cells away; and where (n,2).
 
-    The cell is the one nearest to the middle of its frontier. `frontier` is used up.
+    `grid`: label, polygon and room; not within `clear` of the doors' middles (d,2), in cells.
     """
-    height, width = frontier.shape
-    found = np.empty((height * width // max(least, 1) + 1, 4), np.int64)
-    queue = np.empty((height * width, 2), np.int64)
+    label, polygon, room = grid
+    bare = np.zeros(label.shape, np.uint8)
+    cells = np.empty((label.size, 2), np.int64)
     n = 0
-    for cell in range(height * width):
-        if not frontier[cell // width, cell % width]:
+    for row in range(span, label.shape[0] - span):
+        for column in range(span, label.shape[1] - span):
+            if polygon[row, column] or label[row, column] != FREE or room[row, column] < 0:
+                continue
+            wide = not _near_any(doors, column + 0.5, row + 0.5, clear)
+            for k in range(8):
+                r, c = row + span * DROW[k], column + span * DCOL[k]
+                wide = wide and label[r, c] == FREE and not polygon[r, c]
+            if wide:
+                bare[row, column] = 1
+                cells[n, 0], cells[n, 1] = row, column
+                n += 1
+    return bare, cells[:n].copy()
+
+
+@kernel
+def _near_any(points: Array, x: float, y: float, clear: float) -> bool:
+    """True when one of the points (d,2) lies within `clear` of (x, y)."""
+    near = False
+    for i in range(points.shape[0]):
+        near = near or math.hypot(points[i, 0] - x, points[i, 1] - y) < clear
+    return near
+
+
+@kernel
+def clusters(marked: Bytes, cells: Ints, room: Rooms, least: int) -> Ints:
+    """(c,4) row, column, size and room of the connected clusters (8 neighbours, one room) of `least` cells or more.
+
+    The cell is the one nearest to the middle of its cluster. `marked`, whose `cells` (n,2) are set, is used up.
+    """
+    found = np.empty((cells.shape[0], 4), np.int64)
+    queue = np.empty((cells.shape[0], 2), np.int64)
+    n = 0
+    for first in range(cells.shape[0]):
+        if not marked[cells[first, 0], cells[first, 1]]:
             continue
-        size = _collect(frontier, room, queue, cell // width, cell % width)
+        size = _collect(marked, room, queue, cells[first, 0], cells[first, 1])
         if size < least:
             continue
-        row, column, best = 0.0, 0.0, math.inf
-        for i in range(size):
-            row += queue[i, 0] / size
-            column += queue[i, 1] / size
+        row, column, best = queue[:size, 0].mean(), queue[:size, 1].mean(), math.inf
         for i in range(size):
             distance = math.hypot(queue[i, 0] - row, queue[i, 1] - column)
             if distance < best:
@@ -306,18 +321,61 @@ def frontier_clusters(frontier: Bytes, room: NDArray[np.int16], least: int) -> I
 
 
 @kernel
-def _collect(frontier: Bytes, room: NDArray[np.int16], queue: Ints, row: int, column: int) -> int:
-    """Take the frontier around a cell out of `frontier` into `queue`; returns its size."""
+def _collect(marked: Bytes, room: Rooms, queue: Ints, row: int, column: int) -> int:
+    """Take the cluster around a cell out of `marked` into `queue`; returns its size."""
     queue[0, 0], queue[0, 1] = row, column
-    frontier[row, column] = 0
+    marked[row, column] = 0
     size, head = 1, 0
     while head < size:
         for k in range(8):
             nr, nc = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
-            inside = 0 <= nr < frontier.shape[0] and 0 <= nc < frontier.shape[1]
-            if inside and frontier[nr, nc] and room[nr, nc] == room[row, column]:
-                frontier[nr, nc] = 0
+            inside = 0 <= nr < marked.shape[0] and 0 <= nc < marked.shape[1]
+            if inside and marked[nr, nc] and room[nr, nc] == room[row, column]:
+                marked[nr, nc] = 0
                 queue[size, 0], queue[size, 1] = nr, nc
                 size += 1
         head += 1
     return size
+
+
+@kernel
+def open_strips(rings: Array, first: Ints, intervals: Array, owner: Ints, limits: Array) -> Array:
+    """Strips (s,8) beyond wide open intervals: three points x, y, the width, and which polygon; in metres.
+
+    `rings` (V,2): the vertices of all polygons, polygon p from first[p] to first[p + 1]; nan: not in the map.
+    `intervals` (m,4) of the polygons `owner` (m,): edge, start and end as share of it, EdgeLabel. `limits` (2,): least
+    width, and how far beyond the edge the strip lies.
+    """
+    strips = np.empty((intervals.shape[0], 8))
+    n = 0
+    for i in range(intervals.shape[0]):
+        begin, end = first[owner[i]], first[owner[i] + 1]
+        a = begin + int(intervals[i, 0])
+        b = a + 1 if a + 1 < end else begin
+        dx, dy = rings[b, 0] - rings[a, 0], rings[b, 1] - rings[a, 1]
+        length = math.hypot(dx, dy)
+        width = length * (intervals[i, 2] - intervals[i, 1])
+        if intervals[i, 3] != OPEN_LABEL or not width >= limits[0]:
+            continue
+        for k in range(3):
+            share = intervals[i, 1] + (intervals[i, 2] - intervals[i, 1]) * (0.3 + 0.2 * k)
+            strips[n, 2 * k] = rings[a, 0] + share * dx + limits[1] * dy / length
+            strips[n, 2 * k + 1] = rings[a, 1] + share * dy - limits[1] * dx / length
+        strips[n, 6], strips[n, 7] = width, owner[i]
+        n += 1
+    return strips[:n].copy()
+
+
+@kernel
+def uncovered(polygon: NDArray[np.bool_], strips: Array, origin: Array, resolution: float) -> NDArray[np.bool_]:
+    """(s,) True where polygons cover at most one of the three points of a strip (s,8), as from `open_strips`."""
+    free = np.empty(strips.shape[0], np.bool_)
+    for i in range(strips.shape[0]):
+        count = 0
+        for k in range(3):
+            row = math.floor((strips[i, 2 * k + 1] - origin[1]) / resolution)
+            column = math.floor((strips[i, 2 * k] - origin[0]) / resolution)
+            inside = 0 <= row < polygon.shape[0] and 0 <= column < polygon.shape[1]
+            count += 1 if inside and polygon[row, column] else 0
+        free[i] = count <= 1
+    return free

@@ -14,7 +14,6 @@ from mecp_env.slam.data import SemanticGrid
 Array = NDArray[np.float64]
 Costs = NDArray[np.int32]
 
-FIFTHS = 5.0  # the unit of clearance is a fifth of a cell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,12 +21,12 @@ class WayField:
     """The cheapest ways from the robot to every cell of a grid."""
 
     grid: SemanticGrid
-    clearance: Costs  # (H,W) fifths of a cell to the nearest wall, up to the comfortable distance
+    clearance: NDArray[np.float32]  # (H,W) cells to the nearest wall, up to the comfortable distance
     cost: Costs  # (H,W) cost of a cell, 0: barred
     total: Costs  # (H,W) cost of the way there, kernels.FAR: none
     length: Costs  # (H,W) length of the way there, tenths of a cell
     step: NDArray[np.uint8]  # (H,W) the step that leads there
-    shortcut: float  # fifths of a cell: shortcuts keep so far from walls
+    shortcut: float  # cells: shortcuts keep so far from walls
 
     def nearest(self, p_map: Array, reach_m: float) -> tuple[int, int] | None:
         """Row and column of the reachable cell nearest to `p_map` (2,), within `reach_m`; None without one."""
@@ -61,13 +60,13 @@ def way_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig) -> Wa
     A cell is passable when its centre is radius + margin + half a cell from the centre of every OCCUPIED cell. A robot
     that stands nearer to a wall (or on an unknown cell) may leave over the cells around it.
     """
-    unit = FIFTHS / grid.resolution_m
-    least = (config.radius_m + config.margin_m) * unit + 0.5 * FIFTHS
-    comfort = max(config.comfort_m * unit, least)
-    clearance = kernels.clearance(grid.label, int(comfort) + 1)
+    cells = 1.0 / grid.resolution_m
+    least = (config.radius_m + config.margin_m) * cells + 0.5
+    comfort = max(config.comfort_m * cells, least)
+    clearance = kernels.clearance(grid.label, comfort)
     cost = kernels.cell_costs(grid.label, clearance, least, comfort, config.wall_cost)
-    cell = np.floor((T_map_robot[:2] - grid.origin) / grid.resolution_m).astype(np.int64)
-    column, row = np.clip(cell, 0, np.array(cost.shape[::-1]) - 1)
-    kernels.open_start(cost, grid.label, clearance, int(row), int(column), int(0.5 / grid.resolution_m))
+    here = np.floor((T_map_robot[:2] - grid.origin) / grid.resolution_m).astype(np.int64)
+    column, row = np.clip(here, 0, np.array(cost.shape[::-1]) - 1)
+    kernels.open_start(cost, grid.label, clearance, int(row), int(column), int(0.5 * cells))
     total, length, step = kernels.distance_field(cost, int(row), int(column))
-    return WayField(grid, clearance, cost, total, length, step, config.shortcut_m * unit)
+    return WayField(grid, clearance, cost, total, length, step, config.shortcut_m * cells)

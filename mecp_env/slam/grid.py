@@ -41,7 +41,7 @@ class GridPainter:
         self.canvas = Canvas(config.resolution_m, empty_grid(config.resolution_m))
         self.scans = ScanLayer()
         self.polygons = PolygonLayer()
-        self.doors = DoorLayer()
+        self.doors = DoorLayer(0.5 * config.resolution_m)
         self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
         self.merges = 0
         self.completed: tuple[int, ...] = ()
@@ -63,11 +63,12 @@ class GridPainter:
         p_landmark = self._landmarks(belief)
         change = self._look(p_landmark)
         self._update_polygons(p_landmark, tuple(known_polygons), change)
-        stale = self._follow(p_landmark, graph, change)
+        self._follow(p_landmark, graph, change)
         self._add_key_scan(belief, beams, segments, graph)
         self.scans.hang_up(p_landmark, matched_ids, belief)
-        self._update_rooms(graph, stale)
-        self._update_pockets(graph, completed_rooms, stale)
+        if not self.scans.has_room.all():
+            self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
+        self._update_pockets(graph, completed_rooms)
         return self.canvas.publish(self.config.occupied_ratio)
 
     def _landmarks(self, belief: Belief) -> Array:
@@ -96,14 +97,27 @@ class GridPainter:
         if differs or change & scans.CAME:
             self.polygons.paint_waiting(self.canvas, p_landmark)
 
-    def _follow(self, p_landmark: Array, graph: RoomGraph, change: int) -> bool:
-        """Paint anew what moved; True when rooms must be painted anew."""
+    def _follow(self, p_landmark: Array, graph: RoomGraph, change: int) -> None:
+        """Paint anew what moved, what merged, and what lies behind a new door."""
         moved = bool(change & (scans.MOVED | scans.WENT))
-        scans_moved = moved and self.scans.follow(self.canvas, p_landmark)
         if moved:
+            self.scans.follow(self.canvas, p_landmark)
             self.polygons.follow(self.canvas, p_landmark)
-        doors_moved = self.doors.update(self.canvas, graph, p_landmark, moved)
-        return scans_moved or doors_moved or len(graph.merged) != self.merges
+        new_doors = self.doors.update(self.canvas, graph, p_landmark, moved)
+        if len(new_doors):
+            self.scans.forget_behind(self.canvas, new_doors)
+        if len(graph.merged) != self.merges:
+            self._rename_rooms(graph)
+
+    def _rename_rooms(self, graph: RoomGraph) -> None:
+        """Give merged rooms their new name everywhere."""
+        self.merges = len(graph.merged)
+        rooms = self.canvas.layers[kernels.ROOM]
+        for room in graph.merged:
+            rooms[rooms == room] = graph.resolve(room)
+        self.scans.room = np.array([graph.resolve(int(room)) for room in self.scans.room], np.int64)
+        self.polygons.rename_rooms(self.canvas, graph)
+        self.canvas.everything_dirty()
 
     def _add_key_scan(self, belief: Belief, beams: Beams, segments: Segments, graph: RoomGraph) -> None:
         """Paint this scan when no key scan of the room lies near."""
@@ -119,22 +133,10 @@ class GridPainter:
         distance = np.hypot(middles[:, 0] - T_map_robot[0], middles[:, 1] - T_map_robot[1])
         return graph.in_doorway or bool((distance < self.config.doorway_m).any())
 
-    def _update_rooms(self, graph: RoomGraph, stale: bool) -> None:
-        """Write the room of new key scans, or all rooms anew after a door, a merge or a move."""
-        if stale:
-            self.merges = len(graph.merged)
-            self.scans.room = np.array([graph.resolve(int(room)) for room in self.scans.room], np.int64)
-            self.scans.with_room = 0
-            self.canvas.layers[kernels.ROOM] = UNKNOWN_ROOM
-            self.polygons.paint_rooms(self.canvas, graph)
-            self.canvas.everything_dirty()
-        if self.scans.with_room < len(self.scans.room):
-            self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
-
-    def _update_pockets(self, graph: RoomGraph, completed_rooms: Collection[int], stale: bool) -> None:
-        """Turn unknown pockets of completed rooms into walls, when the rooms or the map changed."""
+    def _update_pockets(self, graph: RoomGraph, completed_rooms: Collection[int]) -> None:
+        """Turn unknown pockets of completed rooms into walls, when another room is complete."""
         completed = tuple(sorted({graph.resolve(room) for room in completed_rooms}))
-        if completed == self.completed and not (stale and completed):
+        if completed == self.completed:
             return
         flags = np.zeros(max(completed, default=-1) + 1, np.bool_)
         flags[list(completed)] = True

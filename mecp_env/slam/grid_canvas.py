@@ -31,13 +31,12 @@ class Canvas:
     grid: SemanticGrid
     layers: NDArray[np.int16] = field(default_factory=lambda: np.zeros((7, 0, 0), np.int16))  # (7,H,W)
     lattice: Ints = field(default_factory=lambda: np.zeros(2, np.int64))  # (2,) column, row of cell [0, 0]
+    mask: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1), np.uint8))  # (H,W+1) scratch, all zero
     dirty: Ints = field(default_factory=lambda: np.array(NOTHING, np.int64))  # (4,) window to publish
 
     def brush(self) -> kernels.Brush:
         """What the painting kernels need."""
-        height, width = self.layers.shape[1:]
-        mask = np.zeros((height, width + 1), np.uint8)
-        return kernels.Brush(mask, self.lattice, self.dirty, np.empty(4, np.int64))
+        return kernels.Brush(self.mask, self.lattice, self.dirty, np.empty(4, np.int64))
 
     def cells(self, points: Array, T_map_points: Array = MAP_FRAME) -> Array:
         """Points (..., 2) of a frame on the lattice, column and row."""
@@ -63,6 +62,7 @@ class Canvas:
         for layer in (kernels.ROOM, kernels.COVER_ROOM):
             outside = np.pad(np.zeros(self.grid.label.shape, np.bool_), pads, constant_values=True)
             self.layers[layer][outside] = UNKNOWN_ROOM
+        self.mask = np.zeros((self.layers.shape[1], self.layers.shape[2] + 1), np.uint8)
         self.lattice = self.lattice - before
         self.dirty = self.dirty + np.repeat(before[::-1], 2)
         self.grid = SemanticGrid(

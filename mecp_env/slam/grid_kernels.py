@@ -124,66 +124,100 @@ def paint_scan(layers: Layer, outline: Array, strips: Array, delta: int, brush: 
 
 
 @kernel
-def shadow(door: Array, eye: Array, reach: float) -> Array:
-    """The quadrilateral (4,2) behind `door` (2,2) as seen from `eye` (2,), as far as `reach`."""
-    quad = np.empty((4, 2))
-    for i in range(2):
-        dx, dy = door[i, 0] - eye[0], door[i, 1] - eye[1]
-        stretch = 2.0 * reach / max(math.hypot(dx, dy), 1e-6)
-        quad[i, 0], quad[i, 1] = door[i, 0], door[i, 1]
-        quad[3 - i, 0], quad[3 - i, 1] = eye[0] + stretch * dx, eye[1] + stretch * dy
-    return quad
+def split_outline(outline: Array, eye: Array, door: Array) -> tuple[Array, Array]:
+    """Free space (m,2) seen from `eye` (2,), in the order of bearing, as cut by a door (2,2): before it and behind it.
+
+    Behind is empty when nothing is seen through the door.
+    """
+    count = outline.shape[0]
+    front, behind = np.empty((count + 8, 2)), np.empty((count + 8, 2))
+    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
+    if ax * by - ay * bx < 0.0:
+        ax, ay, bx, by = bx, by, ax, ay
+    n, m = 0, 0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        px, py, qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1], outline[j, 0] - eye[0], outline[j, 1] - eye[1]
+        share = door_share(ax, ay, bx, by, px, py)
+        front[n, 0], front[n, 1] = min(share, 1.0) * px, min(share, 1.0) * py
+        n += 1
+        if share < 1.0:
+            behind[m, 0], behind[m, 1] = px, py
+            m += 1
+        first, last = crossing_stretch(px, py, qx, qy, ax, ay), crossing_stretch(px, py, qx, qy, bx, by)
+        if first > 1.0:  # the outline goes behind the door past its right end
+            front[n, 0], front[n, 1], front[n + 1, 0], front[n + 1, 1] = first * ax, first * ay, ax, ay
+            behind[m, 0], behind[m, 1], behind[m + 1, 0], behind[m + 1, 1] = ax, ay, first * ax, first * ay
+            n, m = n + 2, m + 2
+        if last > 1.0:  # and comes back past its left end
+            front[n, 0], front[n, 1], front[n + 1, 0], front[n + 1, 1] = bx, by, last * bx, last * by
+            behind[m, 0], behind[m, 1], behind[m + 1, 0], behind[m + 1, 1] = last * bx, last * by, bx, by
+            n, m = n + 2, m + 2
+    return front[:n] + eye, behind[:m] + eye
 
 
 @kernel
-def sees_through(eye: Array, x: float, y: float, door: Array) -> bool:
-    """True when the line from `eye` (2,) to (x, y) crosses the segment `door` (2,2)."""
-    ax, ay = door[0, 0] - eye[0], door[0, 1] - eye[1]
-    bx, by = door[1, 0] - eye[0], door[1, 1] - eye[1]
-    px, py = x - eye[0], y - eye[1]
-    if (ax * py - ay * px > 0.0) == (bx * py - by * px > 0.0) or ax * px + ay * py <= 0.0:
-        return False
-    side_eye = (bx - ax) * -ay - (by - ay) * -ax
-    side_point = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-    return bool((side_eye > 0.0) != (side_point > 0.0))
+def door_share(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> float:
+    """Share of the way from the origin to p at which it crosses the segment from a (right) to b; 2: nowhere."""
+    if ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
+        return 2.0
+    across = px * (by - ay) - py * (bx - ax)
+    return (ax * by - ay * bx) / across if across > 1e-12 else 2.0
+
+
+@kernel
+def crossing_stretch(px: float, py: float, qx: float, qy: float, ax: float, ay: float) -> float:
+    """How far out, in lengths of a, the edge from p to q crosses the ray through a counter-clockwise; 0: nowhere."""
+    before, after = ax * py - ay * px, ax * qy - ay * qx
+    if before >= 0.0 or after < 0.0:
+        return 0.0
+    return (px * qy - py * qx) / (after - before)
 
 
 @kernel
 def paint_room(
-    layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array, float], brush: Brush
+    layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array], brush: Brush
 ) -> None:
     """Write `room` into the cells inside the outline (m,2) and of the strips (s,4,2), as far as doors let see.
 
-    `view`: the eye (2,), the doors (d,2,2), and how far the eye sees.
+    `view`: the eye (2,) and the doors (d,2,2), on the lattice like the rest.
     """
-    eye, doors, reach = view
-    behind = np.zeros_like(brush.mask) if doors.shape[0] else brush.mask
+    eye, doors = view
+    through = np.zeros(strips.shape[0], np.bool_)
     for i in range(doors.shape[0]):
-        set_behind(behind, shadow(doors[i], eye, reach), brush)
-    mark(outline, brush)
-    for row in range(brush.box[0], brush.box[1]):
-        for column in range(brush.box[2], brush.box[3]):
-            if brush.mask[row, column] and (doors.shape[0] == 0 or not behind[row, column]):
-                layer[row, column] = np.int16(room)
-            brush.mask[row, column] = 0
-    widen(brush)
-    for i in range(strips.shape[0]):
-        x, y = 0.5 * (strips[i, 0, 0] + strips[i, 1, 0]), 0.5 * (strips[i, 0, 1] + strips[i, 1, 1])
-        through = False
-        for j in range(doors.shape[0]):
-            through = through or sees_through(eye, x, y, doors[j])
-        if not through:
-            set_polygon(layer, strips[i], room, brush)
+        outline = split_outline(outline, eye, doors[i])[0]
+        for j in range(strips.shape[0]):
+            x, y = 0.5 * (strips[j, 0, 0] + strips[j, 1, 0]), 0.5 * (strips[j, 0, 1] + strips[j, 1, 1])
+            through[j] |= is_behind(x - eye[0], y - eye[1], eye, doors[i])
+    set_polygon(layer, outline, room, brush)
+    for j in range(strips.shape[0]):
+        if not through[j]:
+            set_polygon(layer, strips[j], room, brush)
 
 
 @kernel
-def set_behind(behind: Bytes, quad: Array, brush: Brush) -> None:
-    """Write 1 into `behind` where the quadrilateral (4,2) of the lattice lies."""
-    mark(quad, brush)
-    for row in range(brush.box[0], brush.box[1]):
-        for column in range(brush.box[2], brush.box[3]):
-            behind[row, column] |= brush.mask[row, column]
-            brush.mask[row, column] = 0
+def is_behind(x: float, y: float, eye: Array, door: Array) -> bool:
+    """True when the line from `eye` (2,) to (x, y), relative to it, crosses the door (2,2)."""
+    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
+    if ax * by - ay * bx < 0.0:
+        ax, ay, bx, by = bx, by, ax, ay
+    return bool(door_share(ax, ay, bx, by, x, y) < 1.0)
+
+
+@kernel
+def forget_room(layer: Layer, room: int, outline: Array, eye: Array, doors: Array, brush: Brush) -> None:
+    """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
+    for i in range(doors.shape[0]):
+        behind = split_outline(outline, eye, doors[i])[1]
+        if behind.shape[0] < 3:
+            continue
+        mark(behind, brush)
+        for row in range(brush.box[0], brush.box[1]):
+            for column in range(brush.box[2], brush.box[3]):
+                if brush.mask[row, column] and layer[row, column] == room:
+                    layer[row, column] = np.int16(-1)
+                brush.mask[row, column] = 0
+        widen(brush)
 
 
 @kernel
@@ -206,6 +240,7 @@ def compose(
                 value = OCCUPIED_CELL
             covered = layers[COVER, row, column] > 0
             owner = layers[COVER_ROOM, row, column] if covered else layers[ROOM, row, column]
+            owner = owner if value != UNKNOWN_CELL else np.int16(-1)
             if label[row, column] != value or polygon[row, column] != covered or room[row, column] != owner:
                 changed += 1
             label[row, column], polygon[row, column], room[row, column] = value, covered, owner

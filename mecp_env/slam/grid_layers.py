@@ -30,7 +30,7 @@ class ScanLayer:
     p_robot: Array = field(default_factory=lambda: np.empty((0, 0, 2)))  # (n,k,2) m, the anchors in the scan's frame
     outline: list[Array] = field(default_factory=list)  # (m,2) m, free space, robot frame
     strips: list[Array] = field(default_factory=list)  # (s,4,2) m, walls, robot frame
-    with_room: int = 0  # so many scans have their room on the canvas
+    has_room: Bools = field(default_factory=lambda: np.empty(0, np.bool_))  # (n,) its room is on the canvas
 
     def wants(self, T_map_robot: Array, room: int, config: GridConfig) -> bool:
         """True when no key scan of this room lies near."""
@@ -42,6 +42,7 @@ class ScanLayer:
         n = len(self.room)
         self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
         self.room = np.append(self.room, room)
+        self.has_room = np.append(self.has_room, room == UNKNOWN_ROOM)
         self.anchor = np.concatenate([self.anchor.reshape(n, anchors), np.full((1, anchors), NO_ID)])
         self.p_robot = np.concatenate([self.p_robot.reshape(n, anchors, 2), np.zeros((1, anchors, 2))])
         self.outline.append(outline)
@@ -73,8 +74,8 @@ class ScanLayer:
             self.anchor[row, : len(surest)] = surest
             self.p_robot[row, : len(surest)] = to_robot(self.T_map_robot[row], p_landmark[surest])
 
-    def follow(self, canvas: Canvas, p_landmark: Array) -> bool:
-        """Move the scans whose landmarks moved, drop those whose landmarks are gone; True when something changed."""
+    def follow(self, canvas: Canvas, p_landmark: Array) -> None:
+        """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
         poses, present = scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
         step = poses - self.T_map_robot
         turn = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
@@ -85,33 +86,38 @@ class ScanLayer:
         self.T_map_robot[moved] = poses[moved]
         for row in np.flatnonzero(moved & ~lost).tolist():
             self._vote(canvas, row, 1)
+        self.has_room &= ~moved
         if lost.any():
             self._keep(~lost)
-        return bool(moved.any() or lost.any())
 
     def _keep(self, rows: Bools) -> None:
         """Forget the scans that `rows` (n,) does not name."""
         self.T_map_robot, self.room = self.T_map_robot[rows], self.room[rows]
-        self.anchor, self.p_robot = self.anchor[rows], self.p_robot[rows]
+        self.anchor, self.p_robot, self.has_room = self.anchor[rows], self.p_robot[rows], self.has_room[rows]
         self.outline = [self.outline[row] for row in np.flatnonzero(rows)]
         self.strips = [self.strips[row] for row in np.flatnonzero(rows)]
 
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
         """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""
-        lines = canvas.cells(cuts)
-        for row in range(self.with_room, len(self.room)):
-            if self.room[row] != UNKNOWN_ROOM:
-                self._paint_room(canvas, row, lines)
-        self.with_room = len(self.room)
+        rows = np.flatnonzero(~self.has_room).tolist()
+        lines = canvas.cells(cuts) if rows else cuts
+        for row in rows:
+            outline, strips = self._cells(canvas, row)
+            view = (self._eye(canvas, row), lines)
+            kernels.paint_room(canvas.layers[kernels.ROOM], int(self.room[row]), outline, strips, view, canvas.brush())
+        self.has_room[:] = True
 
-    def _paint_room(self, canvas: Canvas, row: int, lines: Array) -> None:
-        """Write the room of one scan; `lines` (d,2,2) of the lattice."""
-        outline, strips = self._cells(canvas, row)
-        eye = self.T_map_robot[row, :2] / canvas.resolution_m
-        reach = float(np.hypot(*(outline - eye).T).max())
-        near = np.hypot(*(lines.mean(axis=1) - eye).T) < reach
-        view = (eye, np.ascontiguousarray(lines[near]), reach)
-        kernels.paint_room(canvas.layers[kernels.ROOM], int(self.room[row]), outline, strips, view, canvas.brush())
+    def forget_behind(self, canvas: Canvas, cuts: Array) -> None:
+        """Take the room off what was seen through doors (d,2,2) m that were not known then."""
+        lines = canvas.cells(cuts)
+        for row in np.flatnonzero(self.has_room & (self.room != UNKNOWN_ROOM)).tolist():
+            outline = canvas.cells(self.outline[row], self.T_map_robot[row])
+            eye, room = self._eye(canvas, row), int(self.room[row])
+            kernels.forget_room(canvas.layers[kernels.ROOM], room, outline, eye, lines, canvas.brush())
+
+    def _eye(self, canvas: Canvas, row: int) -> Array:
+        """Where a scan was taken (2,), on the lattice."""
+        return self.T_map_robot[row, :2] / canvas.resolution_m
 
 
 def free_and_walls(beams: Beams, segments: Segments, config: GridConfig) -> tuple[Array, Array]:
@@ -180,7 +186,7 @@ class PolygonLayer:
             polygon.ring = p_landmark[list(keys[row])]
             self._stamp(canvas, polygon, 1)
 
-    def paint_rooms(self, canvas: Canvas, graph: RoomGraph) -> None:
+    def rename_rooms(self, canvas: Canvas, graph: RoomGraph) -> None:
         """Write the rooms anew after a merge."""
         for polygon in self.painted.values():
             polygon.room = graph.resolve(polygon.room)
@@ -204,21 +210,28 @@ class PolygonLayer:
 class DoorLayer:
     """The cells between the jambs of the doors, and the lines that part the rooms."""
 
+    shift_m: float  # a door that moved by more is painted anew
     key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
     quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
 
-    def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> bool:
-        """Paint new doors, move those that moved by more than half a cell; True when the doors changed."""
+    def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> Array:
+        """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed."""
         key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
         if key == self.key and not moved:
-            return False
+            return np.empty((0, 2, 2))
         quads = np.array([door_quad(p_landmark, *k[1:]) for k in key]).reshape(-1, 4, 2)
-        if key == self.key and not (np.abs(quads - self.quads) > 0.5 * canvas.resolution_m).any():
-            return False
+        before = dict(zip(self.key, self.quads, strict=True))
+        still = np.array([self._stands(before.get(k), quad) for k, quad in zip(key, quads, strict=True)], np.bool_)
+        if still.all() and len(key) == len(self.key):
+            return np.empty((0, 2, 2))
         self._stamp(canvas, -1)
         self.key, self.quads = key, quads
         self._stamp(canvas, 1)
-        return True
+        return cut_lines(quads[~still])
+
+    def _stands(self, before: Array | None, quad: Array) -> bool:
+        """True when a door was painted before (4,2) where it is now, within half a cell."""
+        return before is not None and not (np.abs(before - quad) > self.shift_m).any()
 
     def _stamp(self, canvas: Canvas, delta: int) -> None:
         """Paint the doors (`delta` 1) or take them off (-1)."""
@@ -228,13 +241,21 @@ class DoorLayer:
 
     def cuts(self, graph: RoomGraph) -> Array:
         """(d,2,2) m, the lines that part the rooms: through the middle of each door, and across each candidate."""
-        quads = self.quads[np.isfinite(self.quads).all(axis=(1, 2))]
-        middles = 0.5 * (quads[:, :2] + quads[:, 3:1:-1])
         gaps = np.array([candidate.ends for candidate in graph.candidates]).reshape(-1, 2, 2)
-        lines = np.concatenate([middles, gaps])
-        along = lines[:, 1] - lines[:, 0]
-        side = SIDE_M * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
-        return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
+        return np.concatenate([cut_lines(self.quads), widened(gaps)])
+
+
+def cut_lines(quads: Array) -> Array:
+    """(d,2,2) m: the line through the middle of each door (d,4,2) whose jambs are in the map, a little widened."""
+    known = quads[np.isfinite(quads).all(axis=(1, 2))]
+    return widened(0.5 * (known[:, :2] + known[:, 3:1:-1]))
+
+
+def widened(lines: Array) -> Array:
+    """Lines (d,2,2) m, longer by `SIDE_M` at both ends."""
+    along = lines[:, 1] - lines[:, 0]
+    side = SIDE_M * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
+    return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
 
 
 def door_quad(p_landmark: Array, jambs: tuple[int, int], other_face: tuple[int, int] | None) -> Array:
