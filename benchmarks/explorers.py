@@ -1,0 +1,126 @@
+"""Explorers: breadth first against a random walk.
+
+A seed is complete when its episode ends with every room and every door found and 95 % of the free area seen. A room is
+found when the centre of a room of the map lies in it, a door when a door of the map lies within 0.3 m, one to one; what
+is left over of the map is false. Periods and metres to a coverage are means over the seeds that reached it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
+from mecp_env.env import make
+from mecp_env.wrappers import GoalActions
+
+EXPLORERS = {"breadth first": "agents.bfs:BreadthFirstAgent", "random walk": "agents.random_walk:RandomWalk"}
+SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
+QUICK = {"paper": 2, "two_rooms": 3}
+LEVELS = (0.90, 0.99)
+COMPLETE_COVERAGE = 0.95
+MAX_PERIODS = 3000
+
+GATES = (
+    Gate("paper/breadth first/complete", "share", 0.03),
+    Gate("paper/breadth first/coverage", "share", 0.01),
+    Gate("paper/breadth first/rooms_found", "share", 0.02),
+    Gate("paper/breadth first/doors_found", "share", 0.02),
+    Gate("paper/breadth first/periods_to_90%", "error", 1.15),
+    Gate("paper/breadth first/contacts_per_100_m", "error", 1.5),
+)
+
+
+@dataclass(slots=True)
+class Episode:
+    """One exploration: its final figures, and when each coverage was reached."""
+
+    final: dict[str, float] = field(default_factory=dict)
+    periods: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
+    metres: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
+
+    def look(self, info: dict[str, Any]) -> None:
+        """Take in the info of one control period."""
+        for level in LEVELS:
+            if np.isnan(self.periods[level]) and info["coverage"] >= level:
+                self.periods[level], self.metres[level] = info["period"], info["metres"]
+
+
+def run(options: Options) -> Figures:
+    """Figures of every layout and explorer."""
+    figures: Figures = {}
+    for layout, seeds in (QUICK if options.quick else SEEDS).items():
+        tasks = [(layout, where, seed) for where in EXPLORERS.values() for seed in range(seeds)]
+        episodes = list(in_parallel(explore, tasks, options.jobs))
+        parts = {name: episodes[i * seeds : (i + 1) * seeds] for i, name in enumerate(EXPLORERS)}
+        figures[layout] = {name: summarise(part) for name, part in parts.items()}
+    return figures
+
+
+def explore(task: tuple[str, str, int]) -> Episode:
+    """One episode: the layout, where the explorer's class is ("module:Class"), the seed."""
+    layout, where, seed = task
+    module, _, name = where.partition(":")
+    agent = getattr(importlib.import_module(module), name)()
+    env = make(layout=layout, actions=agent.actions, max_periods=MAX_PERIODS)
+    episode = Episode()
+    if isinstance(env, GoalActions):
+        env.callback = lambda step: episode.look(step[4])
+    agent.reset(seed)
+    observation, info = env.reset(seed=seed)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        episode.look(info)
+        action = agent.act(observation, env.action_masks() if isinstance(env, GoalActions) else None)
+        observation, _, terminated, truncated, info = env.step(action)
+    episode.look(info)
+    episode.final = env.get_wrapper_attr("summary")()
+    return episode
+
+
+def is_complete(final: dict[str, float]) -> bool:
+    """True when every room and door was found and nearly all of the free area was seen."""
+    found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
+    return bool(found and final["coverage"] >= COMPLETE_COVERAGE)
+
+
+def summarise(episodes: list[Episode]) -> Figures:
+    """The figures of one explorer on one layout, each with its 95 % interval."""
+    finals = [episode.final for episode in episodes]
+
+    def of(name: str) -> list[float]:
+        return [final[name] for final in finals]
+
+    figures: Figures = {
+        "complete": share(is_complete(final) for final in finals),
+        "coverage": estimate(of("coverage")),
+        "rooms_found": ratio(of("rooms_found"), of("rooms")),
+        "rooms_false": estimate(of("rooms_false")),
+        "doors_found": ratio(of("doors_found"), of("doors")),
+        "doors_false": estimate(of("doors_false")),
+        "periods": estimate(of("periods")),
+        "metres": estimate(of("metres")),
+        "contacts_per_100_m": ratio([100.0 * n for n in of("contacts")], of("metres")),
+        "pose_rmse_m": estimate(of("pose_rmse_m")),
+        "nees": estimate(of("nees_mean")),
+    }
+    for level in LEVELS:
+        figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.periods[level]) for episode in episodes)
+        figures[f"periods_to_{level:.0%}"] = estimate([episode.periods[level] for episode in episodes])
+        figures[f"metres_to_{level:.0%}"] = estimate([episode.metres[level] for episode in episodes])
+    figures["incomplete_seeds"] = [seed for seed, final in enumerate(finals) if not is_complete(final)]
+    return figures
+
+
+def report(figures: Figures) -> str:
+    """One table a layout."""
+    parts = [__doc__ or ""]
+    for layout, explorers in figures.items():
+        seeds = next(iter(explorers.values()))["complete"]["n"]
+        names = next(iter(explorers.values()))
+        rows = [(name.replace("_", " "), *(e[name] for e in explorers.values())) for name in names]
+        parts.append(f"## {layout}, {seeds} seeds\n\n{table(['', *explorers], rows)}")
+    return "\n\n".join(parts)

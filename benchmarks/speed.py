@@ -1,0 +1,236 @@
+"""Speed: steps a second of the whole environment, the share of each stage, the ray and the polygon kernels alone.
+
+Everything runs on one core. Times are those of the processor spent by this thread, so that another load on the machine
+does not count; periods in which numba compiled or loaded a kernel are left out.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Gate, Options, table
+from mecp_env.env import MecpEnv
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.slam.config import PolygonConfig
+from mecp_env.slam.data import Beams, CornerKind, Corners, Doorways
+from mecp_env.slam.polygon import find_polygons, largest_empty_convex_polygons
+from mecp_env.stopwatch import STAGES, Stopwatch, timed_stages
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser, cast_rays
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import Outline, build_outline, random_free_pose
+from mecp_env.wrappers import GoalActions
+
+Array = NDArray[np.float64]
+
+LAYOUT = "paper"
+SWEEPS = (1, 4)
+BEAMS = 720
+SITES = (5, 10, 15, 20, 30, 40)
+
+GATES = (
+    *(Gate(f"env/K={k}/{actions}/steps_per_s", "rate_per_s", 1.3) for k in SWEEPS for actions in ("random", "bfs")),
+    Gate("rays/kernel_us", "time", 1.3),
+    *(Gate(f"polygon/stage/n={n}", "time", 1.5) for n in SITES),
+)
+
+
+def run(options: Options) -> Figures:
+    """All figures; the environment is measured for 300 periods (--quick) or 3,000 a setting."""
+    periods = 300 if options.quick else 3000
+    return {
+        "env": {f"K={k}": environment(k, periods) for k in SWEEPS},
+        "rays": rays(50 if options.quick else 300),
+        "polygon": polygons(20 if options.quick else 200),
+    }
+
+
+def environment(sweeps: int, periods: int) -> Figures:
+    """Speed under random velocities and under the breadth-first explorer, in control periods a second."""
+    return {"random": timed(sweeps, periods, drive_at_random), "bfs": timed(sweeps, periods, explore)}
+
+
+def timed(sweeps: int, periods: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
+    """Steps a second, and microseconds of each stage; a short drive before it loads the kernels."""
+    env = MecpEnv(layout=LAYOUT, laser={"sweeps": sweeps, "beams": BEAMS}, max_periods=10**7)
+    drive(env, 50)
+    with timed_stages() as watch:
+        drive(env, periods)
+    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": watch.microseconds()}
+
+
+def with_driver(watch: Stopwatch) -> float:
+    """Control periods a second when the planner and controller of the goal actions count too."""
+    return watch.periods / (watch.seconds["step"] + watch.seconds["drive"])
+
+
+def drive_at_random(env: MecpEnv, periods: int) -> None:
+    """Random velocities, each held for ten periods; a new episode every 1,000 periods."""
+    rng = np.random.default_rng(0)
+    for period in range(periods):
+        if period % 1000 == 0:
+            env.reset(seed=period)
+        if period % 10 == 0:
+            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset(seed=period)
+
+
+def explore(env: MecpEnv, periods: int) -> None:
+    """Whole explorations, one after the other, until enough periods are over."""
+    seen, policy = 0, BreadthFirst()
+    goals = GoalActions(env)
+    for seed in range(periods):
+        if seen >= periods:
+            return
+        observation, _ = goals.reset(seed=seed)
+        terminated = truncated = False
+        while not (terminated or truncated) and seen < periods:
+            observation, _, terminated, truncated, info = goals.step(policy.act(observation, goals.action_masks()))
+            seen += info["periods"]
+
+
+def rays(poses: int) -> Figures:
+    """Median time of one sweep of 720 rays from random poses: the kernel, the whole laser, pymunk, plain NumPy."""
+    outline = build_outline(load_layout(LAYOUT))
+    rng = np.random.default_rng(0)
+    places = [random_free_pose(outline, rng, 0.3) for _ in range(poses)]
+    laser = Laser(outline, LaserConfig(preset="paper", sweeps=1, beams=BEAMS))
+    space = pymunk_space(outline)
+    few = places[:10]
+    return {
+        "faces": len(outline.segments),
+        "kernel_us": median_us(lambda pose: cast_rays(outline.segments, pose, BEAMS), places),
+        "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
+        "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few),
+        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few),
+    }
+
+
+def pymunk_space(outline: Outline) -> pymunk.Space:
+    """A space of the outline's faces as segments of radius 0."""
+    space = pymunk.Space()
+    faces = [(tuple(a), tuple(b)) for a, b in outline.segments.tolist()]
+    space.add(*(pymunk.Segment(space.static_body, a, b, 0.0) for a, b in faces))
+    return space
+
+
+def query_pymunk(space: pymunk.Space, T_world_robot: Array, reach: float = 30.0) -> list[float]:
+    """Ranges of 720 rays by `segment_query_first`."""
+    x, y, heading = T_world_robot.tolist()
+    ranges = []
+    for beam in range(BEAMS):
+        angle = heading - math.pi + (beam + 1) * 2.0 * math.pi / BEAMS
+        end = x + reach * math.cos(angle), y + reach * math.sin(angle)
+        found = space.segment_query_first((x, y), end, 0.0, pymunk.ShapeFilter())
+        ranges.append(reach * found.alpha if found else math.inf)
+    return ranges
+
+
+def brute_force(segments: Array, T_world_robot: Array) -> Array:
+    """Ranges (720,) of every ray against every face."""
+    angles = T_world_robot[2] - math.pi + np.arange(1, BEAMS + 1) * 2.0 * math.pi / BEAMS
+    dx, dy = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    ax, ay = (segments[:, 0] - T_world_robot[:2]).T
+    ex, ey = (segments[:, 1] - segments[:, 0]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (ax * ey - ay * ex) / (dx * ey - dy * ex)
+        share = (ax * dy - ay * dx) / (dx * ey - dy * ex)
+    ranges: Array = np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
+    return ranges
+
+
+def polygons(sets: int) -> Figures:
+    """Median time of the polygon stage with its guard and of the public search for n sites around a robot, us."""
+    rng = np.random.default_rng(0)
+    figures: Figures = {"stage": {}, "stage, convex position": {}, "public search": {}}
+    for n in SITES:
+        spread = [rng.uniform(-5.0, 5.0, (n, 2)) for _ in range(sets)]
+        angles = [np.sort(rng.uniform(0.0, 2.0 * math.pi, n)) for _ in range(sets)]
+        convex = [5.0 * np.column_stack([np.cos(a), np.sin(a)]) for a in angles]
+        figures["stage"][f"n={n}"] = median_us(find, [as_corners(sites) for sites in spread])
+        figures["stage, convex position"][f"n={n}"] = median_us(find, [as_corners(sites) for sites in convex])
+        figures["public search"][f"n={n}"] = median_us(search, spread[:10])
+    return figures
+
+
+def find(corners: Corners) -> object:
+    """The polygon stage on made-up corners in the open."""
+    return find_polygons(corners, OPEN_FIELD, PolygonConfig())
+
+
+def search(sites: Array) -> object:
+    """The public search around a robot at the origin."""
+    return largest_empty_convex_polygons(sites, np.zeros(2))
+
+
+def as_corners(sites: Array) -> Corners:
+    """Points (n,2) in the robot's frame as corners with a sigma of 2 cm, in order of bearing."""
+    bearing = np.arctan2(sites[:, 1], sites[:, 0])
+    order = np.argsort(bearing)
+    n = len(sites)
+    cov: Array = np.kron(np.eye(n), np.diag([4e-4, 4e-5]))
+    return Corners(
+        z=np.ascontiguousarray(np.column_stack([np.hypot(*sites.T), bearing])[order]),
+        cov=cov,
+        kind=np.full(n, int(CornerKind.CROSSING)),
+        convex=np.zeros(n, np.bool_),
+        normals=np.full((n, 2), np.nan),
+        beyond=np.full(n, -1),
+        sites=np.ones(n, np.bool_),
+        doorways=Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_)),
+    )
+
+
+def open_field() -> Beams:
+    """A merged scan that hit nothing."""
+    bearings = -math.pi + 2.0 * math.pi / BEAMS * np.arange(1, BEAMS + 1)
+    ranges: Array = np.full(BEAMS, 30.0)
+    nothing = np.zeros(BEAMS, np.bool_)
+    return Beams(ranges, bearings, nothing, np.ones(BEAMS, np.int64), 30.0, ranges, bearings)
+
+
+OPEN_FIELD = open_field()
+
+
+def median_us(call: Callable[[Any], object], items: list[Any]) -> float:
+    """Median over the items of the least of three calls each, us, after one call to load the kernels."""
+    call(items[0])
+    return 1e6 * float(np.median([min(_once(call, item) for _ in range(3)) for item in items]))
+
+
+def _once(call: Callable[[Any], object], item: Any) -> float:
+    start = time.thread_time()
+    call(item)
+    return time.thread_time() - start
+
+
+def report(figures: Figures) -> str:
+    """Tables: steps a second, share of the stages, rays, polygons."""
+    settings = [(k, actions, values) for k, both in figures["env"].items() for actions, values in both.items()]
+    speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
+    names = [*(name for name, _, _ in STAGES), "rest", "step", "drive"]
+    stages = [(name, *(round(v["us"][name], 1) for _, _, v in settings)) for name in names]
+    kinds = figures["polygon"]
+    sites = [(f"n={n}", *(round(times[f"n={n}"], 1) for times in kinds.values())) for n in SITES]
+    return "\n\n".join(
+        [
+            f"Times of the processor. {__doc__.splitlines()[0] if __doc__ else ''}",
+            "## Steps a second (layout `paper`, 720 beams, one core)",
+            table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
+            "## Where a period goes, us",
+            table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
+            "## 720 rays, us (median over poses)",
+            table(["what", "value"], figures["rays"].items()),
+            "## Largest empty convex polygon around the robot, us (median)",
+            table(["sites", *kinds], sites),
+        ]
+    )

@@ -1,0 +1,72 @@
+"""The pieces of the speed benchmark measure what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import explorers, speed
+from benchmarks.common import flatten
+from mecp_env.env import MecpEnv
+from mecp_env.stopwatch import STAGES, timed_stages
+from mecp_env.world.laser import cast_rays
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import build_outline, random_free_pose
+
+
+def test_the_three_ways_to_cast_rays_agree() -> None:
+    outline = build_outline(load_layout("paper"))
+    space = speed.pymunk_space(outline)
+    for seed in range(5):
+        pose = random_free_pose(outline, np.random.default_rng(seed), 0.3)
+        exact = speed.brute_force(outline.segments, pose)
+        assert cast_rays(outline.segments, pose, speed.BEAMS) == pytest.approx(exact, abs=1e-6)
+        assert speed.query_pymunk(space, pose) == pytest.approx(exact, abs=1e-6)
+
+
+def test_made_up_corners_have_a_polygon() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 9)[:-1]
+    sites = 3.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    (best, *_) = speed.find_polygons(speed.as_corners(sites), speed.OPEN_FIELD, speed.PolygonConfig())
+    assert len(best.corners) == 8
+
+
+def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
+    env = MecpEnv(layout="two_rooms")
+    plain = [getattr(owner, name) for _, owner, name in STAGES]
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.array([0.2, 0.1]))
+    with timed_stages() as watch:
+        for _ in range(20):
+            env.step(np.array([0.2, 0.1]))
+    times = watch.microseconds()
+    assert 0 < watch.periods <= 20
+    assert all(times[name] > 0.0 for name, _, _ in STAGES if name != "goals")
+    assert times["step"] == pytest.approx(times["rest"] + sum(times[name] for name, _, _ in STAGES))
+    assert [getattr(owner, name) for _, owner, name in STAGES] == plain
+
+
+def test_gates_name_figures_that_are_measured() -> None:
+    polygons, rays = speed.polygons(1), speed.rays(2)
+    env = {f"K={k}": {kind: {"steps_per_s": 1.0} for kind in ("random", "bfs")} for k in speed.SWEEPS}
+    measured = flatten({"env": env, "rays": rays, "polygon": polygons})
+    assert {gate.path for gate in speed.GATES} <= measured.keys()
+
+
+@pytest.mark.parametrize("where", explorers.EXPLORERS.values())
+def test_an_explorer_is_found_by_its_name_and_summed_up(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explorers, "MAX_PERIODS", 40)
+    episode = explorers.explore(("two_rooms", where, 1))
+    figures = explorers.summarise([episode])
+    assert {gate.path.split("/")[-1] for gate in explorers.GATES} <= figures.keys()
+    assert figures["periods"]["value"] <= 40
+    assert figures["rooms_found"]["value"] >= 0.5
+
+
+def test_a_coverage_counts_when_it_is_first_reached() -> None:
+    episode = explorers.Episode()
+    for period, coverage in enumerate([0.5, 0.91, 0.89, 0.95, 0.999]):
+        episode.look({"coverage": coverage, "period": period, "metres": 0.3 * period})
+    assert (episode.periods[0.90], episode.periods[0.99]) == (1, 4)
+    assert episode.metres[0.99] == pytest.approx(1.2)
