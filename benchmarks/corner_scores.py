@@ -1,0 +1,199 @@
+"""Scores the corners of single scans against the true corners that can be seen from the pose."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.slam.clustering import cluster_beams
+from mecp_env.slam.config import SensorModel, SlamConfig
+from mecp_env.slam.corners import extract_corners
+from mecp_env.slam.data import Corners, Scan
+from mecp_env.slam.geometry import polar_to_points, to_robot, wrap_angle
+from mecp_env.slam.linalg import mahalanobis
+from mecp_env.slam.segments import extract_segments
+from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import Outline, build_outline, random_free_pose
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+NEAR_M, SIGNATURE_RAD = 0.25, math.radians(40.0)
+FACE_M, SEEN_M, SEEN_BEAMS = 0.35, 0.3, 5
+SAMPLE_M, FARTHEST_SAMPLE_M = 0.04, 6.0
+CLEARANCE_M = 0.3
+DOOR_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What can be seen from one pose, in the robot's frame."""
+
+    p_robot: Array  # (n,2) m, corners in line of sight
+    convex: Bools  # (n,)
+    normals: Array  # (n,2) rad
+    detectable: Bools  # (n,)
+    doors: Array  # (d,2) m, centres of all doors
+    well_seen: Bools  # (d,) both posts of this side in sight, within 3 m and 30 degrees
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One pose of one layout, what can be seen from it, and a scan for every preset."""
+
+    layout: str
+    truth: Truth
+    scans: dict[tuple[str, int], Scan]
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """The score of one scan."""
+
+    rows: Array  # (n,6) kind, convex, range m, error m, NIS, right: one row a corner
+    visible: tuple[int, int]  # true corners: detectable ones, the rest
+    found: tuple[int, int]  # of them
+    doors: tuple[int, int, int]  # well seen, found of them, gaps called a door that are none
+    seconds: Array  # (4,) of the four stages
+
+
+def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str, int]]) -> list[Place]:
+    """`poses` random places in a layout, each with a scan for every preset (name, sweeps)."""
+    outline = build_outline(load_layout(layout))
+    lasers = {key: Laser(outline, LaserConfig.parse({"preset": key[0], "sweeps": key[1]})) for key in presets}
+    places = []
+    for number in range(poses):
+        rng = np.random.default_rng((seed, *layout.encode(), number))
+        T_world_robot = random_free_pose(outline, rng, CLEARANCE_M)
+        scans = {key: laser.scan(T_world_robot, rng) for key, laser in lasers.items()}
+        places.append(Place(layout, truth_at(outline, lasers[presets[0]], T_world_robot), scans))
+    return places
+
+
+def truth_at(outline: Outline, laser: Laser, T_world_robot: Array) -> Truth:
+    """What can be seen from a pose."""
+    corners = outline.corners
+    seen = laser.visible(corners.p_world, T_world_robot)
+    detectable = [
+        min(corners.faces[i]) >= FACE_M and any(face_seen(outline, laser, T_world_robot, i, side) for side in (0, 1))
+        for i in map(int, np.flatnonzero(seen))
+    ]
+    return Truth(
+        to_robot(T_world_robot, corners.p_world[seen]),
+        corners.convex[seen],
+        corners.normals[seen] - T_world_robot[2],
+        np.array(detectable, dtype=np.bool_).reshape(-1),
+        to_robot(T_world_robot, outline.doors.centre),
+        doors_well_seen(outline, laser, T_world_robot),
+    )
+
+
+def face_seen(outline: Outline, laser: Laser, T_world_robot: Array, corner: int, side: int) -> bool:
+    """True when 0.3 m and 5 beams of the face before (0) or after (1) the corner are visible, from the corner on."""
+    p, length = outline.corners.p_world[corner], outline.corners.faces[corner, side]
+    angle = outline.corners.normals[corner, side]
+    normal = np.array([math.cos(angle), math.sin(angle)])
+    along = np.array([-normal[1], normal[0]]) * (1.0 if side == 0 else -1.0)  # free space is on the left of a face
+    if (T_world_robot[:2] - p) @ normal <= 0.0:
+        return False
+    samples = np.arange(0.5 * SAMPLE_M, min(length, FARTHEST_SAMPLE_M), SAMPLE_M)
+    hidden = np.flatnonzero(~laser.visible(p + samples[:, None] * along + 1e-4 * normal, T_world_robot))
+    run = samples[: hidden[0]] if len(hidden) else samples
+    if len(run) == 0 or run[-1] < SEEN_M - SAMPLE_M:
+        return False
+    a, b = p - T_world_robot[:2], p + run[-1] * along - T_world_robot[:2]
+    subtended = abs(math.atan2(a[0] * b[1] - a[1] * b[0], a @ b))
+    return subtended >= SEEN_BEAMS * 2.0 * math.pi / laser.config.beams
+
+
+def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Bools:
+    """Which doors (d,) show both posts of the robot's side, within 3 m and 30 degrees."""
+    doors = outline.doors
+    normal = np.column_stack([np.cos(doors.normal), np.sin(doors.normal)])
+    offset = T_world_robot[:2] - doors.centre
+    side = np.sign((offset * normal).sum(axis=1))[:, None]
+    face = doors.centre + side * normal * (0.5 * doors.thickness[:, None] + 1e-4)
+    half = 0.4999 * doors.width[:, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
+    seen = laser.visible(face + half, T_world_robot) & laser.visible(face - half, T_world_robot)
+    away = T_world_robot[:2] - face
+    distance = np.hypot(away[:, 0], away[:, 1])
+    steep = (side * normal * away).sum(axis=1) >= math.cos(math.radians(30.0)) * distance
+    return np.asarray(seen & steep & (distance <= 3.0), dtype=np.bool_)
+
+
+def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
+    """The corners of a scan and the seconds (4,) of the stages."""
+    clock = [time.thread_time()]
+    beams = merge_sweeps(scan, config.sensor)
+    clock.append(time.thread_time())
+    clusters = cluster_beams(beams, config.clustering, config.sensor)
+    clock.append(time.thread_time())
+    segments = extract_segments(beams, clusters, config.segments, config.sensor)
+    clock.append(time.thread_time())
+    corners = extract_corners(beams, segments, config.corners, config.sensor)
+    clock.append(time.thread_time())
+    return corners, np.diff(clock)
+
+
+def score_places(places: Sequence[Place], preset: tuple[str, int], config: SlamConfig) -> list[Score]:
+    """The scores of the scans of one preset, taken with the sensor model that fits it."""
+    laser = LaserConfig.parse({"preset": preset[0], "sweeps": preset[1]})
+    sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
+    config = config.model_copy(update={"sensor": sensor})
+    front_end(places[0].scans[preset], config)  # kernels are loaded before the clock runs
+    return [score(place.truth, *front_end(place.scans[preset], config)) for place in places]
+
+
+def score(truth: Truth, corners: Corners, seconds: Array) -> Score:
+    """Compares the corners of a scan with the truth."""
+    partner = np.array(pair(truth, corners), dtype=np.int64)
+    rows = np.full((len(corners), 6), np.nan)
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 5] = corners.kind, corners.convex, corners.z[:, 0], partner >= 0
+    for i in np.flatnonzero(partner >= 0):
+        rows[i, 3:5] = error_and_nis(corners, int(i), truth.p_robot[partner[i]])
+    hit = np.isin(np.arange(len(truth.convex)), partner)
+    easy = truth.detectable
+    visible, found = (int(easy.sum()), int((~easy).sum())), (int(hit[easy].sum()), int(hit[~easy].sum()))
+    return Score(rows, visible, found, score_doors(truth, corners), seconds)
+
+
+def error_and_nis(corners: Corners, i: int, p_robot: Array) -> tuple[float, float]:
+    """Distance (m) of corner i from a point, and its normalised innovation squared (2 expected)."""
+    r, bearing = math.hypot(*p_robot), math.atan2(p_robot[1], p_robot[0])
+    nu = np.array([corners.z[i, 0] - r, wrap_angle(corners.z[i, 1] - bearing)])
+    point = polar_to_points(corners.z[i : i + 1])[0]
+    return math.dist(point, p_robot), mahalanobis(nu, np.ascontiguousarray(corners.R[i]))
+
+
+def pair(truth: Truth, corners: Corners) -> list[int]:
+    """The true corner of each corner, nearest pairs first, or -1."""
+    partner = [-1] * len(corners)
+    if len(corners) == 0 or len(truth.convex) == 0:
+        return partner
+    offset = polar_to_points(corners.z)[:, None] - truth.p_robot[None]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    turn = np.abs(np.remainder(corners.normals[:, None] - truth.normals[None] + math.pi, 2.0 * math.pi) - math.pi)
+    alike = (np.isnan(turn) | (turn < SIGNATURE_RAD)).all(axis=2) & (corners.convex[:, None] == truth.convex[None])
+    distance[~alike | (distance > NEAR_M)] = np.inf
+    while np.isfinite(distance).any():
+        i, j = np.unravel_index(np.argmin(distance), distance.shape)
+        partner[i] = int(j)
+        distance[i, :] = distance[:, j] = np.inf
+    return partner
+
+
+def score_doors(truth: Truth, corners: Corners) -> tuple[int, int, int]:
+    """Doors well seen, how many of them were found, and gaps called a door that are none."""
+    middles = polar_to_points(corners.z)[corners.doorways.jambs].mean(axis=1)
+    offset = middles[:, None] - truth.doors[None]
+    near = np.hypot(offset[..., 0], offset[..., 1]) < DOOR_M
+    found = near.any(axis=0) & truth.well_seen
+    return int(truth.well_seen.sum()), int(found.sum()), int((~near.any(axis=1)).sum())
