@@ -190,6 +190,14 @@ class KnownPolygon:
     last_period: int = 0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """The known polygons of one cardinality, for matching."""
+
+    index: Ints  # (C,) index in the list of known polygons
+    ids: Ints  # (C,k) vertex ids, ccw
+
+
 class FeatureState(IntEnum):
     """Life of a feature id: a track is seen but not yet believed; a landmark is in the filter; dead ids never return."""
 
@@ -289,13 +297,9 @@ class MapView:
     period: int
     belief: Belief  # predicted to this period
     features: FeatureTable
-    polygons: list[KnownPolygon]
+    rings: dict[int, Rings]  # known polygons by cardinality
     graph: RoomGraph
     through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
-
-    def landmarks_only(self, polygon: KnownPolygon) -> bool:
-        """True when every vertex of `polygon` is a landmark, so that it can be matched."""
-        return bool((self.features.state[polygon.ids] == FeatureState.LANDMARK).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,6 @@ from mecp_env.slam.data import (
     Decision,
     FeatureState,
     FeatureTable,
-    KnownPolygon,
     MapView,
     Match,
     Odometry,
@@ -28,15 +27,16 @@ from mecp_env.slam.data import (
 )
 from mecp_env.slam.doors import rename_jambs
 from mecp_env.slam.duplicates import find_duplicate
-from mecp_env.slam.filters import Filter, FilterError, make_filter
+from mecp_env.slam.filters import make_filter
 from mecp_env.slam.geometry import inside_polygon
 from mecp_env.slam.grid import GridPainter
-from mecp_env.slam.polygon import find_polygons
-from mecp_env.slam.polygon_store import prune, remember_polygons, rename
+from mecp_env.slam.polygon import beams_on_walls, find_polygons
+from mecp_env.slam.polygon_store import PolygonStore
+from mecp_env.slam.protocols import Filter, FilterError
 from mecp_env.slam.rooms import RoomKeeper
 from mecp_env.slam.segments import extract_segments
 from mecp_env.slam.sweeps import merge_sweeps
-from mecp_env.slam.tracks import forget, mark_seen, record_sightings, with_closure
+from mecp_env.slam.tracks import forget, mark_seen, record_sightings, room_unseen_since, with_closure
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -54,7 +54,7 @@ class SlamPipeline:
     filter: Filter = field(init=False)
     associator: Associator = field(init=False)
     features: FeatureTable = field(init=False)
-    polygons: list[KnownPolygon] = field(init=False)
+    polygons: PolygonStore = field(init=False)
     rooms: RoomKeeper = field(init=False)
     grid: GridPainter = field(init=False)
     period: int = field(init=False, default=0)
@@ -68,7 +68,7 @@ class SlamPipeline:
         self.filter = make_filter(self.config.filter)
         self.associator = make_associator(self.config.association)
         self.features = FeatureTable()
-        self.polygons = []
+        self.polygons = PolygonStore(self.config.association.polygons_per_room)
         self.rooms = RoomKeeper(self.config.rooms)
         self.grid = GridPainter(self.config.grid)
         self.period = 0
@@ -103,7 +103,7 @@ class SlamPipeline:
         belief = self.filter.belief()
         row = {landmark: i for i, landmark in enumerate(belief.ids.tolist())}
         visible: set[int] = set()
-        for polygon in self.polygons:
+        for polygon in self.polygons.polygons:
             ids = polygon.ids.tolist()
             if all(i in row for i in ids):
                 ring = np.ascontiguousarray(belief.p_map[[row[i] for i in ids]])
@@ -118,7 +118,7 @@ class SlamPipeline:
         corners = extract_corners(beams, segments, config.corners, config.sensor)
         predicted = self.filter.belief()
         corners, through = self.rooms.mark_beyond(corners, predicted)
-        polygons = find_polygons(corners, beams, config.polygon)  # III-A.2
+        polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
         self._tell_identities(corners, identities)
         match = self._associate(corners, polygons, predicted, through)  # III-B
         match = self._correct(corners, match)
@@ -126,7 +126,7 @@ class SlamPipeline:
         belief = self.filter.belief()
         graph = self.rooms.graph()
         matched = match.ids[match.decision == int(Decision.LANDMARK)]
-        grid = self.grid.paint(belief, beams, segments, matched, self.polygons, graph)
+        grid = self.grid.paint(belief, beams, segments, matched, self.polygons.polygons, graph)
         return StepReport(
             self.period,
             beams,
@@ -136,7 +136,7 @@ class SlamPipeline:
             match,
             belief,
             graph,
-            tuple(self.polygons),
+            tuple(self.polygons.polygons),
             grid,
             self.diverged,
         )
@@ -146,7 +146,7 @@ class SlamPipeline:
             self.associator.identities = np.full(len(corners), -1) if identities is None else identities(corners)
 
     def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
-        view = MapView(self.period, predicted, self.features, self.polygons, self.rooms.graph(), through)
+        view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
         return self.associator.associate(corners, polygons, view, self.filter)
 
     def _correct(self, corners: Corners, match: Match) -> Match:
@@ -166,13 +166,9 @@ class SlamPipeline:
 
     def _is_closure(self, ids: Ints) -> bool:
         """True when no landmark of some room among `ids` was updated for `closure_gap_periods`."""
-        landmarks = self.features.state == int(FeatureState.LANDMARK)
+        features = self.features
         oldest = self.period - self.config.filter.closure_gap_periods
-        for room in np.unique(self.features.room[ids]):
-            updated = self.features.last_period[landmarks & (self.features.room == room)]
-            if updated.max() < oldest:
-                return True
-        return False
+        return room_unseen_since(ids, features.room, features.state, features.last_period, oldest)
 
     def _grow_map(self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints) -> Match:
         """Tracks, landmarks, polygons, doors and rooms after this scan."""
@@ -184,13 +180,12 @@ class SlamPipeline:
         self._adopt(corners, match, ripe)
         mark_seen(self.features, match.ids[match.ids >= 0], self.period)
         belief = self.filter.belief()
-        moved = self.rooms.update(corners, match, through, self.features, belief, self.polygons, self.period)
+        moved = self.rooms.update(corners, match, through, self.features, belief, self.polygons.polygons, self.period)
         graph = self.rooms.graph()
-        known = len(self.polygons)
-        remember_polygons(self.polygons, polygons, corners, match, self.features, graph, self.period)
+        added = self.polygons.remember(polygons, corners, match, self.features, graph, self.period)
         fused = self._fuse(match, belief)
-        if len(dead) or moved or fused or len(self.polygons) > known:
-            prune(self.polygons, self.features, graph, self.config.association.polygons_per_room)
+        if len(dead) or moved or fused or added:
+            self.polygons.prune(self.features, graph)
         return match
 
     def _remember_births(self, match: Match) -> None:
@@ -218,6 +213,6 @@ class SlamPipeline:
         self.features.seen[keep] += self.features.seen[drop]
         self.features.last_period[keep] = self.period
         match.ids[match.ids == drop] = keep
-        rename(self.polygons, keep, drop)
+        self.polygons.rename(keep, drop)
         rename_jambs(self.rooms.book, keep, drop)
         return True

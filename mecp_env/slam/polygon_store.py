@@ -2,84 +2,104 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.data import Corners, FeatureState, FeatureTable, KnownPolygon, Match, Polygon, RoomGraph
+from mecp_env.kernel import kernel
+from mecp_env.slam.data import Corners, FeatureState, FeatureTable, KnownPolygon, Match, Polygon, Rings, RoomGraph
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def remember_polygons(
-    store: list[KnownPolygon],
-    polygons: tuple[Polygon, ...],
-    corners: Corners,
-    match: Match,
-    features: FeatureTable,
-    graph: RoomGraph,
-    period: int,
-) -> None:
-    """Add the polygons of this scan whose vertices all have an id and lie in one room, or note them seen again."""
-    if graph.in_doorway:
-        return
-    for polygon in polygons:
-        ids = match.ids[polygon.corners]
-        if ids.min() >= 0 and len(set(ids.tolist())) == len(ids):
-            _remember(store, ids, polygon.intervals, features, graph, period)
+@dataclass(slots=True, eq=False)
+class PolygonStore:
+    """All polygons seen so far whose vertices are still alive."""
 
+    most_per_room: int
+    polygons: list[KnownPolygon] = field(default_factory=list)
+    rings: dict[int, Rings] = field(default_factory=dict)  # by cardinality, for matching; made anew after a change
+    row: dict[tuple[int, ...], int] = field(default_factory=dict)  # vertex ids -> index in `polygons`
 
-def _remember(
-    store: list[KnownPolygon],
-    ids: Ints,
-    intervals: NDArray[np.float64],
-    features: FeatureTable,
-    graph: RoomGraph,
-    period: int,
-) -> None:
-    rooms = {graph.resolve(int(room)) for room in features.room[ids]}
-    if rooms != {graph.current}:  # Fig. 6: polygons of different rooms share no vertex
-        return
-    shift = int(np.argmin(ids))
-    ring = np.concatenate((ids[shift:], ids[:shift]))
-    known = next((p for p in store if np.array_equal(p.ids, ring)), None)
-    if known is None:
-        store.append(KnownPolygon(ring, _rolled(intervals, shift, len(ids)), graph.current, 1, period))
-        return
-    known.intervals = _rolled(intervals, shift, len(ids))
-    known.seen += 1
-    known.last_period = period
+    def remember(
+        self,
+        polygons: tuple[Polygon, ...],
+        corners: Corners,
+        match: Match,
+        features: FeatureTable,
+        graph: RoomGraph,
+        period: int,
+    ) -> bool:
+        """Add this scan's polygons whose vertices all have an id and lie in this room, or note them seen again.
 
+        Says whether there was a new one.
+        """
+        known = len(self.polygons)
+        for polygon in () if graph.in_doorway else polygons:
+            ids = match.ids[polygon.corners]
+            # Fig. 6: polygons of different rooms share no vertex
+            if ids.min() >= 0 and (features.room[ids] == graph.current).all() and len(set(ids.tolist())) == len(ids):
+                self._note(ids, polygon.intervals, graph.current, period)
+        return len(self.polygons) > known
 
-def _rolled(intervals: NDArray[np.float64], shift: int, k: int) -> NDArray[np.float64]:
-    """Intervals with edge numbers counted from vertex `shift`."""
-    rolled = intervals.copy()
-    rolled[:, 0] = (rolled[:, 0] - shift) % k
-    return rolled[np.argsort(rolled[:, 0], kind="stable")]
+    def _note(self, ids: Ints, intervals: Array, room: int, period: int) -> None:
+        shift = int(ids.argmin())
+        ring = np.concatenate((ids[shift:], ids[:shift]))
+        intervals = _rolled(intervals, shift, len(ids))
+        key = tuple(ring.tolist())
+        if key not in self.row:
+            self.polygons.append(KnownPolygon(ring, intervals, room, 1, period))
+            self._index()
+            return
+        known = self.polygons[self.row[key]]
+        known.intervals = intervals
+        known.seen += 1
+        known.last_period = period
 
-
-def prune(store: list[KnownPolygon], features: FeatureTable, graph: RoomGraph, most: int) -> None:
-    """Drop polygons with a dead vertex or of two rooms, and of each room all but the `most` seen most often."""
-    kept = [p for p in store if _whole(p, features, graph)]
-    for room in {p.room for p in kept}:
-        members = [p for p in kept if p.room == room]
-        if len(members) > most:
-            members.sort(key=lambda p: (p.seen, p.last_period))
-            dropped = {id(p) for p in members[: len(members) - most]}
+    def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
+        """Drop polygons with a dead vertex or of two rooms, and of each room the least seen beyond the cap."""
+        kept = [p for p in self.polygons if _whole(p, features, graph)]
+        for room in {p.room for p in kept}:
+            members = sorted((p for p in kept if p.room == room), key=lambda p: (p.seen, p.last_period))
+            dropped = {id(p) for p in members[: max(0, len(members) - self.most_per_room)]}
             kept = [p for p in kept if id(p) not in dropped]
-    store[:] = kept
+        self.polygons = kept
+        self._index()
+
+    def rename(self, keep: int, drop: int) -> None:
+        """Two ids are one corner: polygons that named `drop` now name `keep`."""
+        for polygon in self.polygons:
+            ids = np.where(polygon.ids == drop, keep, polygon.ids)
+            shift = int(ids.argmin())
+            polygon.ids = np.concatenate((ids[shift:], ids[:shift]))
+            polygon.intervals = _rolled(polygon.intervals, shift, len(ids))
+
+    def _index(self) -> None:
+        self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
+        self.rings = {}
+        for cardinality in {len(p.ids) for p in self.polygons}:
+            index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
+            ids = np.stack([self.polygons[i].ids for i in index])
+            self.rings[cardinality] = Rings(np.array(index, np.int64), ids)
+
+
+@kernel
+def _rolled(intervals: Array, shift: int, k: int) -> Array:
+    """Intervals (m,4) with edge numbers counted from vertex `shift`, in order."""
+    rolled = np.empty_like(intervals)
+    m, split = intervals.shape[0], 0
+    while split < m and intervals[split, 0] < shift:
+        split += 1
+    for i in range(m):
+        rolled[i] = intervals[(i + split) % m]
+        rolled[i, 0] = (rolled[i, 0] - shift) % k
+    return rolled
 
 
 def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> bool:
     polygon.room = graph.resolve(polygon.room)
     alive = (features.state[polygon.ids] != int(FeatureState.DEAD)).all()
-    distinct = len(set(polygon.ids.tolist())) == len(polygon.ids)
-    return bool(alive and distinct and all(graph.resolve(int(r)) == polygon.room for r in features.room[polygon.ids]))
-
-
-def rename(store: list[KnownPolygon], keep: int, drop: int) -> None:
-    """Two ids are one corner: polygons that named `drop` now name `keep`."""
-    for polygon in store:
-        ids = np.where(polygon.ids == drop, keep, polygon.ids)
-        shift = int(np.argmin(ids))
-        polygon.ids = np.concatenate((ids[shift:], ids[:shift]))
-        polygon.intervals = _rolled(polygon.intervals, shift, len(ids))
+    at_home = (features.room[polygon.ids] == polygon.room).all()
+    return bool(alive and at_home and len(set(polygon.ids.tolist())) == len(polygon.ids))

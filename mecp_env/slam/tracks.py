@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
+
 
 def record_sightings(
     features: FeatureTable, corners: Corners, match: Match, belief: Belief, room: int, config: TrackConfig
@@ -48,9 +50,20 @@ def record_sightings(
 
 def forget(features: FeatureTable, period: int, config: TrackConfig) -> Ints:
     """Ids (d,) of the tracks that die now because they were not seen lately."""
-    stale = (features.state == int(FeatureState.TRACK)) & (features.last_period < period - config.window_periods)
-    features.state[stale] = int(FeatureState.DEAD)
-    return np.flatnonzero(stale)
+    return _let_die(features.state, features.last_period, period - config.window_periods)
+
+
+@kernel
+def _let_die(state: Ints, last_period: Ints, oldest: int) -> Ints:
+    """Ids of the tracks last seen before the period `oldest`, which are set dead."""
+    dead = np.empty(state.shape[0], np.int64)
+    count = 0
+    for i in range(state.shape[0]):
+        if state[i] == TRACK and last_period[i] < oldest:
+            state[i] = DEAD
+            dead[count] = i
+            count += 1
+    return dead[:count]
 
 
 def _follow_tracks(
@@ -152,6 +165,20 @@ def _nearest_tracks(
         if row[i] >= 0:
             taken[row[i]] = True
     return row
+
+
+@kernel
+def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, oldest: int) -> bool:
+    """True when of some room among the landmarks `ids` no landmark was seen since the period `oldest`."""
+    for i in ids:
+        unseen = True
+        for f in range(room.shape[0]):
+            if room[f] == room[i] and state[f] == LANDMARK and last_period[f] >= oldest:
+                unseen = False
+                break
+        if unseen:
+            return True
+    return False
 
 
 def with_closure(match: Match, closure: bool) -> Match:

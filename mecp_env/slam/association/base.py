@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.data import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.filters import Filter
+from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mecp_env.slam.association.base import undecided
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import NO_ID, Corners, Decision, FeatureState, MapView, Match, Polygon, Reason
-from mecp_env.slam.filters import Filter
+from mecp_env.slam.protocols import Filter
 
 
 @dataclass(slots=True, eq=False)

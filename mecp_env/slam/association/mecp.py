@@ -15,7 +15,7 @@ from mecp_env.slam.association.rings import RingMatch, match_rings
 from mecp_env.slam.association.singles import pairing_table, possible_pairs, settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.filters import Filter
+from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,7 +10,7 @@ from mecp_env.slam.association.base import chi2_gate, one_to_one, undecided
 from mecp_env.slam.association.singles import settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.filters import Filter
+from mecp_env.slam.protocols import Filter
 
 
 @dataclass(slots=True, eq=False)

@@ -11,7 +11,7 @@ from mecp_env.kernel import kernel
 from mecp_env.slam.association.base import chi2_gate
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, FeatureState, MapView, Polygon
-from mecp_env.slam.filters import Filter
+from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,12 +32,11 @@ class RingMatch:
 
 def known_rings(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
     """Indices (C,) of the known polygons of that cardinality made of landmarks alone, and their ids (C,k)."""
-    index = np.array([i for i, p in enumerate(view.polygons) if len(p.ids) == cardinality], np.int64)
-    if not len(index):
-        return index, np.empty((0, cardinality), np.int64)
-    ids = np.stack([view.polygons[i].ids for i in index])
-    whole = (view.features.state[ids] == int(FeatureState.LANDMARK)).all(axis=1)
-    return index[whole], ids[whole]
+    rings = view.rings.get(cardinality)
+    if rings is None:
+        return np.empty(0, np.int64), np.empty((0, cardinality), np.int64)
+    whole = (view.features.state[rings.ids] == int(FeatureState.LANDMARK)).all(axis=1)
+    return rings.index[whole], rings.ids[whole]
 
 
 @kernel
@@ -91,7 +90,7 @@ def _match_ring(
     z, R = corners.measurements(polygon.corners)
     hypotheses = []
     for c, shift in shifts:
-        ids = np.roll(rings[c], -shift)
+        ids = np.concatenate((rings[c, shift:], rings[c, :shift]))
         if belief.mean_of_gaussians_nis(z, R, ids) > chi2_gate(2, config.gate_probability):
             continue
         joint = belief.joint_nis(z, R, ids)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason
-from mecp_env.slam.filters import Filter
 from mecp_env.slam.geometry import wrap_angle
+from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
