@@ -54,7 +54,7 @@ class EnvConfig(Settings):
     odometry: OdometryConfig = OdometryConfig()
     slam: SlamConfig = SlamConfig()
     planning: PlanningConfig = PlanningConfig()
-    goal_periods: int = Field(5, ge=1, le=1000)  # goals are looked for at most this often (1: every period)
+    goal_periods: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every period)
     observation: ObservationConfig = ObservationConfig()
     reward: RewardConfig = RewardConfig()
     end: EndConfig = EndConfig()

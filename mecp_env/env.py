@@ -319,7 +319,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
         pose = self._simulation.T_world_robot
         odometry, scan = self._sense(motion)
-        exact = episode.metrics.T_map_robot(pose) if self.config.estimator == "truth" else None
+        exact = episode.metrics.in_map(pose) if self.config.estimator == "truth" else None
         return episode.pipeline.step(odometry, scan, identities=self._identities(pose), T_map_robot=exact)
 
     def _look(self) -> Scan:
@@ -392,7 +392,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return {
             "period": episode.metrics.periods,
             "event": "",
-            "truth_pose": episode.metrics.T_map_robot(pose),
+            "truth_pose": episode.metrics.T_map_robot.copy(),
             "truth_room": self._truth.room_at(pose[:2]),
             "goals": len(episode.goals),
             "contact": episode.contact,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env import metric_kernels as kernels
 from mecp_env.slam.data import Belief, Cell, Door, SemanticGrid, StepReport
 from mecp_env.slam.geometry import inverse, to_map
 from mecp_env.truth import Truth
@@ -41,22 +42,19 @@ def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[i
     The centre of a room of the map is that cell of it which lies nearest to the mean of its cells, so that the centre
     of an L-shaped room lies in it. A room that no cell was painted of yet counts as neither.
     """
-    centres = [centre for room in report.graph.rooms if (centre := room_centre(report.grid, room)) is not None]
-    if not centres:
-        return 0, 0
-    rooms = truth.outline.room_at(to_map(T_world_map, np.array(centres)))
-    found = len({int(room) for room in rooms if room >= 0})
-    return found, len(centres) - found
+    p_map = room_centres(report.grid, np.array(report.graph.rooms, np.int64))
+    p_world = to_map(T_world_map, p_map[~np.isnan(p_map[:, 0])])
+    rooms = [truth.room_at(centre) for centre in p_world]
+    found = len(set(rooms) - {-1})
+    return found, len(rooms) - found
 
 
-def room_centre(grid: SemanticGrid, room: int) -> Array | None:
-    """(2,) m, map frame: the cell of `room` nearest to the mean of its cells, or None without a cell."""
-    cells = np.argwhere(grid.room == room)
-    if not len(cells):
-        return None
-    nearest = cells[np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1))]
-    centre: Array = grid.origin + (nearest[::-1] + 0.5) * grid.resolution_m
-    return centre
+def room_centres(grid: SemanticGrid, rooms: Ints) -> Array:
+    """(n,2) m, map frame: the cell of each room (n,) nearest to the mean of its cells; nan without a cell."""
+    if not len(rooms) or not grid.room.size:
+        return np.full((len(rooms), 2), np.nan)
+    centres: Array = grid.origin + (kernels.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
+    return centres
 
 
 def grid_iou(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> float:

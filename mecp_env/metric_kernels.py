@@ -96,29 +96,67 @@ def sweep(ranges: Array, directions: Array, at: Array, free: Bools, seen: Bools)
 
 
 @kernel
-def count_votes(votes: NDArray[np.int32], identity: Ints, ids: Ints, truth: Ints) -> None:
-    """Let each corner (n,) of a scan vote for what its feature is: `identity` (F,) is the majority of `votes` (F,G)."""
-    for i in range(ids.shape[0]):
-        feature, corner = ids[i], truth[i]
+def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
+    """Let each corner of a scan vote for what its feature is; see `score_scan` for the tables."""
+    for i in range(rows.shape[0]):
+        corner, feature = rows[i, 1], rows[i, 2]
         if feature >= 0 and corner >= 0:
             votes[feature, corner] += 1
-            best = identity[feature]
+            best = features[feature, 0]
             if best < 0 or votes[feature, corner] > votes[feature, best]:
-                identity[feature] = corner
+                features[feature, 0] = corner
 
 
 @kernel
-def score(matched: Bools, ids: Ints, truth: Ints, identity: Ints, known: Bools) -> Ints:
-    """(4,) true positives, false positives, false negatives and true negatives among the corners (n,) of a scan.
+def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints) -> None:
+    """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
 
-    `known` (G,) tells which true corners have a landmark.
+    `rows` (n,4) hold period, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
+    (the majority of its `votes` (F,G), this scan's included) and the period in which it became a landmark.
     """
-    counts = np.zeros(4, np.int64)
-    for i in range(ids.shape[0]):
-        if matched[i]:
-            right = truth[i] >= 0 and identity[ids[i]] == truth[i]
+    count_votes(votes, features, rows)
+    known = np.zeros(votes.shape[1], np.bool_)  # the true corners that had a landmark before this scan
+    for feature in range(features.shape[0]):
+        if features[feature, 0] >= 0 and features[feature, 1] < rows[0, 0]:
+            known[features[feature, 0]] = True
+    for i in range(rows.shape[0]):
+        corner, feature = rows[i, 1], rows[i, 2]
+        if rows[i, 3]:
+            right = corner >= 0 and features[feature, 0] == corner
             counts[0 if right else 1] += 1
         else:
-            missed = truth[i] >= 0 and known[truth[i]]
+            missed = corner >= 0 and known[corner]
             counts[2 if missed else 3] += 1
-    return counts
+
+
+@kernel
+def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
+    """How many of the landmarks (N,) are of one of the true `corners` that another landmark is of already."""
+    taken = np.zeros(corners, np.bool_)
+    duplicates = 0
+    for i in range(landmarks.shape[0]):
+        corner = features[landmarks[i], 0]
+        if corner >= 0:
+            duplicates += taken[corner]
+            taken[corner] = True
+    return duplicates
+
+
+@kernel
+def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
+    """(n,2) column and row of the cell of each room (n,) nearest to the mean of its cells, nan for none."""
+    most = 1 + max(int(rooms.max()), int(room.max()))
+    sums, middles, nearest = np.zeros((most + 1, 3)), np.full((most + 1, 2), np.nan), np.full(most + 1, np.inf)
+    for i in range(room.shape[0]):
+        for j in range(room.shape[1]):
+            r = room[i, j]  # -1, no room, is counted in the last row
+            sums[r, 0] += 1.0
+            sums[r, 1] += j
+            sums[r, 2] += i
+    for i in range(room.shape[0]):
+        for j in range(room.shape[1]):
+            r = room[i, j]
+            far = (j - sums[r, 1] / sums[r, 0]) ** 2 + (i - sums[r, 2] / sums[r, 0]) ** 2
+            if far < nearest[r]:
+                nearest[r], middles[r, 0], middles[r, 1] = far, j, i
+    return middles[rooms]

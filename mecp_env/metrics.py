@@ -20,7 +20,9 @@ __all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SWEEP_STEP_M = 0.05  # what is in sight is looked up again when the robot moved by so much
+NEVER = 2**40  # a period that does not come
+LANDMARK = int(Decision.LANDMARK)
+SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
 ROOMS_REFRESH_PERIODS = 25  # rooms are held against the truth when the room graph changed, and this often
 
 
@@ -30,67 +32,57 @@ class AssociationLog:
 
     true_corners: int
     votes: NDArray[np.int32] = field(init=False)  # (F,G) how often feature f was seen as true corner g
-    identity: Ints = field(init=False)  # (F,) the majority so far, -1 without one
-    birth: Ints = field(init=False)  # (F,) period in which the feature became a landmark, or a very large number
+    features: Ints = field(init=False)  # (F,2) majority so far or -1; period in which it became a landmark, or NEVER
     counts: Ints = field(init=False)  # (4,) TP, FP, FN, TN by the majority at the time
-    rows: Ints = field(init=False)  # (capacity,4) period, true corner, feature or -1, matched
+    rows: Ints = field(init=False)  # (capacity,4) period, true corner or -1, feature or -1, matched to a landmark
     used: int = 0
 
     def __post_init__(self) -> None:
         self.votes = np.zeros((64, self.true_corners), np.int32)
-        self.identity = np.full(64, -1, np.int64)
-        self.birth = np.full(64, NEVER, np.int64)
+        self.features = np.tile(np.array([-1, NEVER]), (64, 1))
         self.counts = np.zeros(4, np.int64)
         self.rows = np.empty((1024, 4), np.int64)
 
     def record(self, report: StepReport, truth: Ints) -> None:
         """Add a scan whose corners truly are `truth` (n,)."""
-        matched = report.match.decision == int(Decision.LANDMARK)
-        self._reserve(report.match.ids, report.belief.ids)
-        kernels.count_votes(self.votes, self.identity, report.match.ids, truth)
-        landmarks = np.flatnonzero(self.birth < report.period)
-        known = np.zeros(self.true_corners + 1, np.bool_)  # the last one takes the landmarks that are no corner
-        known[self.identity[landmarks]] = True
-        known[-1] = False
-        self.counts += kernels.score(matched, report.match.ids, truth, self.identity, known)
-        self._append(report.period, truth, report.match.ids, matched)
-        ids = report.belief.ids
-        self.birth[ids] = np.minimum(self.birth[ids], report.period)
+        ids, landmarks = report.match.ids, report.belief.ids
+        self._reserve(ids, landmarks)
+        if len(ids):
+            block = self._append(report.period, truth, ids, report.match.decision == LANDMARK)
+            kernels.score_scan(self.votes, self.features, block, self.counts)
+        born = self.features[:, 1]
+        born[landmarks] = np.minimum(born[landmarks], report.period)
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
-        corners = self.identity[landmarks]
-        corners = corners[corners >= 0]
-        return int(len(corners) - np.count_nonzero(np.bincount(corners))) if len(corners) else 0
+        return int(kernels.count_duplicates(self.features, landmarks, self.true_corners))
 
     def final_counts(self) -> Ints:
         """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
         period, truth, feature, matched = self.rows[: self.used].T
-        real = truth >= 0
+        real, hit = truth >= 0, matched.astype(np.bool_)
+        identity, born = self.features.T
         first = np.full(self.true_corners + 1, NEVER)  # period of the first landmark of each true corner
-        np.minimum.at(first, self.identity, self.birth)
-        right = real & (feature >= 0) & (self.identity[feature] == truth)
+        np.minimum.at(first, identity, born)
+        right = real & (feature >= 0) & (identity[feature] == truth)
         missed = real & (first[truth] < period)
-        hit = matched.astype(np.bool_)
         return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
 
     def _reserve(self, features: Ints, landmarks: Ints) -> None:
         """Make room for the largest id."""
         needed = 1 + max(int(features.max(initial=-1)), int(landmarks.max(initial=-1)))
-        while len(self.identity) < needed:
+        while len(self.features) < needed:
             self.votes = np.concatenate([self.votes, np.zeros_like(self.votes)])
-            self.identity = np.concatenate([self.identity, np.full_like(self.identity, -1)])
-            self.birth = np.concatenate([self.birth, np.full_like(self.birth, NEVER)])
+            self.features = np.concatenate([self.features, np.full_like(self.features, (-1, NEVER))])
 
-    def _append(self, period: int, truth: Ints, ids: Ints, matched: NDArray[np.bool_]) -> None:
+    def _append(self, period: int, truth: Ints, ids: Ints, matched: NDArray[np.bool_]) -> Ints:
+        """The rows (n,4) of a scan, written at the end of the log."""
         if self.used + len(truth) > len(self.rows):
             self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
         block = self.rows[self.used : self.used + len(truth)]
         block[:, 0], block[:, 1], block[:, 2], block[:, 3] = period, truth, ids, matched
         self.used += len(truth)
-
-
-NEVER = 2**40
+        return block
 
 
 @dataclass(slots=True, eq=False)
@@ -98,6 +90,7 @@ class EpisodeMetrics:
     """The truth metrics of one episode, brought up to date every period; plain state."""
 
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
+    T_map_robot: Array  # (3,) true pose in the map frame
     seen: NDArray[np.bool_]  # (H,W) free cells the robot has seen
     association: AssociationLog
     swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
@@ -119,13 +112,16 @@ class EpisodeMetrics:
     @classmethod
     def begin(cls, truth: Truth, T_world_robot: Array) -> EpisodeMetrics:
         """The metrics of an episode that starts at the true pose (3,)."""
-        return cls(T_world_robot.copy(), np.zeros_like(truth.free), AssociationLog(len(truth.outline.corners)))
+        return cls(
+            T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), AssociationLog(len(truth.outline.corners))
+        )
 
     def look(self, truth: Truth, T_world_robot: Array, report: StepReport) -> None:
         """Take in what the robot sees and believes at the true pose (3,)."""
+        self.T_map_robot = self.in_map(T_world_robot)
         self._sweep(truth, T_world_robot)
         self.association.record(report, truth.identify(report.corners, T_world_robot))
-        self._compare_pose(T_world_robot, report.belief)
+        self._compare_pose(report.belief)
         self._compare_map(truth, report)
 
     def move(self, increments: Array, contact: bool) -> None:
@@ -138,8 +134,8 @@ class EpisodeMetrics:
         """Share of the true free area that the robot has seen."""
         return self.seen_cells / truth.free_cells
 
-    def T_map_robot(self, T_world_robot: Array) -> Array:
-        """The true pose (3,) in the map frame."""
+    def in_map(self, T_world_robot: Array) -> Array:
+        """A pose (3,) of the world in the map frame."""
         return compose(inverse(self.T_world_map), T_world_robot)
 
     def _sweep(self, truth: Truth, T_world_robot: Array) -> None:
@@ -149,11 +145,12 @@ class EpisodeMetrics:
             self.new_cells = int(truth.sweep(T_world_robot, self.seen))
             self.seen_cells += self.new_cells
 
-    def _compare_pose(self, T_world_robot: Array, belief: Belief) -> None:
-        error = self.T_map_robot(T_world_robot) - belief.T_map_robot
-        error[2] = wrap_angle(error[2])
-        self.pose_error_m = math.sqrt(error[0] ** 2 + error[1] ** 2)
-        self.heading_error_rad = abs(float(error[2]))
+    def _compare_pose(self, belief: Belief) -> None:
+        error = self.T_map_robot - belief.T_map_robot
+        x, y, turn = error.tolist()
+        error[2] = turn = wrap_angle(turn)
+        self.pose_error_m = math.sqrt(x * x + y * y)
+        self.heading_error_rad = abs(turn)
         self.nees = pose_nees(error, belief.pose_cov)
         self.squared_error_sum += self.pose_error_m**2
         self.nees_sum += self.nees

@@ -93,11 +93,11 @@ def sample_window(pooled: Bytes, corner: Array, resolution: float, pose: Array, 
 
 
 @kernel
-def mark_path(window: Bytes, points: Array, count: int, pose: Array, cell: float) -> None:
-    """Set the path bit in `window` (n,n) where one of the first `count` points (m,2) of the path lies."""
+def mark_path(window: Bytes, points: Array, pose: Array, cell: float) -> None:
+    """Set the path bit in `window` (n,n) where one of the points (m,2) of the path lies."""
     n = window.shape[0]
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(count):
+    for k in range(points.shape[0]):
         dx, dy = points[k, 0] - pose[0], points[k, 1] - pose[1]
         i = math.floor(0.5 * n - (c * dx + s * dy) / cell)
         j = math.floor(0.5 * n - (-s * dx + c * dy) / cell)
@@ -115,6 +115,16 @@ def unpack_layers(window: Bytes) -> Bytes:
             for j in range(n):
                 layers[layer, i, j] = ((window[i, j] >> layer) & 1) * 255
     return layers
+
+
+@kernel
+def window_layers(
+    pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
+) -> Bytes:
+    """(8,n,n) the layers around `pose` with the path (m,2); see `sample_window`."""
+    window = sample_window(pooled, corner, resolution, pose, size)
+    mark_path(window, path, pose, size[1])
+    return unpack_layers(window)
 
 
 @kernel
@@ -136,24 +146,6 @@ def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: Ints, order: I
         rows[k, 5] = labels[i, 0]
         rows[k, 6] = labels[i, 1]
         rows[k, 7] = 1.0
-
-
-@kernel
-def goal_rows(pose: Array, p_map: Array, lengths: Array, labels: Ints, rows: Floats) -> None:
-    """Fill `rows` (R,9) with goals: x, y in the robot frame, path length, size, kind, room, level, visits, valid.
-
-    `lengths` (g,2) holds path length and size, `labels` (g,4) kind, room, level and visits.
-    """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for i in range(min(p_map.shape[0], rows.shape[0])):
-        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
-        rows[i, 0] = c * dx + s * dy
-        rows[i, 1] = -s * dx + c * dy
-        rows[i, 2] = lengths[i, 0]
-        rows[i, 3] = lengths[i, 1]
-        for k in range(4):
-            rows[i, 4 + k] = labels[i, k]
-        rows[i, 8] = 1.0
 
 
 @kernel

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mecp_env import observation_kernels as kernels
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.data import Belief, FeatureTable, RoomGraph, SemanticGrid, StepReport
+from mecp_env.slam.geometry import to_robot
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ EXTENT_M = 200.0  # bound of every position and length
 COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
 LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
 TRAIL_STEP_M = 0.1
+UPPER = np.triu_indices(3)
 
 
 @dataclass(slots=True, eq=False)
@@ -31,14 +33,16 @@ class Trail:
 
     points: Array = field(default_factory=lambda: np.zeros((256, 2)))  # (capacity,2) m
     count: int = 0
+    last: tuple[float, float] = (math.inf, math.inf)
 
     def add(self, T_map_robot: Array) -> None:
         """Append the position unless it is near the last one."""
-        if self.count and math.dist(self.points[self.count - 1], T_map_robot[:2]) < TRAIL_STEP_M:
+        x, y, _ = T_map_robot.tolist()
+        if math.hypot(x - self.last[0], y - self.last[1]) < TRAIL_STEP_M:
             return
         if self.count == len(self.points):
             self.points = np.concatenate([self.points, np.zeros_like(self.points)])
-        self.points[self.count] = T_map_robot[:2]
+        self.points[self.count] = self.last = (x, y)
         self.count += 1
 
 
@@ -89,6 +93,7 @@ class Observer:
     def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:
         self.space = make_space(with_map, beams, max_range_m)
         self._bounds = {name: box_bounds(box) for name, box in self.space.items() if box.dtype == np.float32}
+        self._goals, self._goal_rows = Goals(), goal_rows(Goals())
         self._key = (-1, -1)
         self._cache: dict[int, NDArray[np.uint8]] = {}  # pool width -> codes
 
@@ -100,9 +105,9 @@ class Observer:
         pose = np.ascontiguousarray(belief.T_map_robot)
         observation: dict[str, NDArray[Any]] = {
             "pose": pose_row(pose),
-            "pose_cov": belief.pose_cov[np.triu_indices(3)].astype(np.float32),
+            "pose_cov": belief.pose_cov[UPPER].astype(np.float32),
             "landmarks": landmark_table(belief, features, report.graph),
-            "goals": goal_table(pose, goals),
+            "goals": self._goal_table(pose, goals),
             "grid": self._window(report, trail, GRID),
         }
         if "map" in self.space.spaces:
@@ -117,9 +122,9 @@ class Observer:
         width = max(1, round(size[1] / grid.resolution_m))
         corner = grid.origin - 0.5 * (width - 1) * grid.resolution_m
         pooled = self._pooled(grid, report.graph.current, width)
-        window = kernels.sample_window(pooled, corner, grid.resolution_m, pose, size)
-        kernels.mark_path(window, trail.points, trail.count, pose, size[1])
-        return kernels.unpack_layers(window)
+        path = trail.points[: trail.count]
+        layers: NDArray[np.uint8] = kernels.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
+        return layers
 
     def _pooled(self, grid: SemanticGrid, room: int, width: int) -> NDArray[np.uint8]:
         if self._key != (grid.version, room):
@@ -129,6 +134,14 @@ class Observer:
             codes = kernels.cell_codes(grid.label, grid.polygon, grid.room, room)
             self._cache[width] = kernels.pool_codes(codes, width)
         return self._cache[width]
+
+    def _goal_table(self, T_map_robot: Array, goals: Goals) -> NDArray[np.float32]:
+        """(32,9) the first goals of the list; but for their place they change only when they are looked for."""
+        if goals is not self._goals:
+            self._goals, self._goal_rows = goals, goal_rows(goals)
+        rows = self._goal_rows.copy()
+        rows[: len(goals), :2] = to_robot(T_map_robot, goals.p_map)[:GOALS]
+        return rows
 
     def _saturate(self, observation: dict[str, NDArray[Any]]) -> int:
         outside = 0
@@ -171,10 +184,10 @@ def resolved(rooms: NDArray[np.int64], graph: RoomGraph) -> NDArray[np.int64]:
     return rooms
 
 
-def goal_table(T_map_robot: Array, goals: Goals) -> NDArray[np.float32]:
-    """(32,9) the first goals of the list."""
+def goal_rows(goals: Goals) -> NDArray[np.float32]:
+    """(32,9) the columns of the first goals of the list, their place left out."""
     rows = np.zeros((GOALS, 9), np.float32)
-    lengths = np.stack([goals.path_m, goals.size_m], axis=1).astype(np.float64)
-    labels = np.stack([goals.kind, goals.room, goals.level, goals.visits], axis=1).astype(np.int64)
-    kernels.goal_rows(T_map_robot, goals.p_map, lengths, labels, rows)
+    columns = (goals.path_m, goals.size_m, goals.kind, goals.room, goals.level, goals.visits, np.ones(len(goals)))
+    for column, values in enumerate(columns, start=2):
+        rows[: len(goals), column] = values[:GOALS]
     return rows

@@ -22,7 +22,7 @@ Bools = NDArray[np.bool_]
 
 MARGIN_M = 1.0  # of the rasters around the building
 CELL_M = 0.1  # finer than the thinnest wall, so that a cell seen is a cell on this side
-BEAMS = 1024
+BEAMS = 720
 BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
 DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
 NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
@@ -83,8 +83,9 @@ class Truth:
 
     def room_at(self, p_world: Array) -> int:
         """Index of the room at `p_world` (2,), or -1."""
-        col, row = ((p_world - self.corner) / CELL_M).astype(np.int64)
-        inside = 0 <= row < self.room.shape[0] and 0 <= col < self.room.shape[1]
+        x, y = (p_world - self.corner).tolist()
+        row, col = int(y / CELL_M), int(x / CELL_M)
+        inside = y >= 0.0 and x >= 0.0 and row < self.room.shape[0] and col < self.room.shape[1]
         return int(self.room[row, col]) if inside else -1
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:

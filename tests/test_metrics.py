@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env import metric_kernels as kernels
-from mecp_env.map_scores import distances, door_centre, doors_found, grid_iou, nearest_pairs, room_centre, rooms_found
+from mecp_env.map_scores import distances, door_centre, doors_found, grid_iou, nearest_pairs, room_centres, rooms_found
 from mecp_env.metrics import AssociationLog, EpisodeMetrics, pose_nees
 from mecp_env.slam.data import Belief, Door, RoomGraph, SemanticGrid
 from mecp_env.slam.geometry import compose, inverse
@@ -111,7 +111,7 @@ def test_identity_is_the_majority_not_the_birth():
     log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2
     for period in range(2, 6):
         log.record(report_of(period, [0], [0], [0]), np.array([1]))
-    assert log.identity[0] == 1
+    assert log.features[0, 0] == 1
     assert log.counts.tolist()[:2] == [3, 1]  # at the time: a tie is for the earlier
     assert log.final_counts().tolist() == [4, 0, 0, 1]
 
@@ -147,11 +147,12 @@ def test_the_pose_error_is_measured_in_the_map_frame(truth):
     start = np.array(truth.outline.starts[0])
     metrics = EpisodeMetrics.begin(truth, start)
     moved = compose(start, np.array([1.0, 0.5, 3.0]))
-    assert np.allclose(metrics.T_map_robot(moved), [1.0, 0.5, 3.0])
+    metrics.T_map_robot = metrics.in_map(moved)
+    assert np.allclose(metrics.T_map_robot, [1.0, 0.5, 3.0])
     belief = Belief(
         np.array([1.03, 0.46, -3.2]), np.eye(3) * 0.01, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
     )
-    metrics._compare_pose(moved, belief)
+    metrics._compare_pose(belief)
     assert metrics.pose_error_m == pytest.approx(0.05)
     assert metrics.heading_error_rad == pytest.approx(2 * math.pi - 6.2)
 
@@ -218,9 +219,10 @@ def test_the_centre_of_a_room_is_one_of_its_cells():
     room = np.full((20, 20), -1, np.int16)
     room[2:18, 2:5] = room[2:5, 2:18] = 3  # an L: the mean of its cells lies outside
     grid = SemanticGrid(np.ones((20, 20), np.uint8), room >= 0, room, np.array([10.0, -5.0]), 0.5, 1)
-    x, y = room_centre(grid, 3)
+    (x, y), nothing = room_centres(grid, np.array([3, 4]))
     assert room[int((y + 5.0) / 0.5), int((x - 10.0) / 0.5)] == 3
-    assert room_centre(grid, 4) is None
+    assert np.isnan(nothing).all()
+    assert room_centres(grid, np.empty(0, np.int64)).shape == (0, 2)
 
 
 def test_the_centre_of_a_door_takes_both_faces():

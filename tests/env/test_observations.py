@@ -81,7 +81,7 @@ def test_the_path_lies_where_the_window_shows_it():
     window = np.zeros((96, 96), np.uint8)
     pose = np.array([1.0, 2.0, 0.7])
     points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
-    kernels.mark_path(window, points, 3, pose, 0.2)
+    kernels.mark_path(window, points, pose, 0.2)
     rows, cols = np.nonzero(window)
     assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
     assert set(cols.tolist()) <= {47, 48}
