@@ -66,7 +66,7 @@ class PolygonConfig(Settings):
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     open_depth_m: float = Field(0.2, gt=0.0, le=2.0)
     open_width_m: float = Field(0.4, gt=0.0, le=5.0)
-    gap_width_m: tuple[float, float] = (0.65, 1.2)  # door width and what beams a third of a degree apart make of it
+    gap_width_m: tuple[float, float] = (0.4, 1.2)  # between walls: a door, or one seen from the side; else it is open
 
 
 class TrackConfig(Settings):

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.data import Beams, Corners, Polygon
-from mecp_env.slam.polygon_edges import Limits, View, edge_intervals
+from mecp_env.slam.data import Beams, Clusters, Corners, Polygon
+from mecp_env.slam.polygon_edges import Limits, Spans, View, edge_intervals, wall_beams
 from mecp_env.slam.polygon_guard import Features, find_rings
 from mecp_env.slam.polygon_search import around_leftmost, around_robot, best_rings, twice_area
 
@@ -107,9 +107,10 @@ def find_polygons(
     back, or else of the second: good for free space, not for matching. Polygons with equally many vertices are rare
     and both of use: the `keep_ties` largest come back, the larger area first.
 
-    The tolerance is `tolerance_sigmas` times the median sigma of the sites. Polygons that walls cross are ruled out by
-    the beams (`guard`): all of them, or those that `wall` (B,) says end on a wall. Each edge is cut into intervals
-    {WALL, GAP, OPEN} by the beams.
+    The tolerance is `tolerance_sigmas` times the median sigma of the sites (where beams are held against an edge: of
+    its worse vertex, if that is more). Polygons that walls cross are ruled out by the beams (`guard`): all of them, or
+    those that `wall` (B,) says end on a wall (`beams_on_walls`). The beams also cut each edge into intervals WALL, GAP
+    and OPEN.
 
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
     (maths 1.3, 1.5, 1.6).
@@ -117,10 +118,15 @@ def find_polygons(
     features = Features(corners.z, corners.cov, corners.sites, corners.kind, corners.beyond)
     walls = np.full(len(beams.ranges), config.guard) if wall is None else wall & config.guard
     view, limits = View(beams.ranges, beams.bearings, walls), _limits(config)
-    sizes, rings, p_robot, tolerance = find_rings(features, view, limits, config.keep_ties)
+    sizes, rings, p_robot, slack = find_rings(features, config.keep_ties, view, limits)
     doors = p_robot[corners.doorways.jambs]
     found = [ring[:size].copy() for ring, size in zip(rings, sizes, strict=True) if size]
-    return tuple(Polygon(ring, edge_intervals(p_robot[ring], doors, tolerance, view, limits)) for ring in found)
+    return tuple(Polygon(ring, edge_intervals(p_robot[ring], slack[ring], doors, view, limits)) for ring in found)
+
+
+def beams_on_walls(clusters: Clusters, beams: Beams) -> Bools:
+    """(B,) which beams lie on clusters with lines: those that guard polygons. A pillar or a person is no wall."""
+    return wall_beams(Spans(clusters.roll, clusters.first, clusters.last, clusters.kind), len(beams.ranges))
 
 
 def _limits(config: PolygonConfig) -> Limits:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
+from mecp_env.slam.data import ClusterKind
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -16,6 +17,7 @@ Bools = NDArray[np.bool_]
 
 WALL, GAP, OPEN = 0.0, 1.0, 2.0  # EdgeLabel as it stands in an array of floats
 PASSES, STOPS, SHORT = 1, 0, -1
+LINES = int(ClusterKind.LINES)
 JAMB_DEPTH_M = 0.3  # how far off an edge the jambs of a gap in it may lie
 
 
@@ -37,6 +39,15 @@ class Limits(NamedTuple):
     open_width_m: float
     gap_min_m: float
     gap_max_m: float
+
+
+class Spans(NamedTuple):
+    """`Clusters` as a kernel reads them."""
+
+    roll: int
+    first: Ints  # (C,)
+    last: Ints  # (C,)
+    kind: Ints  # (C,)
 
 
 class Edge(NamedTuple):
@@ -68,7 +79,7 @@ def cosine(x: float) -> float:
 
 @kernel
 def beams_before(bearings: Array, bearing: float) -> int:
-    """How many of the ascending bearings lie below `bearing`, by bisection (numba's own searchsorted costs ten times)."""
+    """How many of the ascending bearings lie below `bearing`, by bisection."""
     low, high = 0, int(bearings.shape[0])
     while low < high:
         middle = (low + high) // 2
@@ -99,44 +110,55 @@ def off_normal(bearing: float, normal: float) -> float:
 
 
 @kernel
-def _in_front(measured: float, bearing: float, edge: Edge, tolerance: float, guard_m: float) -> bool:
-    """True when a beam ends in front of the edge, by more than `guard_m` along it and `tolerance` across the edge."""
+def _off_by(measured: float, c: float, edge: Edge, spacing: float) -> float:
+    """How far across the edge a hit lies beyond it, in m, less (towards 0) half a beam spacing of bearing error."""
+    across = measured * c - edge.distance
+    slack = 0.5 * spacing * edge.distance / max(c, spacing)
+    return max(across - slack, 0.0) if across > 0.0 else min(across + slack, 0.0)
+
+
+@kernel
+def _in_front(measured: float, bearing: float, edge: Edge, tolerance: float, beams: tuple[float, float]) -> bool:
+    """True when a beam ends in front of the edge: by more than `guard_m` along it and `tolerance` across the edge."""
+    guard_m, spacing = beams
     c = cosine(off_normal(bearing, edge.normal))
-    return (measured + guard_m) * c < edge.distance and measured * c < edge.distance - tolerance
+    return (measured + guard_m) * c < edge.distance and _off_by(measured, c, edge, spacing) < -tolerance
 
 
 @kernel
 def edge_is_cut(a: Array, b: Array, tolerance: float, view: View, limits: Limits) -> bool:
     """True when `guard_beams` consecutive beams end on a wall in front of the edge from a to b.
 
-    In front: shorter than the edge by more than `guard_m` and, since a corner's error shifts an edge that is seen at a
-    grazing angle by much along the beam, more than `tolerance` (m) inside it. A run of so many beams holds one of every
-    `guard_beams`-th beam, so only those are looked at, and the others beside such a one.
+    In front: shorter than the edge by more than `guard_m` and, since small errors of corners and bearings are large
+    along a beam that grazes the edge, more than `tolerance` (m) inside it beyond half a beam spacing. A run of so many
+    beams holds one of every `guard_beams`-th beam, so only those are looked at, and the others beside such a one.
     """
     edge = edge_from(a, b)
     ranges, bearings, wall = view.ranges, view.bearings, view.wall
     first, count = beams_between(a, b, bearings)
-    needed = limits.guard_beams
+    needed, rules = limits.guard_beams, (limits.guard_m, 2.0 * math.pi / ranges.shape[0])
     for probe in range(needed - 1, count, needed):
         i = (first + probe) % ranges.shape[0]
-        if not _in_front(ranges[i], bearings[i], edge, tolerance, limits.guard_m):
+        if not _in_front(ranges[i], bearings[i], edge, tolerance, rules):
             continue
         run = 0
         for step in range(probe - needed + 1, min(probe + needed, count)):
             i = (first + step) % ranges.shape[0]
-            run = run + 1 if wall[i] and _in_front(ranges[i], bearings[i], edge, tolerance, limits.guard_m) else 0
+            run = run + 1 if wall[i] and _in_front(ranges[i], bearings[i], edge, tolerance, rules) else 0
             if run == needed:
                 return True
     return False
 
 
 @kernel
-def _sight(measured: float, c: float, distance: float, tolerance: float, limits: Limits) -> int:
+def _sight(measured: float, c: float, edge: Edge, rules: tuple[float, float], limits: Limits) -> int:
     """What a beam at an angle with cosine `c` to the normal does: PASSES, STOPS at the edge or is SHORT of it."""
-    if (measured + limits.guard_m) * c < distance:
+    tolerance, spacing = rules
+    if (measured + limits.guard_m) * c < edge.distance:
         return SHORT
-    beyond = (measured - limits.open_depth_m) * c > distance and measured * c > distance + tolerance
-    return PASSES if beyond else STOPS
+    if (measured - limits.open_depth_m) * c > edge.distance and _off_by(measured, c, edge, spacing) > tolerance:
+        return PASSES
+    return STOPS
 
 
 @kernel
@@ -150,10 +172,11 @@ def passing_stretches(a: Array, b: Array, tolerance: float, view: View, limits: 
     first, count = beams_between(a, b, view.bearings)
     stretches = np.empty((count // 2 + 1, 2))
     found, begin, before, last = 0, 0.0, SHORT, 0.0
+    rules = (tolerance, 2.0 * math.pi / view.ranges.shape[0])
     for step in range(count):
         i = first + step if first + step < view.ranges.shape[0] else first + step - view.ranges.shape[0]
         x = off_normal(view.bearings[i], edge.normal)
-        sight = _sight(view.ranges[i], cosine(x), edge.distance, tolerance, limits)
+        sight = _sight(view.ranges[i], cosine(x), edge, rules, limits)
         if sight == SHORT:
             continue
         if sight != before and before != SHORT:
@@ -173,8 +196,8 @@ def passing_stretches(a: Array, b: Array, tolerance: float, view: View, limits: 
 def _is_gap(edge: Array, stretch: Array, doors: Array, limits: Limits) -> bool:
     """True when an open stretch (2,) of the edge (2,2) is a gap of door width.
 
-    That is: it coincides with a doorway of the scan (each covers at least half of the other), or it is as wide as a
-    door between two stretches of wall.
+    That is: it coincides with a doorway of the scan (each covers at least half of the other), or it lies between two
+    stretches of wall and is about as wide as a door or, as a door looks from the side, narrower.
     """
     dx, dy = edge[1, 0] - edge[0, 0], edge[1, 1] - edge[0, 1]
     length = math.sqrt(dx * dx + dy * dy)
@@ -195,6 +218,16 @@ def _is_gap(edge: Array, stretch: Array, doors: Array, limits: Limits) -> bool:
 
 
 @kernel
+def wall_beams(clusters: Spans, beams: int) -> Bools:
+    """(B,) which beams belong to a run (first and last position from `roll`) of kind `wall`."""
+    mask = np.zeros(beams, np.bool_)
+    for run in range(clusters.first.shape[0]):
+        for position in range(clusters.first[run], clusters.last[run] + 1):
+            mask[(position + clusters.roll) % beams] |= clusters.kind[run] == LINES
+    return mask
+
+
+@kernel
 def _write(rows: Array, at: int, edge: int, stretch: tuple[float, float], label: float) -> int:
     """Writes an interval into row `at` and returns the next row; an interval of no length is left out."""
     if stretch[1] <= stretch[0]:
@@ -204,11 +237,11 @@ def _write(rows: Array, at: int, edge: int, stretch: tuple[float, float], label:
 
 
 @kernel
-def edge_intervals(ring: Array, doors: Array, tolerance: float, view: View, limits: Limits) -> Array:
+def edge_intervals(ring: Array, slack: Array, doors: Array, view: View, limits: Limits) -> Array:
     """Intervals (m,4) of a ring (k,2) around the origin: edge, start and end as share of its length, EdgeLabel.
 
-    `doors` (g,2,2) are the jambs of the scan's doorways. Each edge is cut into the stretches that beams pass, GAP or
-    OPEN, and what is left, WALL; an edge without such a stretch is one WALL.
+    `slack` (k,) is how far off each vertex may be, m; `doors` (g,2,2) are the jambs of the scan's doorways. An edge is
+    cut into the stretches that beams pass, GAP or OPEN, and what is left, WALL; without a stretch it is one WALL.
     """
     size = ring.shape[0]
     rows, at = np.empty((view.ranges.shape[0] + 3 * size, 4)), 0
@@ -216,6 +249,7 @@ def edge_intervals(ring: Array, doors: Array, tolerance: float, view: View, limi
     for e in range(size):
         edge[0], edge[1] = ring[e], ring[(e + 1) % size]
         length = edge_from(edge[0], edge[1]).length
+        tolerance = max(slack[e], slack[(e + 1) % size])
         stretches = passing_stretches(edge[0], edge[1], tolerance, view, limits)
         done = 0.0
         for s in range(stretches.shape[0]):

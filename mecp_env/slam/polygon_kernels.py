@@ -78,57 +78,46 @@ def order_by_bearing(points: Array) -> Ints:
 
 
 @kernel
-def _blocking_direction(px: float, py: float, dx: float, dy: float, tolerance: float) -> tuple[float, float]:
-    """Direction from p below which an edge has p + d more than `tolerance` inside; (0, 0) when no edge has."""
-    length2 = dx * dx + dy * dy
-    if length2 <= tolerance * tolerance:
-        return 0.0, 0.0
-    sine = tolerance / math.sqrt(length2)
-    cosine = math.sqrt(1.0 - sine * sine)
-    ux, uy = dx * cosine + dy * sine, dy * cosine - dx * sine
-    side = cross(px, py, ux, uy)
-    if side < 0.0 or (side == 0.0 and px * ux + py * uy > 0.0):
-        return 0.0, 0.0
-    return ux, uy
-
-
-@kernel
 def visible_edges(points: Array, tolerance: float) -> Bools:
     """Which edges i -> j (n,n) an empty polygon around the origin may have: maths 1.2, robot-centred form.
 
     The edge spans less than 180 degrees and no site in the triangle (origin, i, j), its two sides to the origin
-    included, lies more than `tolerance` inside it. Points are sorted by bearing. For each i one sweep over j keeps the
-    direction that blocks most: O(n^2).
+    included, lies more than `tolerance` inside it. Points are sorted as by `order_by_bearing`.
     """
     n = points.shape[0]
     allowed = np.zeros((n, n), np.bool_)
     for i in range(n):
-        px, py = points[i, 0], points[i, 1]
-        bx, by = 0.0, 0.0
-        before = i - 1 if i > 0 else n - 1
-        if before != i and _same_ray(points[before], points[i]):
-            bx, by = _blocking_direction(px, py, points[before, 0] - px, points[before, 1] - py, tolerance)
-        for step in range(1, n):
-            j = i + step if i + step < n else i + step - n
-            side = cross(px, py, points[j, 0], points[j, 1])
-            if side < 0.0 or (side == 0.0 and px * points[j, 0] + py * points[j, 1] < 0.0):
+        nearest = i
+        while nearest > 0 and _same_ray(points[nearest - 1], points[i]):
+            nearest -= 1
+        for j in range(i + 1, i + n):
+            side = cross(points[i, 0], points[i, 1], points[j % n, 0], points[j % n, 1])
+            if side < 0.0:
                 break
-            dx, dy = points[j, 0] - px, points[j, 1] - py
-            allowed[i, j] = side > 0.0 and cross(dx, dy, bx, by) <= 0.0
-            ux, uy = _blocking_direction(px, py, dx, dy, tolerance)
-            if (bx == 0.0 and by == 0.0) or cross(bx, by, ux, uy) > 0.0:
-                bx, by = ux, uy
+            if side > 0.0:
+                allowed[i, j % n] = not _blocked(points, (i, j), nearest, tolerance * tolerance)
     return allowed
 
 
 @kernel
-def _same_ray(near: Array, far: Array) -> bool:
-    """True when both lie on one ray from the origin, `near` nearer."""
-    return (
-        cross(near[0], near[1], far[0], far[1]) == 0.0
-        and near[0] * far[0] + near[1] * far[1] > 0.0
-        and near[0] * near[0] + near[1] * near[1] < far[0] * far[0] + far[1] * far[1]
-    )
+def _blocked(points: Array, edge: tuple[int, int], nearest: int, tolerance2: float) -> bool:
+    """True when a site from position `nearest` to the second of `edge` lies deeper inside it than the tolerance."""
+    n = points.shape[0]
+    i, j = edge[0], edge[1] % n
+    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    least = tolerance2 * (dx * dx + dy * dy)
+    for position in range(edge[1] - 1, nearest - 1, -1):
+        k = position % n
+        depth = cross(dx, dy, points[k, 0] - points[i, 0], points[k, 1] - points[i, 1])
+        if depth > 0.0 and depth * depth > least:
+            return True
+    return False
+
+
+@kernel
+def _same_ray(a: Array, b: Array) -> bool:
+    """True when a and b lie on one ray from the origin."""
+    return bool(cross(a[0], a[1], b[0], b[1]) == 0.0 and a[0] * b[0] + a[1] * b[1] > 0.0)
 
 
 @kernel
@@ -226,6 +215,8 @@ def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> t
         if best.area[0, place] > -math.inf:
             sizes[place] = best.size[0]
             _name(rings[place], best.size[0], cut)
+        else:
+            rings[place] = -1
     return sizes, rings
 
 
