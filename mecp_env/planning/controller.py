@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,10 @@ def safe_command(
 ) -> tuple[float, float]:
     """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
     keep_off = body.radius_m + control.guard_m
-    for share in SHARES:
-        for bend in BENDS:
-            v, bent = share * speed, curvature + bend
-            if abs(v * bent) <= control.turn_rad_s and is_safe(p_robot, v, bent, keep_off, stop_path(v, control)):
-                return v, v * bent
+    for share, bend in product(SHARES, BENDS):
+        v, bent = share * speed, curvature + bend
+        if abs(v * bent) <= control.turn_rad_s and is_safe(p_robot, v, bent, keep_off, stop_path(v, control)):
+            return v, v * bent
     return 0.0, 0.0
 
 

@@ -14,11 +14,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.planning import path_kernels as kernels
+from mecp_env.planning import goal_kernels as kernels
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Belief, Door, Ints, RoomGraph, StepReport
+from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Belief, Door, Ints, KnownPolygon, RoomGraph, StepReport
 
 
 class GoalKind(IntEnum):
@@ -156,27 +156,33 @@ def open_goals(report: StepReport, config: GoalsConfig) -> Goals:
     polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
     if not polygons:
         return Goals()
-    first = np.cumsum([0, *(len(polygon.ids) for polygon in polygons)])
-    rings = positions(report.belief, np.concatenate([polygon.ids for polygon in polygons]))
+    strips = thin_out(strips_beyond(polygons, report, config), config.apart_m)
+    rooms = np.array([report.graph.resolve(polygons[int(owner)].room) for owner in strips[:, 7]], np.int64)
+    return make_goals(GoalKind.OPEN, strips[:, 2:4].copy(), strips[:, 6].copy(), rooms)
+
+
+def strips_beyond(polygons: list[KnownPolygon], report: StepReport, config: GoalsConfig) -> Array:
+    """(s,8) the uncovered strips beyond wide open edges, as from `goal_kernels.open_strips`."""
+    ids = [polygon.ids for polygon in polygons]
+    first = np.cumsum([0, *map(len, ids)])
+    rings = positions(report.belief, np.concatenate(ids))
     owner = np.repeat(np.arange(len(polygons)), [len(polygon.intervals) for polygon in polygons])
     intervals = np.concatenate([polygon.intervals for polygon in polygons])
     limits = np.array([config.open_width_m, config.open_beyond_m])
     strips = kernels.open_strips(rings, first, intervals, owner, limits)
-    strips = strips[kernels.uncovered(report.grid.polygon, strips, report.grid.origin, report.grid.resolution_m)]
-    kept = [strips[row] for row in thin_out(strips, config.apart_m)]
-    rooms = np.array([report.graph.resolve(polygons[int(strip[7])].room) for strip in kept], np.int64)
-    table = np.array(kept).reshape(-1, 8)
-    return make_goals(GoalKind.OPEN, table[:, 2:4].copy(), table[:, 6].copy(), rooms)
+    grid = report.grid
+    kept: Array = strips[kernels.uncovered(grid.polygon, strips, grid.origin, grid.resolution_m)]
+    return kept
 
 
-def thin_out(strips: Array, apart_m: float) -> list[int]:
-    """Rows of the strips (s,8), the widest first, none as near as `apart_m` to a wider one."""
+def thin_out(strips: Array, apart_m: float) -> Array:
+    """The strips (s,8), the widest first, without those as near as `apart_m` to a wider one."""
     kept: list[int] = []
     for row in np.argsort(-strips[:, 6], kind="stable").tolist():
         x, y = strips[row, 2], strips[row, 3]
         if all(math.hypot(x - strips[other, 2], y - strips[other, 3]) > apart_m for other in kept):
             kept.append(row)
-    return kept
+    return strips[kept]
 
 
 def candidate_goals(report: StepReport, config: GoalsConfig) -> Goals:

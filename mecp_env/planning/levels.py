@@ -33,17 +33,21 @@ def polygon_levels(report: StepReport, room: int, p_entry: Array | None) -> tupl
 
     Level 0 is the polygon nearest to where the room was entered.
     """
-    row = {landmark: i for i, landmark in enumerate(report.belief.ids.tolist())}
-    rings = [p.ids.tolist() for p in report.known_polygons if report.graph.resolve(p.room) == room]
-    rings = [ids for ids in rings if all(i in row for i in ids)]
+    rings = rings_of_room(report, room)
     if not rings:
         return np.empty((0, 2)), np.empty(0, np.int64)
-    member = np.zeros((len(rings), len(row)))
-    for i, ids in enumerate(rings):
-        member[i, [row[j] for j in ids]] = 1.0
+    member = np.zeros((len(rings), len(report.belief.ids)))
+    for i, rows in enumerate(rings):
+        member[i, rows] = 1.0
     centres = (member[:, :, None] * report.belief.p_map).sum(axis=1) / member.sum(axis=1)[:, None]
     first = 0 if p_entry is None else int(np.hypot(*(centres - p_entry).T).argmin())
     together = np.asarray((member[:, None] * member[None]).sum(axis=2) > 0.0)
-    neighbours = {i: set(np.flatnonzero(together[i]).tolist()) for i in range(len(rings))}
-    level = levels_from(first, neighbours)
+    level = levels_from(first, {i: set(np.flatnonzero(together[i]).tolist()) for i in range(len(rings))})
     return centres, np.array([level.get(i, len(rings)) for i in range(len(rings))], np.int64)
+
+
+def rings_of_room(report: StepReport, room: int) -> list[list[int]]:
+    """Of the known polygons of a room: the rows of their vertices in the belief, where all are landmarks."""
+    row = {landmark: i for i, landmark in enumerate(report.belief.ids.tolist())}
+    rings = [p.ids.tolist() for p in report.known_polygons if report.graph.resolve(p.room) == room]
+    return [[row[i] for i in ids] for ids in rings if row.keys() >= set(ids)]

@@ -76,20 +76,20 @@ class Navigator:
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
         self.periods += 1
-        if settled(self.target, report) or self.dwelt >= self.config.navigator.dwell_periods:
-            self.outcome = Outcome.REACHED
-        elif self.periods > self.config.navigator.limit_periods:
-            self.outcome = Outcome.REFUSED
+        self.outcome = self._judge(self.target, report)
         if self.outcome != Outcome.RUNNING:
             return STOP
         if self._there(self.target, report):
             self.dwelt += 1
             return STOP
-        if self.backing:
-            return self._back_off(report)
-        if self._must_plan(report):
-            self._plan(self.target, report)
-        return self._drive(report)
+        return self._back_off(report) if self.backing else self._drive(self.target, report)
+
+    def _judge(self, target: Target, report: StepReport) -> Outcome:
+        """How the drive stands before this period."""
+        limits = self.config.navigator
+        if settled(target, report) or self.dwelt >= limits.dwell_periods:
+            return Outcome.REACHED
+        return Outcome.REFUSED if self.periods > limits.limit_periods else Outcome.RUNNING
 
     def _there(self, target: Target, report: StepReport) -> bool:
         """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
@@ -119,8 +119,10 @@ class Navigator:
         if self.tries >= TRIES:
             self.outcome = Outcome.REFUSED
 
-    def _drive(self, report: StepReport) -> tuple[float, float]:
+    def _drive(self, target: Target, report: StepReport) -> tuple[float, float]:
         """Follow the path, and notice when that leads nowhere."""
+        if self._must_plan(report):
+            self._plan(target, report)
         if not len(self.path):
             return STOP
         config = self.config

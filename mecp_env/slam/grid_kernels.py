@@ -209,15 +209,20 @@ def forget_room(layer: Layer, room: int, outline: Array, eye: Array, doors: Arra
     """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
     for i in range(doors.shape[0]):
         behind = split_outline(outline, eye, doors[i])[1]
-        if behind.shape[0] < 3:
-            continue
-        mark(behind, brush)
-        for row in range(brush.box[0], brush.box[1]):
-            for column in range(brush.box[2], brush.box[3]):
-                if brush.mask[row, column] and layer[row, column] == room:
-                    layer[row, column] = np.int16(-1)
-                brush.mask[row, column] = 0
-        widen(brush)
+        if behind.shape[0] >= 3:
+            replace_room(layer, room, behind, brush)
+
+
+@kernel
+def replace_room(layer: Layer, room: int, ring: Array, brush: Brush) -> None:
+    """Take `room` off the cells whose centre lies in the ring (k,2) of the lattice."""
+    mark(ring, brush)
+    for row in range(brush.box[0], brush.box[1]):
+        for column in range(brush.box[2], brush.box[3]):
+            if brush.mask[row, column] and layer[row, column] == room:
+                layer[row, column] = np.int16(-1)
+            brush.mask[row, column] = 0
+    widen(brush)
 
 
 @kernel
