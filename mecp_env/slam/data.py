@@ -151,7 +151,7 @@ class Corners:
     cov: Array  # (2n,2n) joint covariance of z: corners that share a line are correlated
     kind: Ints  # (n,) CornerKind
     convex: Bools  # (n,) True: the solid fills less than 180 degrees (an outer corner); ends and jambs are convex
-    normals: Array  # (n,2) rad, robot frame: outward normal (towards free space) of the faces before and after; nan: unseen
+    normals: Array  # (n,2) rad, robot frame: normals (towards free space) of the faces before and after; nan: unseen
     beyond: Ints  # (n,) index into doorways of the gap behind which the corner lies, or -1
     sites: Bools  # (n,) may be a vertex of a polygon
     doorways: Doorways
@@ -199,7 +199,7 @@ class Rings:
 
 
 class FeatureState(IntEnum):
-    """Life of a feature id: a track is seen but not yet believed; a landmark is in the filter; dead ids never return."""
+    """Life of a feature id: a track is seen but not yet believed, a landmark is in the filter, dead ids stay dead."""
 
     TRACK = 0
     LANDMARK = 1

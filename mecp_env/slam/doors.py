@@ -37,6 +37,30 @@ class DoorBook:
     candidates: list[Candidate] = field(default_factory=list)
     sightings: dict[tuple[int, int], int] = field(default_factory=dict)
     next_id: int = 0
+    jambs: Ints = field(default_factory=lambda: np.empty((0, 4), np.int64))  # (D,4) as `door_jambs`
+    row: dict[tuple[int, int], int] = field(default_factory=dict)  # face -> index in `doors`
+
+    def set_doors(self, doors: list[Door]) -> None:
+        """Replace the doors; what is derived from them follows."""
+        self.doors = doors
+        self.jambs = door_jambs(doors)
+        faces = [
+            (face, d) for d, door in enumerate(doors) for face in (door.jambs, door.other_face) if face is not None
+        ]
+        self.row = {pair: d for face, d in faces for pair in (face, face[::-1])}
+
+    def frames(self, belief: Belief) -> Array:
+        """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
+
+        The middle is that of the wall where both faces are known, of the one face otherwise.
+        """
+        return _frames(belief.p_map, belief.rows(self.jambs)) if self.doors else np.empty((0, 5))
+
+
+def door_jambs(doors: list[Door]) -> Ints:
+    """(D,4) landmark ids: right and left jamb of the first face, then of the second or of the first again."""
+    rows = [(*door.jambs, *(door.other_face or door.jambs)) for door in doors]
+    return np.array(rows, np.int64).reshape(-1, 4)
 
 
 @kernel
@@ -61,17 +85,6 @@ def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float) -> I
             if abs(t) < half:
                 row[i] = d
     return row
-
-
-def door_frames(doors: list[Door], belief: Belief) -> Array:
-    """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
-
-    The middle is that of the wall where both faces are known, of the one face otherwise.
-    """
-    if not doors:
-        return np.empty((0, 5))
-    ids = np.array([(*door.jambs, *(door.other_face or door.jambs)) for door in doors], np.int64)
-    return _frames(belief.p_map, belief.rows(ids))
 
 
 @kernel
@@ -102,50 +115,41 @@ def record_doorways(
     if not len(corners.doorways.jambs):
         return
     p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-    frames = door_frames(book.doors, belief)
     for pair, confirmable in zip(corners.doorways.jambs, corners.doorways.confirmable.tolist(), strict=True):
         if max(through[pair[0]], through[pair[1]], corners.beyond[pair[0]], corners.beyond[pair[1]]) >= 0:
             continue
         ids = (int(match.ids[pair[0]]), int(match.ids[pair[1]]))
+        if ids in book.row:
+            _see_again(book, ids, confirmable)
+            continue
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
-            frames = _confirm(book, ids, features, belief, frames, room, config)
-        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), frames)
+            _confirm(book, ids, features, belief, room, config)
+        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), belief)
+
+
+def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool) -> None:
+    """Count one more sighting of a known door."""
+    d = book.row[ids]
+    book.doors[d] = replace(book.doors[d], sightings=book.doors[d].sightings + confirmable)
 
 
 def _confirm(
-    book: DoorBook,
-    ids: tuple[int, int],
-    features: FeatureTable,
-    belief: Belief,
-    frames: Array,
-    room: int,
-    config: RoomConfig,
-) -> Array:
-    """The frames (D,5) of all doors once a pair of jambs seen often enough is a door, or the second face of one."""
-    known = next((d for d, door in enumerate(book.doors) if _is_face(ids, door)), -1)
-    if known >= 0:
-        book.doors[known] = replace(book.doors[known], sightings=book.doors[known].sightings + 1)
-        return frames
+    book: DoorBook, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
+) -> None:
+    """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
     if book.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
-        return frames
+        return
     features.kind[list(ids)] = int(CornerKind.JAMB)
     new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
-    frame = door_frames([new], belief)[0]
-    for d, other in enumerate(frames):
+    frame = _frames(belief.p_map, belief.rows(door_jambs([new])))[0]
+    for d, other in enumerate(book.frames(belief)):
         joined = _joined(book.doors[d], other, new, frame, room, config)
         if joined is not None:
-            book.doors[d] = joined
-            return door_frames(book.doors, belief)
-    book.doors.append(new)
+            book.set_doors([*book.doors[:d], joined, *book.doors[d + 1 :]])
+            return
+    book.set_doors([*book.doors, new])
     book.next_id += 1
-    return door_frames(book.doors, belief)
-
-
-def _is_face(ids: tuple[int, int], door: Door) -> bool:
-    """True when the jambs `ids`, in either order, are those of one of the door's faces."""
-    faces = (door.jambs, door.other_face)
-    return ids in faces or ids[::-1] in faces
 
 
 def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
@@ -167,9 +171,9 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _note_candidate(book: DoorBook, new: Candidate, frames: Array) -> None:
+def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    offsets = frames[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
+    offsets = book.frames(belief)[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
     is_door = bool((offsets[:, 0] ** 2 + offsets[:, 1] ** 2 < SAME_GAP_M**2).any())
     same = [i for i, known in enumerate(book.candidates) if _middle_distance(known, new) < SAME_GAP_M]
     if is_door:
@@ -205,7 +209,7 @@ def pass_through(book: DoorBook, candidate: Candidate, features: FeatureTable, r
     book.candidates = [c for c in book.candidates if c is not candidate]
     features.kind[list(candidate.ids)] = int(CornerKind.JAMB)
     rooms = (candidate.room, room_beyond)
-    book.doors.append(Door(book.next_id, candidate.ids, None, rooms, candidate.sightings))
+    book.set_doors([*book.doors, Door(book.next_id, candidate.ids, None, rooms, candidate.sightings)])
     book.next_id += 1
 
 
@@ -215,10 +219,12 @@ def rename_jambs(book: DoorBook, keep: int, drop: int) -> None:
     def renamed(pair: tuple[int, int]) -> tuple[int, int]:
         return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
 
-    book.doors = [
-        replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
-        for d in book.doors
-    ]
+    book.set_doors(
+        [
+            replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
+            for d in book.doors
+        ]
+    )
     merged: dict[tuple[int, int], int] = {}
     for pair, count in book.sightings.items():
         merged[renamed(pair)] = merged.get(renamed(pair), 0) + count

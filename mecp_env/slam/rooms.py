@@ -26,7 +26,6 @@ from mecp_env.slam.doors import (
     anchored,
     beyond_doors,
     candidate_frame,
-    door_frames,
     pass_through,
     record_doorways,
 )
@@ -35,6 +34,7 @@ from mecp_env.slam.geometry import polar_to_points, to_map
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
 BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
 
 
@@ -68,9 +68,12 @@ class RoomKeeper:
         if not self.book.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
         p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-        row = beyond_doors(belief.T_map_robot[:2], p_map, door_frames(self.book.doors, belief), BEHIND_WALL_M)
+        row = beyond_doors(belief.T_map_robot[:2], p_map, self.book.frames(belief), BEHIND_WALL_M)
+        seen_through = row >= 0
+        if not seen_through.any():
+            return corners, row
         ids = np.array([door.id for door in self.book.doors] + [-1], np.int64)
-        return replace(corners, sites=corners.sites & (row < 0)), ids[row]
+        return replace(corners, sites=corners.sites & ~seen_through), ids[row]
 
     def update(
         self,
@@ -99,7 +102,7 @@ class RoomKeeper:
         self.in_doorway = False
         if not self.book.doors:
             return
-        frames = door_frames(self.book.doors, belief)
+        frames = self.book.frames(belief)
         for d, ahead, aside in _doors_near(belief.T_map_robot[:2], frames, self.config.hysteresis_m):
             self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < frames[int(d), 4]
             door = self.book.doors[int(d)]
@@ -146,6 +149,8 @@ class RoomKeeper:
         if polygon_room not in (UNKNOWN_ROOM, self.current):
             return self._note_elsewhere(polygon_room, belief, self.config.recognise_m, features)
         ids, rooms = self._seen_here(corners, match, through, features)
+        if set(rooms) <= {self.current}:
+            return False
         if self._relabel(ids, rooms, features):
             return True
         other = self._majority(rooms)
@@ -157,9 +162,7 @@ class RoomKeeper:
         self, corners: Corners, match: Match, through: Ints, features: FeatureTable
     ) -> tuple[Ints, list[int]]:
         """Landmarks (v,) recognised in this scan on this side of all doors, jambs left out, and their rooms."""
-        mine = (match.decision == int(Decision.LANDMARK)) & (through < 0) & (corners.beyond < 0)
-        ids = match.ids[mine]
-        ids = ids[features.kind[ids] != int(CornerKind.JAMB)]
+        ids = _on_this_side(match.ids, match.decision, through, corners.beyond, features.kind)
         return ids, features.room[ids].tolist()
 
     def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> bool:
@@ -199,9 +202,9 @@ class RoomKeeper:
         self.merged[old] = other
         features.room[features.room == old] = other
         self.rooms.remove(old)
-        self.book.doors = [self._with_rooms_resolved(door) for door in self.book.doors]
+        doors = [self._with_rooms_resolved(door) for door in self.book.doors]
         # a door that leads from a room to itself is none: the gap lies inside the room
-        self.book.doors = [door for door in self.book.doors if door.rooms[0] != door.rooms[1]]
+        self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
         return True
 
     def _with_rooms_resolved(self, door: Door) -> Door:
@@ -233,3 +236,15 @@ def _doors_near(p_map: Array, frames: Array, margin: float) -> Array:
             near[count, 0], near[count, 1], near[count, 2] = d, ahead, aside
             count += 1
     return near[:count]
+
+
+@kernel
+def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints) -> Ints:
+    """Ids of the landmarks recognised in this scan that are no jambs and not seen through a door."""
+    kept = np.empty(ids.shape[0], np.int64)
+    count = 0
+    for i in range(ids.shape[0]):
+        if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and kind[ids[i]] != JAMB:
+            kept[count] = ids[i]
+            count += 1
+    return kept[:count]

@@ -6,7 +6,7 @@ import numpy as np
 
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, KnownPolygon, Match
-from mecp_env.slam.doors import DoorBook, beyond_doors, door_frames, record_doorways, rename_jambs
+from mecp_env.slam.doors import DoorBook, beyond_doors, record_doorways, rename_jambs
 from mecp_env.slam.rooms import RoomKeeper
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
@@ -130,7 +130,7 @@ def test_the_same_door_from_both_sides_is_one_door():
     assert len(keeper.book.doors) == 1
     assert keeper.book.doors[0].other_face == (3, 2)
     assert keeper.book.doors[0].rooms == (0, 1)
-    assert np.allclose(door_frames(keeper.book.doors, belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
+    assert np.allclose(keeper.book.frames(belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
 
 
 def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new_room():
@@ -214,7 +214,8 @@ def test_an_old_room_recognised_is_entered_not_merged():
 
 
 def test_fused_jambs_keep_the_door():
-    book = DoorBook([Door(0, (0, 1), None, (0, -1), 3)], [], {(0, 1): 3, (9, 1): 1}, 1)
+    book = DoorBook([], [], {(0, 1): 3, (9, 1): 1}, 1)
+    book.set_doors([Door(0, (0, 1), None, (0, -1), 3)])
     rename_jambs(book, 9, 0)
     assert book.doors[0].jambs == (9, 1)
     assert book.sightings == {(9, 1): 4}
