@@ -1,0 +1,84 @@
+"""What the documents say is so: links, commands, names of functions and tests, versions."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import mecp_env
+
+ROOT = Path(__file__).parent.parent
+DOCUMENTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]
+PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_text().splitlines() if line[:1] == "|"][
+    2:
+]
+
+
+def resolve(name: str) -> object:
+    """The object of a dotted name below mecp_env."""
+    parts = name.removeprefix("mecp_env.").split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(["mecp_env", *parts[:cut]]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[cut:]:
+            found = getattr(found, attribute)
+        return found
+    raise ModuleNotFoundError(name)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document: Path) -> None:
+    targets = re.findall(r"\]\(([^)#\s]+)\)", document.read_text())
+    local = [target for target in targets if not target.startswith("http")]
+    assert not [target for target in local if not (document.parent / target).exists()]
+
+
+def test_the_readme_has_the_commands_that_ci_runs() -> None:
+    readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci/run").read_text()
+    for heading in re.findall(r'^run "(.+)"$', ci, re.MULTILINE):
+        below = readme.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+        assert "```sh\n" in below, heading
+
+
+def test_the_readme_opens_with_a_small_film() -> None:
+    first = re.search(r"!\[.*?\]\((.+?)\)", (ROOT / "README.md").read_text())
+    assert first is not None
+    assert (ROOT / first[1]).stat().st_size < 1.5e6
+
+
+def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert code is not None
+    exec(code[1], {})
+    assert "3)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("row", PAPER_ROWS, ids=lambda row: row[0].strip())
+def test_functions_and_tests_that_the_paper_table_names_exist(row: list[str]) -> None:
+    for name in re.findall(r"`((?:slam|world|planning|render|mecp_env)\.[\w.]+)", row[2]):
+        assert resolve(name) is not None
+    for path in re.findall(r"`(tests/[\w./]+)`", row[3]):
+        assert (ROOT / path).exists(), path
+
+
+def test_one_version_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None
+    assert project["version"] == mecp_env.__version__ == cited[1]
+
+
+def test_no_file_names_a_machine() -> None:
+    folders = (".ci", "agents", "benchmarks", "docs", "mecp_env", "tests")
+    files = [*ROOT.glob("*.*"), *(path for folder in folders for path in (ROOT / folder).rglob("*"))]
+    written = {".py", ".md", ".json", ".toml", ".cff", ""}
+    text = [path for path in files if path.is_file() and path.suffix in written]
+    assert len(text) > 50
+    named = re.compile(rb"/(?:wor[k]|roo[t]|hom[e])/\w")
+    assert not [path for path in text if named.search(path.read_bytes())]
