@@ -21,19 +21,22 @@ def doors_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[i
 
     A door of the map whose jambs are no longer landmarks counts as none.
     """
-    centres = [door_centre(door, report.belief) for door in report.graph.doors]
-    p_map = np.array(centres).reshape(-1, 2)
-    far = distances(to_map(T_world_map, p_map), truth.outline.doors.centre)
-    found = len(nearest_pairs(far, DOOR_GATE_M))
-    return found, len(centres) - found
+    p_world = to_map(T_world_map, door_centres(report.graph.doors, report.belief))
+    found = len(nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M))
+    return found, len(p_world) - found
 
 
-def door_centre(door: Door, belief: Belief) -> Array:
-    """(2,) m, map frame: the middle of the door's jambs; nan where none of them is a landmark."""
-    ids = door.jambs + (door.other_face or ())
-    rows = [int(row) for jamb in ids for row in np.flatnonzero(belief.ids == jamb)]
-    centre: Array = belief.p_map[rows].mean(axis=0) if rows else np.full(2, np.nan)
-    return centre
+def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
+    """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
+    if not doors or not len(belief.ids):
+        return np.full((len(doors), 2), np.nan)
+    jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors])
+    rows = np.searchsorted(belief.ids, jambs, sorter=(order := np.argsort(belief.ids)))
+    rows = order[np.minimum(rows, len(order) - 1)]
+    known = belief.ids[rows] == jambs
+    total: Array = (belief.p_map[rows] * known[..., None]).sum(axis=1)
+    count = known.sum(axis=1)[:, None]
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[int, int]:
@@ -85,11 +88,10 @@ def distances(a: Array, b: Array) -> Array:
 
 
 def nearest_pairs(far: Array, gate: float) -> list[tuple[int, int]]:
-    """Pairs (row, column) nearest first, one to one, none as far as `gate`."""
-    far = np.where(np.isnan(far), np.inf, far).copy()
-    pairs = []
-    while far.size and far.min() < gate:
-        row, column = np.unravel_index(np.argmin(far), far.shape)
-        pairs.append((int(row), int(column)))
-        far[row, :] = far[:, column] = np.inf
-    return pairs
+    """Pairs (row, column) nearest first, one to one, none as far as `gate`; nan is never near."""
+    near = np.argwhere(far < gate)
+    pairs: dict[int, int] = {}
+    for row, column in near[np.argsort(far[far < gate], kind="stable")].tolist():
+        if row not in pairs and column not in pairs.values():
+            pairs[row] = column
+    return list(pairs.items())

@@ -153,10 +153,13 @@ def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
             sums[r, 0] += 1.0
             sums[r, 1] += j
             sums[r, 2] += i
+    for r in range(most + 1):
+        sums[r, 1:] /= max(sums[r, 0], 1.0)
     for i in range(room.shape[0]):
         for j in range(room.shape[1]):
             r = room[i, j]
-            far = (j - sums[r, 1] / sums[r, 0]) ** 2 + (i - sums[r, 2] / sums[r, 0]) ** 2
+            dx, dy = j - sums[r, 1], i - sums[r, 2]
+            far = dx * dx + dy * dy
             if far < nearest[r]:
                 nearest[r], middles[r, 0], middles[r, 1] = far, j, i
     return middles[rooms]

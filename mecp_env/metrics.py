@@ -23,7 +23,7 @@ Ints = NDArray[np.int64]
 NEVER = 2**40  # a period that does not come
 LANDMARK = int(Decision.LANDMARK)
 SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
-ROOMS_REFRESH_PERIODS = 25  # rooms are held against the truth when the room graph changed, and this often
+MAP_PERIODS = 25  # rooms and doors are held against the truth when one is new, and this often
 
 
 @dataclass(slots=True, eq=False)
@@ -107,7 +107,8 @@ class EpisodeMetrics:
     nees_sum: float = 0.0
     rooms: tuple[int, int] = (0, 0)  # found, false
     doors: tuple[int, int] = (0, 0)  # found, false
-    compared_graph: tuple[int, int, int] = (-1, -1, -1)
+    compared_rooms: tuple[int, ...] = ()
+    compared_doors: int = 0
 
     @classmethod
     def begin(cls, truth: Truth, T_world_robot: Array) -> EpisodeMetrics:
@@ -157,10 +158,12 @@ class EpisodeMetrics:
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
 
     def _compare_map(self, truth: Truth, report: StepReport) -> None:
-        graph = (len(report.graph.rooms), len(report.graph.doors), len(report.graph.merged))
-        if graph != self.compared_graph or report.period % ROOMS_REFRESH_PERIODS == 0:
-            self.compared_graph = graph
+        due = report.period % MAP_PERIODS == 0
+        if due or report.graph.rooms != self.compared_rooms:
+            self.compared_rooms = report.graph.rooms
             self.rooms = rooms_found(truth, report, self.T_world_map)
+        if due or len(report.graph.doors) != self.compared_doors:
+            self.compared_doors = len(report.graph.doors)
             self.doors = doors_found(truth, report, self.T_world_map)
 
     def summary(self, truth: Truth, report: StepReport) -> dict[str, float]:

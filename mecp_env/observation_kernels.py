@@ -20,34 +20,24 @@ LAYERS = ("free", "polygon", "occupied", "unknown", "door", "room", "frontier", 
 
 
 @kernel
-def borders_unknown(label: Bytes, row: int, col: int) -> bool:
-    """True when a neighbour above, below, left or right is UNKNOWN or outside the grid."""
-    rows, cols = label.shape
-    if row == 0 or col == 0 or row == rows - 1 or col == cols - 1:
-        return True
-    return bool(
-        label[row - 1, col] == 0 or label[row + 1, col] == 0 or label[row, col - 1] == 0 or label[row, col + 1] == 0
-    )
-
-
-@kernel
 def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: int) -> Bytes:
     """(H,W) one bit a layer (the path left out) for each cell of the semantic grid.
 
-    A door is free too; a frontier cell is FREE with an UNKNOWN cell beside it.
+    A door is free too; a frontier cell is FREE with an UNKNOWN cell (or the grid's border) above, below or beside it.
     """
-    codes = np.zeros(label.shape, np.uint8)
-    of_label = np.array([UNKNOWN, FREE, OCCUPIED, FREE | DOOR], np.uint8)  # in the order of Cell
-    for i in range(label.shape[0]):
-        for j in range(label.shape[1]):
-            code = of_label[label[i, j]]
-            if label[i, j] == 1 and borders_unknown(label, i, j):
-                code |= FRONTIER
-            if polygon[i, j]:
-                code |= POLYGON
-            if room[i, j] == current and current >= 0:
-                code |= ROOM
-            codes[i, j] = code
+    rows, cols = label.shape
+    padded = np.zeros((rows + 2, cols + 2), np.uint8)
+    padded[1:-1, 1:-1] = label
+    codes = np.empty((rows, cols), np.uint8)
+    nobody = current < 0
+    for i in range(rows):
+        for j in range(cols):  # without branches, so that it is done for many cells at a time
+            a = padded[i + 1, j + 1]
+            beside = (padded[i, j + 1] == 0) | (padded[i + 2, j + 1] == 0)
+            beside |= (padded[i + 1, j] == 0) | (padded[i + 1, j + 2] == 0)
+            mine = (room[i, j] == current) & (not nobody)
+            code = FREE * (a & 1) | OCCUPIED * (a == 2) | UNKNOWN * (a == 0) | DOOR * (a == 3)  # FREE 1, DOOR 3
+            codes[i, j] = code | POLYGON * polygon[i, j] | ROOM * mine | FRONTIER * ((a == 1) & beside)
     return codes
 
 

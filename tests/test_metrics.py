@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env import metric_kernels as kernels
-from mecp_env.map_scores import distances, door_centre, doors_found, grid_iou, nearest_pairs, room_centres, rooms_found
+from mecp_env.map_scores import distances, door_centres, doors_found, grid_iou, nearest_pairs, room_centres, rooms_found
 from mecp_env.metrics import AssociationLog, EpisodeMetrics, pose_nees
 from mecp_env.slam.data import Belief, Door, RoomGraph, SemanticGrid
 from mecp_env.slam.geometry import compose, inverse
@@ -233,9 +233,11 @@ def test_the_centre_of_a_door_takes_both_faces():
         np.array([[0, 0], [1, 0], [0, 2], [1, 2.0]]),
         np.zeros((4, 2, 2)),
     )
-    assert door_centre(Door(0, (4, 7), (9, 2), (0, 1), 1), belief).tolist() == [0.5, 1.0]
-    assert door_centre(Door(0, (4, 7), None, (0, 1), 1), belief).tolist() == [0.5, 0.0]
-    assert np.isnan(door_centre(Door(0, (40, 70), None, (0, 1), 1), belief)).all()
+    doors = (Door(0, (4, 7), (9, 2), (0, 1), 1), Door(1, (4, 7), None, (0, 1), 1), Door(2, (40, 1), None, (0, 1), 1))
+    centres = door_centres(doors, belief)
+    assert centres[:2].tolist() == [[0.5, 1.0], [0.5, 0.0]]
+    assert np.isnan(centres[2]).all()
+    assert door_centres((), belief).shape == (0, 2)
 
 
 def test_an_episode_adds_up():
