@@ -129,31 +129,45 @@ def split_outline(outline: Array, eye: Array, door: Array) -> tuple[Array, Array
 
     Behind is empty when nothing is seen through the door.
     """
-    count = outline.shape[0]
-    front, behind = np.empty((count + 8, 2)), np.empty((count + 8, 2))
-    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
-    if ax * by - ay * bx < 0.0:
-        ax, ay, bx, by = bx, by, ax, ay
-    n, m = 0, 0
+    count, n, m = outline.shape[0], 0, 0
+    front, behind = np.empty((4 * count, 2)), np.empty((4 * count, 2))
+    ax, ay, bx, by = door_ends(eye, door)
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
         px, py, qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1], outline[j, 0] - eye[0], outline[j, 1] - eye[1]
-        share = door_share(ax, ay, bx, by, px, py)
-        front[n, 0], front[n, 1] = min(share, 1.0) * px, min(share, 1.0) * py
-        n += 1
+        share, share_q = door_share(ax, ay, bx, by, px, py), door_share(ax, ay, bx, by, qx, qy)
+        right, left = crossing_stretch(px, py, qx, qy, ax, ay), crossing_stretch(px, py, qx, qy, bx, by)
+        n = _put(front, n, eye, min(share, 1.0) * px, min(share, 1.0) * py)
         if share < 1.0:
-            behind[m, 0], behind[m, 1] = px, py
-            m += 1
-        first, last = crossing_stretch(px, py, qx, qy, ax, ay), crossing_stretch(px, py, qx, qy, bx, by)
-        if first > 1.0:  # the outline goes behind the door past its right end
-            front[n, 0], front[n, 1], front[n + 1, 0], front[n + 1, 1] = first * ax, first * ay, ax, ay
-            behind[m, 0], behind[m, 1], behind[m + 1, 0], behind[m + 1, 1] = ax, ay, first * ax, first * ay
-            n, m = n + 2, m + 2
-        if last > 1.0:  # and comes back past its left end
-            front[n, 0], front[n, 1], front[n + 1, 0], front[n + 1, 1] = bx, by, last * bx, last * by
-            behind[m, 0], behind[m, 1], behind[m + 1, 0], behind[m + 1, 1] = last * bx, last * by, bx, by
-            n, m = n + 2, m + 2
-    return front[:n] + eye, behind[:m] + eye
+            m = _put(behind, m, eye, px, py)
+        if right > 1.0:  # the outline goes behind the door past its right end
+            n = _put(front, _put(front, n, eye, right * ax, right * ay), eye, ax, ay)
+            m = _put(behind, _put(behind, m, eye, ax, ay), eye, right * ax, right * ay)
+        if left > 1.0:  # and comes back past its left end
+            n = _put(front, _put(front, n, eye, bx, by), eye, left * bx, left * by)
+            m = _put(behind, _put(behind, m, eye, left * bx, left * by), eye, bx, by)
+        if (share_q < 1.0 <= share and right <= 1.0) or (share < 1.0 <= share_q and left <= 1.0):  # or through it
+            ex, ey, dx, dy = qx - px, qy - py, bx - ax, by - ay
+            along = ((ax - px) * dy - (ay - py) * dx) / (ex * dy - ey * dx)
+            n = _put(front, n, eye, px + along * ex, py + along * ey)
+            m = _put(behind, m, eye, px + along * ex, py + along * ey)
+    return front[:n].copy(), behind[:m].copy()
+
+
+@kernel
+def _put(ring: Array, n: int, eye: Array, x: float, y: float) -> int:
+    """Write a point, given from the eye (2,), into row n of the ring; returns the next row."""
+    ring[n, 0], ring[n, 1] = eye[0] + x, eye[1] + y
+    return n + 1
+
+
+@kernel
+def door_ends(eye: Array, door: Array) -> tuple[float, float, float, float]:
+    """Right and left end x, y of a door (2,2) as seen from the eye (2,), relative to it."""
+    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
+    if ax * by - ay * bx > 0.0:
+        return ax, ay, bx, by
+    return bx, by, ax, ay
 
 
 @kernel
@@ -175,6 +189,18 @@ def crossing_stretch(px: float, py: float, qx: float, qy: float, ax: float, ay: 
 
 
 @kernel
+def looks_through(outline: Array, eye: Array, door: Array) -> bool:
+    """True when some of the free space (m,2) seen from `eye` (2,) lies behind the door (2,2)."""
+    ax, ay, bx, by = door_ends(eye, door)
+    for i in range(outline.shape[0]):
+        px, py = outline[i - 1, 0] - eye[0], outline[i - 1, 1] - eye[1]
+        qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1]
+        if door_share(ax, ay, bx, by, qx, qy) < 1.0 or crossing_stretch(px, py, qx, qy, ax, ay) > 1.0:
+            return True
+    return False
+
+
+@kernel
 def paint_room(
     layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array], brush: Brush
 ) -> None:
@@ -185,10 +211,13 @@ def paint_room(
     eye, doors = view
     through = np.zeros(strips.shape[0], np.bool_)
     for i in range(doors.shape[0]):
+        if not looks_through(outline, eye, doors[i]):
+            continue
         outline = split_outline(outline, eye, doors[i])[0]
+        ax, ay, bx, by = door_ends(eye, doors[i])
         for j in range(strips.shape[0]):
             x, y = 0.5 * (strips[j, 0, 0] + strips[j, 1, 0]), 0.5 * (strips[j, 0, 1] + strips[j, 1, 1])
-            through[j] |= is_behind(x - eye[0], y - eye[1], eye, doors[i])
+            through[j] |= door_share(ax, ay, bx, by, x - eye[0], y - eye[1]) < 1.0
     set_polygon(layer, outline, room, brush)
     for j in range(strips.shape[0]):
         if not through[j]:
@@ -196,21 +225,11 @@ def paint_room(
 
 
 @kernel
-def is_behind(x: float, y: float, eye: Array, door: Array) -> bool:
-    """True when the line from `eye` (2,) to (x, y), relative to it, crosses the door (2,2)."""
-    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
-    if ax * by - ay * bx < 0.0:
-        ax, ay, bx, by = bx, by, ax, ay
-    return bool(door_share(ax, ay, bx, by, x, y) < 1.0)
-
-
-@kernel
 def forget_room(layer: Layer, room: int, outline: Array, eye: Array, doors: Array, brush: Brush) -> None:
     """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
     for i in range(doors.shape[0]):
-        behind = split_outline(outline, eye, doors[i])[1]
-        if behind.shape[0] >= 3:
-            replace_room(layer, room, behind, brush)
+        if looks_through(outline, eye, doors[i]):
+            replace_room(layer, room, split_outline(outline, eye, doors[i])[1], brush)
 
 
 @kernel

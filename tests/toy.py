@@ -1,0 +1,208 @@
+"""A hand-made world for grid and planning: rectangles, exact rays, exact segments, a point robot. No estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from mecp_env.slam.config import GridConfig
+from mecp_env.slam.data import (
+    Beams,
+    Belief,
+    Candidate,
+    Door,
+    EdgeLabel,
+    KnownPolygon,
+    RoomGraph,
+    Segments,
+    SemanticGrid,
+    StepReport,
+)
+from mecp_env.slam.geometry import compose, to_map, to_robot
+from mecp_env.slam.grid import GridPainter
+
+WALL_M = 0.12
+ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1
+ROOM_B = (6.12, 0.0, 32.12, 4.0)
+PASSAGE = (6.0, 1.5, 6.12, 2.4)
+PILLAR = (12.0, 1.8, 12.4, 2.2)
+FACES = np.array(
+    [
+        [[0.0, 0.0], [6.0, 0.0]],
+        [[6.0, 0.0], [6.0, 1.5]],
+        [[6.0, 1.5], [6.12, 1.5]],
+        [[6.12, 1.5], [6.12, 0.0]],
+        [[6.12, 0.0], [32.12, 0.0]],
+        [[32.12, 0.0], [32.12, 4.0]],
+        [[32.12, 4.0], [6.12, 4.0]],
+        [[6.12, 4.0], [6.12, 2.4]],
+        [[6.12, 2.4], [6.0, 2.4]],
+        [[6.0, 2.4], [6.0, 4.0]],
+        [[6.0, 4.0], [0.0, 4.0]],
+        [[0.0, 4.0], [0.0, 0.0]],
+        [[12.0, 1.8], [12.0, 2.2]],
+        [[12.0, 2.2], [12.4, 2.2]],
+        [[12.4, 2.2], [12.4, 1.8]],
+        [[12.4, 1.8], [12.0, 1.8]],
+    ]
+)
+# corners of room A, jambs on its side, jambs on the far side, corners of room B
+LANDMARKS = np.array(
+    [[0, 0], [6, 0], [6, 4], [0, 4], [6, 1.5], [6, 2.4], [6.12, 1.5], [6.12, 2.4], [6.12, 0], [32.12, 0], [32.12, 4], [6.12, 4]],
+    dtype=np.float64,
+)
+BEARINGS = -np.pi + 2 * np.pi * (np.arange(720) + 1) / 720
+HERE = np.zeros(3)
+
+
+def inside(rect: tuple[float, float, float, float], p: np.ndarray) -> np.ndarray:
+    """(n,) True inside a rectangle."""
+    return (p[:, 0] > rect[0]) & (p[:, 1] > rect[1]) & (p[:, 0] < rect[2]) & (p[:, 1] < rect[3])
+
+
+def is_free(p_world: np.ndarray) -> np.ndarray:
+    """(n,) True on the floor."""
+    floor = inside(ROOM_A, p_world) | inside(ROOM_B, p_world) | inside(PASSAGE, p_world)
+    floor |= (np.abs(p_world[:, 0] - 6.06) <= 0.06) & (p_world[:, 1] > 1.5) & (p_world[:, 1] < 2.4)
+    return floor & ~inside(PILLAR, p_world)
+
+
+def cast_rays(T_world_robot: np.ndarray, faces: np.ndarray = FACES) -> tuple[np.ndarray, np.ndarray]:
+    """Range (720,) and face (720,) of each beam."""
+    angle = BEARINGS + T_world_robot[2]
+    d = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+    a, e = faces[None, :, 0] - T_world_robot[:2], (faces[:, 1] - faces[:, 0])[None]
+    across = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (a[..., 0] * e[..., 1] - a[..., 1] * e[..., 0]) / across
+        u = (a[..., 0] * d[..., 1] - a[..., 1] * d[..., 0]) / across
+    t = np.where((np.abs(across) > 1e-12) & (t > 0) & (u >= 0) & (u <= 1), t, np.inf)
+    return t.min(axis=1), t.argmin(axis=1)
+
+
+def look(T_world_robot: np.ndarray, rng: np.random.Generator | None = None, sigma: float = 0.0) -> tuple[Beams, Segments]:
+    """Beams, with noise, and the segments a perfect front end would fit to them."""
+    ranges, face = cast_rays(T_world_robot)
+    noisy = ranges + (0.0 if rng is None else sigma * rng.standard_normal(720))
+    ones = np.ones(720, np.int64)
+    beams = Beams(noisy, BEARINGS, np.ones(720, np.bool_), ones, 30.0, noisy, BEARINGS)
+    starts = np.flatnonzero(face != np.roll(face, 1))
+    roll = int(starts[0])
+    rows: list[Any] = []
+    for first, last in zip(starts, [*starts[1:], starts[0] + 720], strict=True):
+        if last - first >= 5:
+            rows.append(segment(first - roll, last - 1 - roll, roll, T_world_robot, FACES[face[first]], ranges))
+    points, line, first, last = (np.array(column) for column in zip(*rows, strict=True))
+    count = len(rows)
+    cov, cluster = np.zeros((count, 2, 2)), np.arange(count)
+    return beams, Segments(points, line, cov, cluster, first.astype(np.int64), last.astype(np.int64), roll)
+
+
+def segment(first: int, last: int, roll: int, T: np.ndarray, face: np.ndarray, ranges: np.ndarray) -> tuple[Any, ...]:
+    """End points, line and positions of the beams first..last, which all hit one face."""
+    beams = (roll + np.array([first, last])) % 720
+    points = ranges[beams, None] * np.stack([np.cos(BEARINGS[beams]), np.sin(BEARINGS[beams])], axis=1)
+    a, b = to_robot(T, face)
+    normal = np.array([b[1] - a[1], a[0] - b[0]]) / np.hypot(*(b - a))
+    normal *= 1.0 if normal @ a >= 0 else -1.0
+    return points, np.array([np.arctan2(normal[1], normal[0]), normal @ a]), first, last
+
+
+@dataclass
+class Toy:
+    """The world, what is believed of it, and a robot that does what it is told. Map = world moved by `T_map_world`."""
+
+    T_world_robot: np.ndarray
+    T_map_world: np.ndarray = field(default_factory=lambda: HERE.copy())
+    sigma: float = 0.0  # m, noise of the beams
+    pose_sigma: float = 0.0  # m and 0.1 rad, error of the believed pose
+    confirmed: bool = True  # the door is known
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        self.painter = GridPainter(GridConfig())
+        self.p_map = to_map(self.T_map_world, LANDMARKS)
+        self.rooms: tuple[int, ...] = (0,)
+        self.polygons: list[KnownPolygon] = []
+        self.period = 0
+        self.contact = False
+        self.command = (0.0, 0.0)
+
+    @property
+    def current(self) -> int:
+        return int(self.T_world_robot[0] > 6.06)
+
+    def belief(self) -> Belief:
+        """The pose with its error, all landmarks."""
+        T = compose(self.T_map_world, self.T_world_robot)
+        T = T + self.pose_sigma * self.rng.standard_normal(3) * np.array([1.0, 1.0, 0.1])
+        covs = np.broadcast_to(1e-4 * np.eye(2), (len(self.p_map), 2, 2)).copy()
+        return Belief(T, 1e-4 * np.eye(3), np.arange(len(self.p_map)), self.p_map.copy(), covs)
+
+    def graph(self) -> RoomGraph:
+        """One door, or one candidate."""
+        self.rooms = tuple(sorted({*self.rooms, self.current}))
+        doors = (Door(0, (4, 5), (6, 7), (0, 1 if 1 in self.rooms else -1), 5),) if self.confirmed else ()
+        candidates = () if self.confirmed else (Candidate(self.p_map[[4, 5]], 0, 1, self.period),)
+        in_doorway = abs(self.T_world_robot[0] - 6.06) < 0.3
+        return RoomGraph(self.current, in_doorway, self.rooms, doors, candidates, {})
+
+    def add_polygon(self, ids: list[int], room: int, open_edges: tuple[int, ...] = ()) -> None:
+        """A known polygon with whole edges of wall or open space."""
+        labels = [EdgeLabel.OPEN if edge in open_edges else EdgeLabel.WALL for edge in range(len(ids))]
+        intervals = np.array([[edge, 0.0, 1.0, label] for edge, label in enumerate(labels)], np.float64)
+        self.polygons.append(KnownPolygon(np.array(ids), intervals, room))
+
+    def report(self, completed: tuple[int, ...] = ()) -> StepReport:
+        """What the estimator would report of this period."""
+        self.period += 1
+        beams, segments = look(self.T_world_robot, self.rng, self.sigma)
+        belief, graph = self.belief(), self.graph()
+        ids, known = np.arange(len(self.p_map)), tuple(self.polygons)
+        grid = self.painter.paint(belief, beams, segments, ids, known, graph, completed)
+        none = cast(Any, None)
+        return StepReport(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
+
+    def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
+        """A period of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""
+        for _ in range(10):
+            dv, dw = np.clip(v - self.command[0], -0.04, 0.04), np.clip(w - self.command[1], -0.2, 0.2)
+            self.command = (self.command[0] + float(dv), self.command[1] + float(dw))
+            ahead = compose(self.T_world_robot, np.array([0.04 * self.command[0], 0.0, 0.04 * self.command[1]]))
+            blocked = wall_distance(ahead[:2]) < radius_m
+            self.contact |= blocked
+            self.T_world_robot = self.T_world_robot if blocked else ahead
+
+
+def wall_distance(p_world: np.ndarray) -> float:
+    """Distance from a point to the nearest face."""
+    a, e = FACES[:, 0], FACES[:, 1] - FACES[:, 0]
+    share = np.clip(((p_world - a) * e).sum(axis=1) / (e * e).sum(axis=1), 0.0, 1.0)
+    return float(np.hypot(*(a + share[:, None] * e - p_world).T).min())
+
+
+def free_iou(grid: SemanticGrid, T_map_world: np.ndarray = HERE, area: tuple[float, float, float, float] | None = None) -> float:
+    """Intersection over union of the free cells of a grid and of the truth, on cells of 5 cm inside `area`."""
+    x0, y0, x1, y1 = area or (-1.0, -1.0, 33.0, 5.0)
+    x, y = np.meshgrid(np.arange(x0 + 0.025, x1, 0.05), np.arange(y0 + 0.025, y1, 0.05))
+    p_world = np.stack([x.ravel(), y.ravel()], axis=1)
+    label = labels_at(grid, to_map(T_map_world, p_world))
+    believed, true = np.isin(label, (1, 3)), is_free(p_world)
+    return float((believed & true).sum() / (believed | true).sum())
+
+
+def labels_at(grid: SemanticGrid, p_map: np.ndarray) -> np.ndarray:
+    """(n,) label of the cells at points of the map frame, 0 outside."""
+    return layer_at(grid, grid.label, p_map)
+
+
+def layer_at(grid: SemanticGrid, layer: np.ndarray, p_map: np.ndarray) -> np.ndarray:
+    """(n,) what a layer of the grid says at points of the map frame, 0 outside."""
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+    known = (cells >= 0).all(axis=1) & (cells < np.array(layer.shape[::-1])).all(axis=1)
+    values = np.zeros(len(p_map), layer.dtype)
+    values[known] = layer[cells[known, 1], cells[known, 0]]
+    return values
