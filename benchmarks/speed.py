@@ -15,12 +15,11 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
+from benchmarks import polygon_speed
 from benchmarks.common import Figures, Gate, Options, table
+from benchmarks.polygon_speed import SITES
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.data import Beams, CornerKind, Corners, Doorways
-from mecp_env.slam.polygon import find_polygons, largest_empty_convex_polygons
 from mecp_env.stopwatch import STAGES, Stopwatch, timed_stages
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser, cast_rays
@@ -33,12 +32,11 @@ Array = NDArray[np.float64]
 LAYOUT = "paper"
 SWEEPS = (1, 4)
 BEAMS = 720
-SITES = (5, 10, 15, 20, 30, 40)
 
 GATES = (
     *(Gate(f"env/K={k}/{actions}/steps_per_s", "rate_per_s", 1.3) for k in SWEEPS for actions in ("random", "bfs")),
     Gate("rays/kernel_us", "time", 1.3),
-    *(Gate(f"polygon/stage/n={n}", "time", 1.5) for n in SITES),
+    *(Gate(f"polygon/kernel/{kind}/n={n}", "time", 1.5) for kind in ("uniform", "convex") for n in SITES),
 )
 
 
@@ -48,7 +46,7 @@ def run(options: Options) -> Figures:
     return {
         "env": {f"K={k}": environment(k, periods) for k in SWEEPS},
         "rays": rays(50 if options.quick else 300),
-        "polygon": polygons(20 if options.quick else 200),
+        "polygon": polygon_speed.measure(20 if options.quick else 200),
     }
 
 
@@ -58,12 +56,14 @@ def environment(sweeps: int, periods: int) -> Figures:
 
 
 def timed(sweeps: int, periods: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
-    """Steps a second, and microseconds of each stage; a short drive before it loads the kernels."""
+    """Steps a second of whole steps; then, on the same drive again, microseconds of each stage."""
     env = MecpEnv(layout=LAYOUT, laser={"sweeps": sweeps, "beams": BEAMS}, max_periods=10**7)
-    drive(env, 50)
-    with timed_stages() as watch:
+    drive(env, 50)  # loads the kernels
+    with timed_stages(each=False) as watch:
         drive(env, periods)
-    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": watch.microseconds()}
+    with timed_stages() as stages:
+        drive(env, periods)
+    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": stages.microseconds()}
 
 
 def with_driver(watch: Stopwatch) -> float:
@@ -148,59 +148,6 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
     return ranges
 
 
-def polygons(sets: int) -> Figures:
-    """Median time of the polygon stage with its guard and of the public search for n sites around a robot, us."""
-    rng = np.random.default_rng(0)
-    figures: Figures = {"stage": {}, "stage, convex position": {}, "public search": {}}
-    for n in SITES:
-        spread = [rng.uniform(-5.0, 5.0, (n, 2)) for _ in range(sets)]
-        angles = [np.sort(rng.uniform(0.0, 2.0 * math.pi, n)) for _ in range(sets)]
-        convex = [5.0 * np.column_stack([np.cos(a), np.sin(a)]) for a in angles]
-        figures["stage"][f"n={n}"] = median_us(find, [as_corners(sites) for sites in spread])
-        figures["stage, convex position"][f"n={n}"] = median_us(find, [as_corners(sites) for sites in convex])
-        figures["public search"][f"n={n}"] = median_us(search, spread[:10])
-    return figures
-
-
-def find(corners: Corners) -> object:
-    """The polygon stage on made-up corners in the open."""
-    return find_polygons(corners, OPEN_FIELD, PolygonConfig())
-
-
-def search(sites: Array) -> object:
-    """The public search around a robot at the origin."""
-    return largest_empty_convex_polygons(sites, np.zeros(2))
-
-
-def as_corners(sites: Array) -> Corners:
-    """Points (n,2) in the robot's frame as corners with a sigma of 2 cm, in order of bearing."""
-    bearing = np.arctan2(sites[:, 1], sites[:, 0])
-    order = np.argsort(bearing)
-    n = len(sites)
-    cov: Array = np.kron(np.eye(n), np.diag([4e-4, 4e-5]))
-    return Corners(
-        z=np.ascontiguousarray(np.column_stack([np.hypot(*sites.T), bearing])[order]),
-        cov=cov,
-        kind=np.full(n, int(CornerKind.CROSSING)),
-        convex=np.zeros(n, np.bool_),
-        normals=np.full((n, 2), np.nan),
-        beyond=np.full(n, -1),
-        sites=np.ones(n, np.bool_),
-        doorways=Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_)),
-    )
-
-
-def open_field() -> Beams:
-    """A merged scan that hit nothing."""
-    bearings = -math.pi + 2.0 * math.pi / BEAMS * np.arange(1, BEAMS + 1)
-    ranges: Array = np.full(BEAMS, 30.0)
-    nothing = np.zeros(BEAMS, np.bool_)
-    return Beams(ranges, bearings, nothing, np.ones(BEAMS, np.int64), 30.0, ranges, bearings)
-
-
-OPEN_FIELD = open_field()
-
-
 def median_us(call: Callable[[Any], object], items: list[Any]) -> float:
     """Median over the items of the least of three calls each, us, after one call to load the kernels."""
     call(items[0])
@@ -219,8 +166,9 @@ def report(figures: Figures) -> str:
     speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
     names = [*(name for name, _, _ in STAGES), "rest", "step", "drive"]
     stages = [(name, *(round(v["us"][name], 1) for _, _, v in settings)) for name in names]
-    kinds = figures["polygon"]
-    sites = [(f"n={n}", *(round(times[f"n={n}"], 1) for times in kinds.values())) for n in SITES]
+    kernel, scans = figures["polygon"]["kernel"], figures["polygon"]["scans"]
+    sites = [(n, *(round(kernel[kind][f"n={n}"], 1) for kind in ("uniform", "convex"))) for n in SITES]
+    layouts = [(name, values["sites"], round(values["stage_us"], 1)) for name, values in scans.items()]
     return "\n\n".join(
         [
             f"Times of the processor. {__doc__.splitlines()[0] if __doc__ else ''}",
@@ -230,7 +178,9 @@ def report(figures: Figures) -> str:
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
             "## 720 rays, us (median over poses)",
             table(["what", "value"], figures["rays"].items()),
-            "## Largest empty convex polygon around the robot, us (median)",
-            table(["sites", *kinds], sites),
+            "## Maximum Empty Convex Polygon, search and guard, us (median)",
+            table(["sites", "uniform", "convex position"], sites),
+            "## The polygon stage on scans, edge intervals included (median)",
+            table(["layout", "sites", "us"], layouts),
         ]
     )

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import mecp_env.slam.pipeline
 from mecp_env.config import EnvConfig
 from mecp_env.demo import Run
 from mecp_env.errors import ConfigError
 from mecp_env.render.figures import save
 from mecp_env.render.stages import stage_figures
+from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.data import StepReport
-
-pipeline: Any = mecp_env.slam.pipeline
 
 
 class _Reached(Exception):
@@ -29,7 +26,7 @@ def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
     run = Run.begin(config, seed)
     report = recognition(run, period)
     slam = run.env.config.estimator_config
-    clusters = pipeline.cluster_beams(report.beams, slam.clustering, slam.sensor)
+    clusters = cluster_beams(report.beams, slam.clustering, slam.sensor)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for number, (name, figure) in enumerate(stage_figures(report, clusters).items(), start=1):

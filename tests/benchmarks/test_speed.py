@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import explorers, speed
+from benchmarks import explorers, polygon_speed, speed
 from benchmarks.common import flatten
 from mecp_env.env import MecpEnv
 from mecp_env.stopwatch import STAGES, timed_stages
@@ -22,13 +22,6 @@ def test_the_three_ways_to_cast_rays_agree() -> None:
         exact = speed.brute_force(outline.segments, pose)
         assert cast_rays(outline.segments, pose, speed.BEAMS) == pytest.approx(exact, abs=1e-6)
         assert speed.query_pymunk(space, pose) == pytest.approx(exact, abs=1e-6)
-
-
-def test_made_up_corners_have_a_polygon() -> None:
-    angles = np.linspace(0.0, 2.0 * np.pi, 9)[:-1]
-    sites = 3.0 * np.column_stack([np.cos(angles), np.sin(angles)])
-    (best, *_) = speed.find_polygons(speed.as_corners(sites), speed.OPEN_FIELD, speed.PolygonConfig())
-    assert len(best.corners) == 8
 
 
 def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
@@ -48,7 +41,7 @@ def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
 
 
 def test_gates_name_figures_that_are_measured() -> None:
-    polygons, rays = speed.polygons(1), speed.rays(2)
+    polygons, rays = polygon_speed.measure(1), speed.rays(2)
     env = {f"K={k}": {kind: {"steps_per_s": 1.0} for kind in ("random", "bfs")} for k in speed.SWEEPS}
     measured = flatten({"env": env, "rays": rays, "polygon": polygons})
     assert {gate.path for gate in speed.GATES} <= measured.keys()
