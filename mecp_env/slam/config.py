@@ -107,6 +107,7 @@ class FilterConfig(Settings):
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
+    linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
     closure_iterations: int = Field(5, ge=1, le=20)
     closure_gap_periods: int = Field(10, ge=1, le=10_000)
     max_landmarks: int = Field(1024, ge=8, le=10_000)

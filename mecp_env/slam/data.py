@@ -7,7 +7,7 @@ heading of the robot in the map. Carriers of one scan are frozen; whoever makes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -162,6 +162,14 @@ class Corners:
         n = len(self.z)
         blocks = self.cov.reshape(n, 2, n, 2)
         return blocks[np.arange(n), :, np.arange(n), :]
+
+    def with_floor(self, sigma_m: float) -> Corners:
+        """The same corners with an independent position error of `sigma_m` added to each."""
+        cov = self.cov.copy()
+        n = np.arange(len(self.z))
+        cov[2 * n, 2 * n] += sigma_m**2
+        cov[2 * n + 1, 2 * n + 1] += (sigma_m / self.z[:, 0]) ** 2
+        return replace(self, cov=cov)
 
     def measurements(self, index: Ints) -> tuple[Array, Array]:
         """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""

@@ -116,6 +116,7 @@ class SlamPipeline:
         clusters = cluster_beams(beams, config.clustering, config.sensor)  # III-A.1
         segments = extract_segments(beams, clusters, config.segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)
+        corners = corners.with_floor(config.filter.linearisation_sigma_m)
         predicted = self.filter.belief()
         corners, through = self.rooms.mark_beyond(corners, predicted)
         polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2

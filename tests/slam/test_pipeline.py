@@ -178,3 +178,11 @@ def test_the_true_pose_can_be_given(drive):
         exact = compose(T_map_world, pose)
         report = pipeline.step(odometry, scan, T_map_robot=exact)
         assert np.allclose(report.belief.T_map_robot, exact, atol=1e-3)
+
+
+def test_the_floor_adds_the_same_position_error_to_every_corner(steps):
+    corners = steps[-1][1].corners
+    softened = corners.with_floor(0.1)
+    added = np.sqrt((softened.cov - corners.cov).diagonal())
+    assert np.allclose(added[0::2], 0.1)
+    assert np.allclose(added[1::2] * corners.z[:, 0], 0.1)
