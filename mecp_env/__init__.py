@@ -10,14 +10,17 @@ from gymnasium.envs.registration import register, registry
 
 __version__ = "0.1.0"
 
-LAYOUTS = {"mecp_env/PaperMap-v0": "paper", "mecp_env/Layout-v0": "two_rooms"}
+ENVIRONMENTS: dict[str, dict[str, str]] = {  # id -> keywords, which go over a `config`
+    "mecp_env/PaperMap-v0": {"layout": "paper"},
+    "mecp_env/Layout-v0": {},
+}
 
 
 def register_environments() -> None:
-    """Register the ids of `LAYOUTS`; a second call changes nothing."""
-    for name, layout in LAYOUTS.items():
+    """Register the ids of `ENVIRONMENTS`; a second call changes nothing."""
+    for name, keywords in ENVIRONMENTS.items():
         if name not in registry:
-            register(id=name, entry_point="mecp_env.env:make", kwargs={"layout": layout})
+            register(id=name, entry_point="mecp_env.env:make", kwargs=dict(keywords))
 
 
 register_environments()

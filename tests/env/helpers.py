@@ -10,7 +10,7 @@ import numpy as np
 
 import mecp_env  # registers the environments
 
-IDS = tuple(mecp_env.LAYOUTS)
+IDS = tuple(mecp_env.ENVIRONMENTS)
 SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"preset": "lms200", "sweeps": 1}}
 
 

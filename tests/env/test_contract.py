@@ -119,6 +119,7 @@ def test_registration_is_idempotent_and_both_forms_of_make_work():
         mecp_env.register_environments()
     assert gymnasium.make("mecp_env:mecp_env/Layout-v0").unwrapped.config.layout == "two_rooms"
     assert gymnasium.make("mecp_env/PaperMap-v0").unwrapped.config.layout == "paper"
+    assert gymnasium.make("mecp_env/Layout-v0", config={"layout": "office"}).unwrapped.config.layout == "office"
 
 
 def test_importing_the_package_is_light():
@@ -198,6 +199,34 @@ def test_a_frame_is_a_picture():
     assert frame.std() > 0
     env.step(np.ones(2, np.float32))
     assert not np.array_equal(frame, env.render())
+
+
+def test_the_window_of_human_mode_draws_itself(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = make(render_mode="human")
+    env.reset(seed=1)
+    env.step(np.ones(2, np.float32))
+    assert env.render() is None
+    env.close()
+    env.reset(seed=1)  # a new window
+    env.close()
+
+
+def test_no_display_is_touched_for_a_picture():
+    code = (
+        "import gymnasium, mecp_env, pygame; env = gymnasium.make('mecp_env/Layout-v0', render_mode='rgb_array');"
+        "env.reset(seed=1); env.render(); print(pygame.display.get_init())"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split()[-1] == "False"
+
+
+def test_a_video_can_be_recorded_frame_by_frame():
+    env = gymnasium.wrappers.RenderCollection(make(render_mode="rgb_array"))
+    env.reset(seed=1)
+    for _ in range(3):
+        env.step(np.zeros(2, np.float32))
+    assert len(env.render()) == 4
 
 
 def test_the_docstring_is_the_spec_sheet():
