@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -91,12 +92,10 @@ def run_demo(given: Demo) -> int:
     folder = given.out or Path("runs") / f"{Path(given.layout).stem}-{given.seed}"
     run = Run.begin(configuration(given.layout, given.config), given.seed, None if given.render == "none" else "human")
     folder.mkdir(parents=True, exist_ok=True)
-    with timed_stages() as watch, Progress(run, watch) as progress:
-        try:
-            run.explore(progress.show)
-        except KeyboardInterrupt:
-            if not run.estimated:
-                return INTERRUPTED
+    with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
+        run.explore(progress.show)
+    if not run.estimated:
+        return INTERRUPTED
     say_result(run.keep(folder, watch), folder)
     run.env.close()
     return INTERRUPTED if run.ended == "interrupted" else 0

@@ -100,11 +100,14 @@ def _usable(directory: Path) -> bool:
 def _announce() -> None:
     """Say once a process that the first start takes longer, and clear away what has not been written for long."""
     log.warning("mecp_env: compiling kernels; this happens once and takes less than a minute")
-    oldest = time.time() - KEPT_DAYS * 86_400
     for entry in cache_directory().glob("*.nb*"):
         with contextlib.suppress(OSError):  # another process was faster
-            if entry.stat().st_mtime < oldest:
-                entry.unlink()
+            _remove_old(entry)
+
+
+def _remove_old(entry: Path) -> None:
+    if entry.stat().st_mtime < time.time() - KEPT_DAYS * 86_400:
+        entry.unlink()
 
 
 class _NoCache(NullCache):  # type: ignore[misc]

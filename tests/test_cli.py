@@ -81,6 +81,13 @@ def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
     assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
 
 
+def test_the_run_can_be_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    line = ["demo", "--layout", "two_rooms", "--render", "human", "--config.max-periods", "6"]
+    assert cli.main([*line, "--out", str(tmp_path / "run")]) == 0
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["ended"] == "out of periods"
+
+
 def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     look = Run.look
 
