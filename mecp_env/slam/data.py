@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.linalg import blocks_of
+from mecp_env.slam.linalg import blocks_of, diagonal_blocks, softened
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -159,17 +159,11 @@ class Corners:
     @property
     def R(self) -> Array:
         """(n,2,2) covariance of each corner's own range and bearing."""
-        n = len(self.z)
-        blocks = self.cov.reshape(n, 2, n, 2)
-        return blocks[np.arange(n), :, np.arange(n), :]
+        return diagonal_blocks(self.cov)
 
     def with_floor(self, sigma_m: float) -> Corners:
         """The same corners with an independent position error of `sigma_m` added to each."""
-        cov = self.cov.copy()
-        n = np.arange(len(self.z))
-        cov[2 * n, 2 * n] += sigma_m**2
-        cov[2 * n + 1, 2 * n + 1] += (sigma_m / self.z[:, 0]) ** 2
-        return replace(self, cov=cov)
+        return replace(self, cov=softened(self.cov, self.z, sigma_m))
 
     def measurements(self, index: Ints) -> tuple[Array, Array]:
         """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""

@@ -139,3 +139,25 @@ def blocks_of(cov: Array, index: Ints) -> Array:
                 chosen[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
                 chosen[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
     return chosen
+
+
+@kernel
+def diagonal_blocks(cov: Array) -> Array:
+    """The 2x2 blocks (n,2,2) on the diagonal of cov (2n,2n)."""
+    n = cov.shape[0] // 2
+    blocks = np.empty((n, 2, 2))
+    for i in range(n):
+        for u in range(2):
+            for v in range(2):
+                blocks[i, u, v] = cov[2 * i + u, 2 * i + v]
+    return blocks
+
+
+@kernel
+def softened(cov: Array, z: Array, sigma: float) -> Array:
+    """cov (2n,2n) of ranges and bearings z (n,2) with an independent position error of `sigma` m added to each."""
+    softer = cov.copy()
+    for i in range(z.shape[0]):
+        softer[2 * i, 2 * i] += sigma * sigma
+        softer[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
+    return softer

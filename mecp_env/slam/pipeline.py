@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.association import Associator, KnownAssociator, make_associator
+from mecp_env.slam.association import Associator, KnownAssociator, ignored, make_associator
 from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.corners import extract_corners
@@ -121,10 +121,8 @@ class SlamPipeline:
         corners, through = self.rooms.mark_beyond(corners, predicted)
         polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
         self._tell_identities(corners, identities)
-        match = self._associate(corners, polygons, predicted, through)  # III-B
-        match = self._correct(corners, match)
-        match = self._grow_map(corners, polygons, match, through)
-        belief = self.filter.belief()
+        match = self._localise(corners, polygons, predicted, through)  # III-B
+        match, belief = self._grow_map(corners, polygons, match, through)
         graph = self.rooms.graph()
         matched = match.ids[match.decision == int(Decision.LANDMARK)]
         grid = self.grid.paint(belief, beams, segments, matched, self.polygons.polygons, graph)
@@ -146,9 +144,15 @@ class SlamPipeline:
         if isinstance(self.associator, KnownAssociator):
             self.associator.identities = np.full(len(corners), -1) if identities is None else identities(corners)
 
-    def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
+    def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
+        """Recognise corners and correct the filter by them; a covariance no longer positive means divergence."""
         view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
-        return self.associator.associate(corners, polygons, view, self.filter)
+        try:
+            match = self.associator.associate(corners, polygons, view, self.filter)
+            return self._correct(corners, match)
+        except FilterError:
+            self.diverged = True
+            return ignored(len(corners))
 
     def _correct(self, corners: Corners, match: Match) -> Match:
         """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""
@@ -157,12 +161,7 @@ class SlamPipeline:
             return match
         match = with_closure(match, self._is_closure(match.ids[index]))
         z, R = corners.measurements(index)
-        try:
-            self.filter.update(z, R, match.ids[index], iterate=match.closure)
-        except FilterError:
-            self.diverged = True
-        variance = self.filter.belief().pose_cov.diagonal()
-        self.diverged |= not max(variance[0], variance[1]) < self.config.filter.diverged_sigma_m**2
+        self.filter.update(z, R, match.ids[index], iterate=match.closure)
         return match
 
     def _is_closure(self, ids: Ints) -> bool:
@@ -171,23 +170,31 @@ class SlamPipeline:
         oldest = self.period - self.config.filter.closure_gap_periods
         return room_unseen_since(ids, features.room, features.state, features.last_period, oldest)
 
-    def _grow_map(self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints) -> Match:
-        """Tracks, landmarks, polygons, doors and rooms after this scan."""
+    def _grow_map(
+        self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints
+    ) -> tuple[Match, Belief]:
+        """Tracks, landmarks, polygons, doors and rooms after this scan; the match with all its ids, and the belief."""
         dead = forget(self.features, self.period, self.config.tracks)
-        belief = self.filter.belief()
+        belief = self._watched(self.filter.belief())
         room = self.rooms.current
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
         self._remember_births(match)
         self._adopt(corners, match, ripe)
         mark_seen(self.features, match.ids[match.ids >= 0], self.period)
-        belief = self.filter.belief()
+        belief = self.filter.belief() if len(ripe) else belief
         moved = self.rooms.update(corners, match, through, self.features, belief, self.polygons.polygons, self.period)
         graph = self.rooms.graph()
         added = self.polygons.remember(polygons, corners, match, self.features, graph, self.period)
         fused = self._fuse(match, belief)
         if len(dead) or moved or fused or added:
             self.polygons.prune(self.features, graph)
-        return match
+        return match, self.filter.belief() if fused else belief
+
+    def _watched(self, belief: Belief) -> Belief:
+        """The belief; one that is no longer worth anything is noted as divergence."""
+        x, y = belief.pose_cov[0, 0], belief.pose_cov[1, 1]
+        self.diverged |= not max(x, y) < self.config.filter.diverged_sigma_m**2
+        return belief
 
     def _remember_births(self, match: Match) -> None:
         if isinstance(self.associator, KnownAssociator):
@@ -209,7 +216,11 @@ class SlamPipeline:
         if pair is None or self.config.association.method == "known":
             return False
         keep, drop = pair
-        self.filter.fuse(keep, drop)
+        try:
+            self.filter.fuse(keep, drop)
+        except FilterError:
+            self.diverged = True
+            return False
         self.features.state[drop] = int(FeatureState.DEAD)
         self.features.seen[keep] += self.features.seen[drop]
         self.features.last_period[keep] = self.period

@@ -27,6 +27,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
+JAMB = int(CornerKind.JAMB)
 
 
 def record_sightings(
@@ -38,14 +39,12 @@ def record_sightings(
     `config.window_periods` were dropped by `forget` before.
     """
     p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-    match = _follow_tracks(features, corners, match, belief, p_map, config)
-    match = _start_tracks(features, corners, match, p_map, room)
-    seen = match.ids >= 0
-    _count(features, corners, match.ids[seen], np.flatnonzero(seen), belief.T_map_robot[2], p_map)
-    needed = np.where(corners.kind == int(CornerKind.JAMB), config.jamb_sightings, config.sightings)
-    tracked = seen & (features.state[match.ids] == int(FeatureState.TRACK)) if len(features.state) else seen
-    ripe = tracked & (features.seen[match.ids] >= needed) if len(features.state) else tracked
-    return match, np.flatnonzero(ripe)
+    if (match.decision == int(Decision.NEW)).any():
+        match = _follow_tracks(features, corners, match, belief, p_map, config)
+        match = _start_tracks(features, corners, match, p_map, room)
+    needed = (config.sightings, config.jamb_sightings)
+    known = (features.state, features.seen, features.p_map, features.normals)
+    return match, _count(match.ids, corners.kind, corners.normals, p_map, belief.T_map_robot[2], needed, known)
 
 
 def forget(features: FeatureTable, period: int, config: TrackConfig) -> Ints:
@@ -114,13 +113,37 @@ def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: B
         setattr(features, column.name, np.concatenate((getattr(features, column.name), grown[column.name])))
 
 
-def _count(features: FeatureTable, corners: Corners, ids: Ints, index: Ints, heading: float, p_map: Array) -> None:
-    """Write one sighting of each feature: when, where, and faces not seen before."""
-    features.seen[ids] += 1
-    features.p_map[ids] = p_map[index]
-    normals = corners.normals[index] + heading
-    unseen = np.isnan(features.normals[ids])
-    features.normals[ids] = np.where(unseen, normals, features.normals[ids])
+@kernel
+def _count(
+    ids: Ints,
+    kind: Ints,
+    normals: Array,
+    p_map: Array,
+    heading: float,
+    needed: tuple[int, int],
+    known: tuple[Ints, Ints, Array, Array],
+) -> Ints:
+    """Write one sighting of each feature (ids < 0 left out), where, and faces not seen before.
+
+    Returns the corners whose track has now been seen often enough (`needed`, of jambs the second); `known` are the
+    columns state, seen, p_map and normals of the table.
+    """
+    state, seen, known_p_map, known_normals = known
+    ripe = np.empty(ids.shape[0], np.int64)
+    count = 0
+    for i in range(ids.shape[0]):
+        f = ids[i]
+        if f < 0:
+            continue
+        seen[f] += 1
+        for k in range(2):
+            known_p_map[f, k] = p_map[i, k]
+            if math.isnan(known_normals[f, k]):
+                known_normals[f, k] = normals[i, k] + heading
+        if state[f] == TRACK and seen[f] >= needed[1 if kind[i] == JAMB else 0]:
+            ripe[count] = i
+            count += 1
+    return ripe[:count]
 
 
 def mark_seen(features: FeatureTable, ids: Ints, period: int) -> None:

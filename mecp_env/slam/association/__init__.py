@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from mecp_env.slam.association.base import Associator
+from mecp_env.slam.association.base import Associator, ignored
 from mecp_env.slam.association.known import KnownAssociator
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
@@ -29,5 +29,6 @@ __all__ = [
     "MecpAssociator",
     "MecpPaperAssociator",
     "NearestAssociator",
+    "ignored",
     "make_associator",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ class Associator(Protocol):
         """One decision a corner; nothing is written to the map or the filter."""
 
 
+@lru_cache
 def chi2_gate(dof: int, probability: float) -> float:
     """The value that a chi-square variable of `dof` degrees of freedom stays under with `probability`."""
     return float(chdtri(dof, 1.0 - probability))
@@ -58,3 +60,11 @@ def undecided(n: int) -> Match:
         known=-1,
         closure=False,
     )
+
+
+def ignored(n: int) -> Match:
+    """A match in which each of n corners is ignored: nothing can be said of them."""
+    match = undecided(n)
+    match.decision[:] = int(Decision.IGNORED)
+    match.reason[:] = int(Reason.AMBIGUOUS)
+    return match

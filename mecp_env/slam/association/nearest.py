@@ -24,7 +24,7 @@ class NearestAssociator:
         match = undecided(len(corners))
         nearest = np.full(len(corners), np.inf)
         if len(view.belief.ids) and len(corners):
-            nis = belief.individual_nis(corners.z, np.ascontiguousarray(corners.R), view.belief.ids)
+            nis = belief.individual_nis(corners.z, corners.R, view.belief.ids)
             nearest = nis.min(axis=1)
             pair_off(match, nis, view, chi2_gate(2, self.config.gate_probability))
         settle(match, corners, view, nearest, self.config.ignore_gate)

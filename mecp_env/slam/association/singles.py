@@ -39,7 +39,7 @@ def pairing_table(
     With `elsewhere`, a corner that no landmark of its room lies near may be one of any room.
     """
     ids = view.belief.ids
-    nis = belief.individual_nis(corners.z, np.ascontiguousarray(corners.R), ids)
+    nis = belief.individual_nis(corners.z, corners.R, ids)
     if config.use_signature:
         strike_by_signature(
             nis,
