@@ -149,6 +149,27 @@ def test_sync_vector_environment(actions):
     venv.close()
 
 
+@pytest.mark.slow
+def test_async_and_sync_vector_environments_agree():
+    rollouts = []
+    for mode in ("sync", "async"):
+        venv = gymnasium.make_vec("mecp_env/Layout-v0", num_envs=2, vectorization_mode=mode, max_periods=6, **SMALL)
+        rows = [venv.reset(seed=5)]
+        rows += [venv.step(np.full((2, 2), 0.5, np.float32)) for _ in range(10)]
+        rollouts.append([row[0] for row in rows] + [row[1] for row in rows[1:]])
+        venv.close()
+    assert data_equivalence(rollouts[0], rollouts[1], exact=True)
+
+
+@pytest.mark.slow
+def test_policies_of_stable_baselines3_take_the_observation_and_the_mask():
+    contrib = pytest.importorskip("sb3_contrib")
+    model = contrib.MaskablePPO("MultiInputPolicy", make(actions="goal", max_periods=30), n_steps=16, batch_size=16)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.learn(16)
+
+
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_autoreset_modes(mode):
     venv = gymnasium.make_vec(
