@@ -1,0 +1,28 @@
+"""Whole runs give the same bits: over versions (golden hashes), over processes and over thread settings."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.golden import CASES, probe, run_hash, stored
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_runs_are_the_golden_ones(case):
+    hashes = stored().get(probe())
+    if hashes is None:
+        pytest.skip("no golden hashes for this machine type; `python -m tests.golden --write` adds them")
+    assert run_hash(case) == hashes[case], "the estimator's results changed: if meant, `python -m tests.golden --write`"
+
+
+def test_processes_and_blas_threads_do_not_change_a_bit():
+    outputs = []
+    for threads in ("1", "2"):
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": threads}
+        command = [sys.executable, "-m", "tests.golden"]
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        outputs.append(json.loads(result.stdout))
+    assert outputs[0] == outputs[1]
