@@ -48,11 +48,9 @@ FACES = np.array(
         [[12.4, 1.8], [12.0, 1.8]],
     ]
 )
-# corners of room A, jambs on its side, jambs on the far side, corners of room B
-LANDMARKS = np.array(
-    [[0, 0], [6, 0], [6, 4], [0, 4], [6, 1.5], [6, 2.4], [6.12, 1.5], [6.12, 2.4], [6.12, 0], [32.12, 0], [32.12, 4], [6.12, 4]],
-    dtype=np.float64,
-)
+A_CORNERS, A_JAMBS = [[0, 0], [6, 0], [6, 4], [0, 4]], [[6, 1.5], [6, 2.4]]
+B_JAMBS, B_CORNERS = [[6.12, 1.5], [6.12, 2.4]], [[6.12, 0], [32.12, 0], [32.12, 4], [6.12, 4]]
+LANDMARKS = np.array([*A_CORNERS, *A_JAMBS, *B_JAMBS, *B_CORNERS], np.float64)
 BEARINGS = -np.pi + 2 * np.pi * (np.arange(720) + 1) / 720
 HERE = np.zeros(3)
 
@@ -82,7 +80,9 @@ def cast_rays(T_world_robot: np.ndarray, faces: np.ndarray = FACES) -> tuple[np.
     return t.min(axis=1), t.argmin(axis=1)
 
 
-def look(T_world_robot: np.ndarray, rng: np.random.Generator | None = None, sigma: float = 0.0) -> tuple[Beams, Segments]:
+def look(
+    T_world_robot: np.ndarray, rng: np.random.Generator | None = None, sigma: float = 0.0
+) -> tuple[Beams, Segments]:
     """Beams, with noise, and the segments a perfect front end would fit to them."""
     ranges, face = cast_rays(T_world_robot)
     noisy = ranges + (0.0 if rng is None else sigma * rng.standard_normal(720))
@@ -146,7 +146,7 @@ class Toy:
         """One door, or one candidate."""
         self.rooms = tuple(sorted({*self.rooms, self.current}))
         doors = (Door(0, (4, 5), (6, 7), (0, 1 if 1 in self.rooms else -1), 5),) if self.confirmed else ()
-        candidates = () if self.confirmed else (Candidate(self.p_map[[4, 5]], 0, 1, self.period),)
+        candidates = () if self.confirmed else (candidate(self.p_map[[4, 5]], 0),)
         in_doorway = abs(self.T_world_robot[0] - 6.06) < 0.3
         return RoomGraph(self.current, in_doorway, self.rooms, doors, candidates, {})
 
@@ -163,7 +163,7 @@ class Toy:
         belief, graph = self.belief(), self.graph()
         ids, known = np.arange(len(self.p_map)), tuple(self.polygons)
         grid = self.painter.paint(belief, beams, segments, ids, known, graph, completed)
-        none = cast(Any, None)
+        none = cast("Any", None)
         return StepReport(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
 
     def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
@@ -177,6 +177,14 @@ class Toy:
             self.T_world_robot = self.T_world_robot if blocked else ahead
 
 
+def candidate(ends: np.ndarray, room: int) -> Candidate:
+    """A gap seen once; what else a candidate holds does not matter here."""
+    made = object.__new__(Candidate)
+    for name, value in {"ends": ends, "room": room, "sightings": 1, "last_period": 1}.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
 def wall_distance(p_world: np.ndarray) -> float:
     """Distance from a point to the nearest face."""
     a, e = FACES[:, 0], FACES[:, 1] - FACES[:, 0]
@@ -184,7 +192,9 @@ def wall_distance(p_world: np.ndarray) -> float:
     return float(np.hypot(*(a + share[:, None] * e - p_world).T).min())
 
 
-def free_iou(grid: SemanticGrid, T_map_world: np.ndarray = HERE, area: tuple[float, float, float, float] | None = None) -> float:
+def free_iou(
+    grid: SemanticGrid, T_map_world: np.ndarray = HERE, area: tuple[float, float, float, float] | None = None
+) -> float:
     """Intersection over union of the free cells of a grid and of the truth, on cells of 5 cm inside `area`."""
     x0, y0, x1, y1 = area or (-1.0, -1.0, 33.0, 5.0)
     x, y = np.meshgrid(np.arange(x0 + 0.025, x1, 0.05), np.arange(y0 + 0.025, y1, 0.05))

@@ -105,7 +105,7 @@ class GridPainter:
             self.polygons.follow(self.canvas, p_landmark)
         new_doors = self.doors.update(self.canvas, graph, p_landmark, moved)
         if len(new_doors):
-            self.scans.forget_behind(self.canvas, new_doors)
+            self.scans.forget_behind(self.canvas, new_doors, self.config.paint_range_m)
         if len(graph.merged) != self.merges:
             self._rename_rooms(graph)
 
@@ -122,16 +122,11 @@ class GridPainter:
     def _add_key_scan(self, belief: Belief, beams: Beams, segments: Segments, graph: RoomGraph) -> None:
         """Paint this scan when no key scan of the room lies near."""
         pose = belief.T_map_robot
-        room = UNKNOWN_ROOM if self._in_doorway(pose, graph) else graph.resolve(graph.current)
+        says_nothing = graph.in_doorway or self.doors.near(pose, self.config.doorway_m)
+        room = UNKNOWN_ROOM if says_nothing else graph.resolve(graph.current)
         if self.scans.wants(pose, room, self.config):
             outline, strips = free_and_walls(beams, segments, self.config)
             self.scans.add(self.canvas, pose.copy(), room, outline, strips, self.config.anchors)
-
-    def _in_doorway(self, T_map_robot: Array, graph: RoomGraph) -> bool:
-        """True where a scan says nothing about rooms: in a door, or too near to one to tell its sides apart."""
-        middles = self.doors.quads.mean(axis=1)
-        distance = np.hypot(middles[:, 0] - T_map_robot[0], middles[:, 1] - T_map_robot[1])
-        return graph.in_doorway or bool((distance < self.config.doorway_m).any())
 
     def _update_pockets(self, graph: RoomGraph, completed_rooms: Collection[int]) -> None:
         """Turn unknown pockets of completed rooms into walls, when another room is complete."""

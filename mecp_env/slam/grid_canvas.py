@@ -46,14 +46,19 @@ class Canvas:
     def contain(self, cells: Array) -> None:
         """Grow until the points (n,2) of the lattice and a border of one cell lie on the grid."""
         height, width = self.layers.shape[1:]
-        low = np.floor(cells.min(axis=0)).astype(np.int64) - 1 - self.lattice
-        high = np.floor(cells.max(axis=0)).astype(np.int64) + 2 - self.lattice
-        if height == 0:
-            self.lattice, low, high = self.lattice + low, np.zeros(2, np.int64), high - low
-        before = np.maximum(-(low // GROWTH_CELLS) * GROWTH_CELLS, 0)
-        after = np.maximum(-((np.array([width, height]) - high) // GROWTH_CELLS) * GROWTH_CELLS, 0)
-        if before.any() or after.any():
-            self._grow(before, after)
+        if not kernels.on_grid(cells, self.lattice, height, width):
+            self._stretch(cells.min(axis=0), cells.max(axis=0))
+
+    def _stretch(self, low: Array, high: Array) -> None:
+        """Grow until the points `low` and `high` (2,) of the lattice and a border of one cell lie on the grid."""
+        size = np.array(self.layers.shape[:0:-1])
+        first = np.floor(low).astype(np.int64) - 1 - self.lattice
+        last = np.floor(high).astype(np.int64) + 2 - self.lattice
+        if not size[0]:
+            self.lattice, first, last = self.lattice + first, np.zeros(2, np.int64), last - first
+        before = np.maximum(-(first // GROWTH_CELLS) * GROWTH_CELLS, 0)
+        after = np.maximum(-((size - last) // GROWTH_CELLS) * GROWTH_CELLS, 0)
+        self._grow(before, after)
 
     def _grow(self, before: Ints, after: Ints) -> None:
         """Add columns and rows (2,) before and after."""

@@ -44,6 +44,16 @@ def to_cells(points: Array, T_map_robot: Array, resolution: float) -> Array:
 
 
 @kernel
+def on_grid(cells: Array, lattice: Ints, height: int, width: int) -> bool:
+    """True when the points (n,2) of the lattice, and a border of one cell, lie on the grid."""
+    for i in range(cells.shape[0]):
+        column, row = math.floor(cells[i, 0]) - lattice[0], math.floor(cells[i, 1]) - lattice[1]
+        if not (1 <= column < width - 1 and 1 <= row < height - 1):
+            return False
+    return True
+
+
+@kernel
 def toggle_edges(ring: Array, mask: Bytes, lattice: Ints, box: Ints) -> None:
     """Flip `mask` right of every crossing of the ring's edges with the centre lines of the rows of `box`.
 
@@ -148,7 +158,8 @@ def split_outline(outline: Array, eye: Array, door: Array) -> tuple[Array, Array
             m = _put(behind, _put(behind, m, eye, left * bx, left * by), eye, bx, by)
         if (share_q < 1.0 <= share and right <= 1.0) or (share < 1.0 <= share_q and left <= 1.0):  # or through it
             ex, ey, dx, dy = qx - px, qy - py, bx - ax, by - ay
-            along = ((ax - px) * dy - (ay - py) * dx) / (ex * dy - ey * dx)
+            across = ex * dy - ey * dx  # 0: the edge lies on the door's line
+            along = ((ax - px) * dy - (ay - py) * dx) / across if abs(across) > 1e-9 else 0.0
             n = _put(front, n, eye, px + along * ex, py + along * ey)
             m = _put(behind, m, eye, px + along * ex, py + along * ey)
     return front[:n].copy(), behind[:m].copy()

@@ -16,6 +16,7 @@ from mecp_env.slam.grid_canvas import Canvas
 LEVER_M = 3.0  # a turn of a scan counts as the shift it causes at this distance
 LOOSE_MARGIN_M = 0.05  # free space ends this far before a hit that lies on no line
 WALL_M = 0.15  # depth of a door of which only one face is known
+RIM_M = 0.05  # and is so much deeper on both sides, to join it to the floor
 SIDE_M = 0.1  # a door cuts the sight a little beyond its jambs
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
@@ -63,14 +64,17 @@ class ScanLayer:
 
     def hang_up(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
         """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
-        loose = np.flatnonzero(self.anchor[:, :1] == NO_ID)
-        known = matched_ids[np.isfinite(p_landmark[matched_ids, 0])] if len(loose) else matched_ids[:0]
+        if not (self.anchor[:, 0] == NO_ID).any() or len(matched_ids) < 2:
+            return
+        loose = np.flatnonzero(self.anchor[:, 0] == NO_ID)
+        known = matched_ids[np.isfinite(p_landmark[matched_ids, 0])]
         if len(known) < 2:
             return
-        rows = np.flatnonzero(np.isin(belief.ids, known))
-        spread = np.trace(belief.covs[rows], axis1=1, axis2=2)
-        surest = belief.ids[rows[np.argsort(spread, kind="stable")]][: self.anchor.shape[1]]
-        for row in loose:
+        row_of = np.empty(len(p_landmark), np.int64)
+        row_of[belief.ids] = np.arange(len(belief.ids))
+        spread = belief.covs[row_of[known], 0, 0] + belief.covs[row_of[known], 1, 1]
+        surest = known[np.argsort(spread, kind="stable")][: self.anchor.shape[1]]
+        for row in loose.tolist():
             self.anchor[row, : len(surest)] = surest
             self.p_robot[row, : len(surest)] = to_robot(self.T_map_robot[row], p_landmark[surest])
 
@@ -107,10 +111,11 @@ class ScanLayer:
             kernels.paint_room(canvas.layers[kernels.ROOM], int(self.room[row]), outline, strips, view, canvas.brush())
         self.has_room[:] = True
 
-    def forget_behind(self, canvas: Canvas, cuts: Array) -> None:
-        """Take the room off what was seen through doors (d,2,2) m that were not known then."""
-        lines = canvas.cells(cuts)
-        for row in np.flatnonzero(self.has_room & (self.room != UNKNOWN_ROOM)).tolist():
+    def forget_behind(self, canvas: Canvas, cuts: Array, reach_m: float) -> None:
+        """Take the room off what was seen, within `reach_m`, through doors (d,2,2) m that were not known then."""
+        lines, offset = canvas.cells(cuts), self.T_map_robot[:, None, :2] - cuts.mean(axis=1)
+        near = (np.hypot(offset[:, :, 0], offset[:, :, 1]) < reach_m).any(axis=1)
+        for row in np.flatnonzero(near & self.has_room & (self.room != UNKNOWN_ROOM)).tolist():
             outline = canvas.cells(self.outline[row], self.T_map_robot[row])
             eye, room = self._eye(canvas, row), int(self.room[row])
             kernels.forget_room(canvas.layers[kernels.ROOM], room, outline, eye, lines, canvas.brush())
@@ -213,19 +218,24 @@ class DoorLayer:
     shift_m: float  # a door that moved by more is painted anew
     key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
     quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
+    middles: Array = field(default_factory=lambda: np.empty((0, 2)))  # (d,2) m, of the quads
+
+    def near(self, T_map_robot: Array, distance_m: float) -> bool:
+        """True when the robot stands within a distance of the middle of a door."""
+        return bool(scans.any_near(self.middles, T_map_robot[0], T_map_robot[1], distance_m))
 
     def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> Array:
         """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed."""
         key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
         if key == self.key and not moved:
             return np.empty((0, 2, 2))
-        quads = np.array([door_quad(p_landmark, *k[1:]) for k in key]).reshape(-1, 4, 2)
+        quads = door_quads(p_landmark, key)
         before = dict(zip(self.key, self.quads, strict=True))
         still = np.array([self._stands(before.get(k), quad) for k, quad in zip(key, quads, strict=True)], np.bool_)
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
         self._stamp(canvas, -1)
-        self.key, self.quads = key, quads
+        self.key, self.quads, self.middles = key, quads, quads.mean(axis=1)
         self._stamp(canvas, 1)
         return cut_lines(quads[~still])
 
@@ -258,16 +268,15 @@ def widened(lines: Array) -> Array:
     return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
 
 
-def door_quad(p_landmark: Array, jambs: tuple[int, int], other_face: tuple[int, int] | None) -> Array:
-    """The cells' quadrilateral (4,2) m of a door: right and left jamb, then left and right of the other face.
+def door_quads(p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
+    """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.
 
-    With one face known the door is as deep as a thin wall; half a cell more on both sides joins it to the floor.
+    With one face known the door is as deep as a thin wall.
     """
-    right, left = p_landmark[jambs[0]], p_landmark[jambs[1]]
-    along = (left - right) / max(float(np.hypot(*(left - right))), 1e-9)
-    onward = np.array([along[1], -along[0]])  # from the first room into the next
-    far_right, far_left = right + WALL_M * onward, left + WALL_M * onward
-    if other_face is not None:
-        far_right, far_left = p_landmark[other_face[0]], p_landmark[other_face[1]]
-    rim = 0.05 * onward
-    return np.array([right - rim, left - rim, far_left + rim, far_right + rim])
+    ids = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
+    right, left, far_right, far_left = p_landmark[ids].transpose(1, 0, 2)
+    along = (left - right) / np.maximum(np.hypot(*(left - right).T), 1e-9)[:, None]
+    onward = np.stack([along[:, 1], -along[:, 0]], axis=1)  # from the first room into the next
+    depth = np.array([[0.0 if other else WALL_M] for _, _, other in doors]).reshape(-1, 1) * onward
+    rim = RIM_M * onward
+    return np.stack([right - rim, left - rim, far_left + depth + rim, far_right + depth + rim], axis=1)

@@ -187,6 +187,15 @@ def ring_shifts(p_map: Array, ids: Ints, p_painted: Array, first: Ints) -> Array
 
 
 @kernel
+def any_near(points: Array, x: float, y: float, clear: float) -> bool:
+    """True when one of the points (n,2) lies within `clear` of (x, y)."""
+    near = False
+    for i in range(points.shape[0]):
+        near = near or math.hypot(points[i, 0] - x, points[i, 1] - y) < clear
+    return near
+
+
+@kernel
 def nearest_of_room(T_map_robot: Array, room: Ints, x: float, y: float, wanted: int) -> float:
     """Distance from (x, y) to the nearest of the poses (n,3) taken in the room `wanted`; inf without one."""
     best = math.inf

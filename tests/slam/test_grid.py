@@ -139,7 +139,8 @@ def test_a_loop_closure_redraws_the_map() -> None:
     grid = toy.report().grid
     assert free_iou(grid, shift) > 0.96
     assert labels_at(grid, to_map(shift, np.array([[6.06, 1.95]]))) == [Cell.DOOR]
-    assert layer_at(grid, grid.polygon, to_map(shift, np.array([[0.1, 0.1], [5.9, 3.9], [6.3, 2.0]]))).tolist() == [1, 1, 0]
+    corners = to_map(shift, np.array([[0.1, 0.1], [5.9, 3.9], [6.3, 2.0]]))
+    assert layer_at(grid, grid.polygon, corners).tolist() == [1, 1, 0]
 
 
 def test_only_what_hangs_on_a_moved_landmark_moves() -> None:
@@ -238,6 +239,15 @@ def test_free_space_is_cut_at_a_door() -> None:
         assert area(behind) == pytest.approx(wedge - inner, rel=1e-3)
     unseen = np.array([[9.0, 0.5], [9.0, 1.7]])
     assert len(split_outline(outline, eye, unseen)[1]) == 0
+
+
+def test_a_door_on_the_line_of_a_wall_divides_by_nothing() -> None:
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)  # the candidate lies on the face of the wall
+    for heading in np.arange(-3.0, 3.0, 0.25):
+        toy.T_world_robot = np.array([1.0 + heading / 5.0, 1.0, heading])
+        toy.painter = type(toy.painter)(GridConfig())
+        grid = toy.report().grid
+        assert layer_at(grid, grid.room, np.array([[8.0, 2.8]])) == [-1]
 
 
 def area(ring: np.ndarray) -> float:

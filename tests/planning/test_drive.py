@@ -1,0 +1,181 @@
+"""Controller and navigator on a toy robot: doors, obstacles, recovery, goals that cannot be reached."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
+from mecp_env.planning.controller import follow, is_safe, look_ahead, near_points, safe_command, seen_points, stop_path
+from mecp_env.planning.goals import GoalBook, GoalKind, find_goals
+from mecp_env.planning.navigator import Navigator, Outcome, Target
+from mecp_env.slam.geometry import to_map
+from tests.toy import BEARINGS, Toy, look, wall_distance
+
+CONTROL, BODY = ControlConfig(), PathsConfig()
+
+
+def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
+    """Drive until the navigator says that it is over; `nearest` on the toy tells the least distance from a wall."""
+    navigator = Navigator(PlanningConfig())
+    navigator.start(target)
+    toy.nearest = math.inf
+    for _ in range(limit):
+        v, w = navigator.step(toy.report())
+        if navigator.outcome != Outcome.RUNNING:
+            break
+        toy.move(v, w)
+        toy.nearest = min(toy.nearest, wall_distance(toy.T_world_robot[:2]))
+    return navigator
+
+
+def target(toy: Toy, x: float, y: float, kind: GoalKind = GoalKind.OPEN) -> Target:
+    """A place; as an open edge nothing but a polygon settles it on the way, and there is none."""
+    return Target(int(kind), to_map(toy.T_map_world, np.array([[x, y]]))[0], toy.current)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.0])
+@pytest.mark.parametrize("T_map_world", [np.zeros(3), np.array([3.0, -1.0, 2.0])])
+def test_the_robot_reaches_a_place_in_its_room(heading: float, T_map_world: np.ndarray) -> None:
+    toy = Toy(np.array([1.0, 1.0, heading]), T_map_world, confirmed=False)
+    navigator = drive(toy, target(toy, 4.5, 3.2))
+    assert navigator.outcome == Outcome.REACHED
+    assert np.hypot(*(toy.T_world_robot[:2] - [4.5, 3.2])) < 0.35
+    assert not toy.contact
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose = np.array([rng.uniform(0.5, 5.2), rng.uniform(0.5, 3.5), rng.uniform(-3, 3)])
+    toy = Toy(pose, rng.uniform(-3, 3, 3), 0.03, 0.01, seed=seed)
+    report = toy.report()
+    goals = find_goals(report, GoalBook(), PlanningConfig())
+    row = goals.kind.tolist().index(GoalKind.DOOR)
+    navigator = drive(toy, Target.of(goals, row))
+    assert navigator.outcome == Outcome.REACHED
+    assert toy.current == 1
+    assert not toy.contact
+    assert toy.nearest > BODY.radius_m
+
+
+def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
+    toy = Toy(np.array([2.0, 2.0, 0.0]))
+    toy.add_polygon([0, 1, 2, 3], 0)
+    config, book = PlanningConfig(), GoalBook()
+    goals = find_goals(toy.report(), book, config)
+    assert goals.kind.tolist() == [GoalKind.DOOR]
+    for _ in range(config.goals.refusals):
+        goals = find_goals(toy.report(), book, config)
+        navigator = drive(toy, target(toy, 3.0, -6.0), 20)
+        assert navigator.outcome == Outcome.REFUSED
+        book.record(goals, 0, navigator.outcome == Outcome.REACHED)
+    assert len(find_goals(toy.report(), book, config)) == 0
+
+
+def test_no_way_is_refused_after_some_tries() -> None:
+    toy = Toy(np.array([2.0, 2.0, 0.0]), confirmed=False)
+    navigator = drive(toy, target(toy, 20.0, 2.0), 20)
+    assert navigator.outcome == Outcome.REFUSED
+    assert navigator.periods <= 5
+
+
+def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
+    navigator = Navigator(PlanningConfig())
+    navigator.start(target(toy, 4.5, 3.2))
+    commands = []
+    while navigator.outcome == Outcome.RUNNING:
+        commands.append(navigator.step(toy.report()))  # the robot does not move
+    assert navigator.outcome == Outcome.REFUSED
+    assert navigator.recoveries == PlanningConfig().navigator.recoveries + 1
+    assert any(v < 0.0 for v, _ in commands)
+    assert len(commands) < 100
+
+
+def test_a_drive_that_takes_too_long_is_refused() -> None:
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
+    config = PlanningConfig(navigator={"limit_periods": 3})
+    navigator = Navigator(config)
+    navigator.start(target(toy, 4.5, 3.2))
+    for _ in range(5):
+        toy.move(*navigator.step(toy.report()))
+    assert navigator.outcome == Outcome.REFUSED
+
+
+def test_a_navigator_in_mid_drive_can_be_copied() -> None:
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
+    navigator = Navigator(PlanningConfig())
+    navigator.start(target(toy, 4.5, 3.2))
+    for _ in range(6):
+        toy.move(*navigator.step(toy.report()))
+    twins = (toy, navigator), (copy.deepcopy(toy), pickle.loads(pickle.dumps(navigator)))
+    ways = [[nav.step(t.report()) for t.period in range(7, 10)] for t, nav in twins]
+    assert ways[0] == ways[1]
+
+
+def test_without_a_drive_the_robot_stands() -> None:
+    assert Navigator(PlanningConfig()).step(Toy(np.array([1.0, 1.0, 0.0])).report()) == (0.0, 0.0)
+
+
+def test_what_lies_behind_is_turned_to_first() -> None:
+    beams, _ = look(np.array([3.0, 2.0, 0.0]))
+    path = np.array([[3.0, 2.0], [1.0, 2.3]])
+    v, w = follow(path, np.array([3.0, 2.0, 0.0]), beams, CONTROL, BODY)
+    assert v == 0.0
+    assert w == pytest.approx(CONTROL.turn_rad_s)
+
+
+def test_speed_falls_towards_the_end_of_the_path() -> None:
+    beams, _ = look(np.array([2.0, 2.0, 0.0]))
+    pose = np.array([2.0, 2.0, 0.0])
+    speeds = [follow(np.array([[2.0, 2.0], [2.0 + s, 2.0]]), pose, beams, CONTROL, BODY)[0] for s in (0.1, 0.3, 2.0)]
+    assert speeds[0] < speeds[1] < speeds[2] == CONTROL.speed_m_s
+    assert speeds[0] * CONTROL.period_s <= 0.11
+
+
+@pytest.mark.parametrize("distance", [0.25, 0.35, 0.5, 0.8, 1.5])
+def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
+    y = np.linspace(-1.0, 1.0, 201)
+    wall = np.stack([np.full_like(y, distance), y], axis=1)
+    v, w = safe_command(0.75, 0.0, wall, CONTROL, BODY)
+    reach = stop_path(v, CONTROL)
+    end = reach if w == 0.0 else math.sin(reach * w / v) * v / w
+    assert end <= max(distance - BODY.radius_m - CONTROL.guard_m, 0.0) + 1e-9
+    assert v > 0.0 or distance < 0.5
+
+
+def test_a_robot_that_is_too_near_may_move_away_only() -> None:
+    y = np.linspace(-1.0, 1.0, 201)
+    wall = np.stack([np.full_like(y, 0.25), y], axis=1)
+    keep_off = BODY.radius_m + CONTROL.guard_m
+    assert not is_safe(wall, 0.2, 0.0, keep_off, 0.1)
+    assert is_safe(wall, -0.2, 0.0, keep_off, 0.1)
+
+
+def test_one_wild_beam_does_not_stop_the_robot() -> None:
+    beams, _ = look(np.array([3.0, 2.0, 0.0]))
+    ranges = beams.ranges.copy()
+    ranges[np.argmin(np.abs(BEARINGS))] = 0.3
+    points = near_points(ranges, beams.bearings, beams.hit, 2.5)
+    assert np.hypot(*points.T).min() > 1.5
+
+
+def test_points_seen_are_those_near() -> None:
+    beams, _ = look(np.array([1.0, 2.0, 0.0]))
+    points = seen_points(beams)
+    assert np.hypot(*points.T).max() <= 2.1
+    assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_look_ahead_is_on_the_path_and_counts_what_is_left(heading: float) -> None:
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    x, y, left = look_ahead(path, np.array([0.6, 0.1, heading]), 0.6)
+    p = to_map(np.array([0.6, 0.1, heading]), np.array([[x, y]]))[0]
+    assert p == pytest.approx([1.0, 0.2])
+    assert left == pytest.approx(2.4)

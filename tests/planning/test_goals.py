@@ -1,0 +1,182 @@
+"""Goals: which there are, in which order, what settles them and what is given up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mecp_env.planning.config import GoalsConfig, PlanningConfig
+from mecp_env.planning.goals import (
+    GoalBook,
+    GoalKind,
+    Goals,
+    candidate_goals,
+    complete_rooms,
+    door_goals,
+    find_goals,
+    frontier_goals,
+    open_goals,
+)
+from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
+from mecp_env.planning.navigator import Target, settled
+from mecp_env.slam.data import Door, RoomGraph
+from mecp_env.slam.geometry import to_map
+from tests.toy import Toy, candidate
+
+CONFIG = PlanningConfig()
+
+
+def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
+    c, s = np.cos(toy.T_map_world[2]), np.sin(toy.T_map_world[2])
+    return (p_map - toy.T_map_world[:2]) @ np.array([[c, -s], [s, c]])
+
+
+@pytest.fixture(params=[np.zeros(3), np.array([2.0, -1.0, 2.5])])
+def toy(request: pytest.FixtureRequest) -> Toy:
+    return Toy(np.array([1.0, 2.0, 0.0]), request.param)
+
+
+def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:
+    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))  # a polygon of half the room
+    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
+    goals = open_goals(toy.report(), GoalsConfig())
+    assert in_world(toy, goals.p_map) == pytest.approx(np.array([[3.4, 2.0]]))
+    assert goals.size_m == pytest.approx([4.0])
+
+
+def test_only_a_polygon_closes_an_open_edge(toy: Toy) -> None:
+    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
+    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
+    report = toy.report()
+    target = Target.of(open_goals(report, GoalsConfig()), 0)
+    assert not settled(target, report)  # though the floor there is seen
+    toy.p_map[8] = to_map(toy.T_map_world, np.array([[5.9, 2.0]]))[0]
+    toy.add_polygon([1, 8, 2], 0)
+    report = toy.report()
+    assert len(open_goals(report, GoalsConfig())) == 0
+    assert settled(target, report)
+
+
+def test_near_open_edges_are_one_goal_and_narrow_ones_none(toy: Toy) -> None:
+    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
+    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
+    toy.add_polygon([0, 1, 2], 0, open_edges=(1,))
+    assert len(open_goals(toy.report(), GoalsConfig())) == 1
+    assert len(open_goals(toy.report(), GoalsConfig(open_width_m=4.5))) == 0
+
+
+def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
+    toy.confirmed = False
+    report = toy.report()
+    goals = candidate_goals(report, GoalsConfig())
+    assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 1.95]]))
+    target = Target.of(goals, 0)
+    assert not settled(target, report)
+    toy.confirmed = True
+    assert settled(target, toy.report())
+
+
+def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
+    goals = door_goals(toy.report(), GoalsConfig())
+    assert in_world(toy, goals.p_map) == pytest.approx(np.array([[6.76, 1.95]]))
+    assert goals.size_m == pytest.approx([0.9])
+    toy.T_world_robot[0] = 7.0
+    assert len(door_goals(toy.report(), GoalsConfig())) == 0
+
+
+def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
+    assert len(frontier_goals(toy.report(), GoalsConfig())) == 0  # all of room A is seen; beyond the door is no room
+    toy.T_world_robot = np.array([8.0, 2.0, 0.0])
+    goals = frontier_goals(toy.report(), GoalsConfig())
+    assert len(goals)
+    assert (in_world(toy, goals.p_map)[:, 0] > 11.0).all()
+    assert (goals.room == 1).all()
+
+
+def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
+    book = GoalBook()
+    toy.add_polygon([0, 1, 2, 3], 0)
+    goals = find_goals(toy.report(), book, CONFIG)
+    assert goals.kind.tolist() == [GoalKind.DOOR]
+    assert complete_rooms(goals, book, toy.graph()) == (0,)
+    toy.add_polygon([8, 9, 10, 11], 1)
+    for x in np.arange(7.0, 31.0, 1.0):
+        toy.T_world_robot = np.array([x, 2.0 if x < 10 else 1.2, 0.0])
+        toy.report()
+    for x in np.arange(31.0, 11.0, -1.0):
+        toy.T_world_robot = np.array([x, 2.9, 0.0])
+        toy.report()
+    goals = find_goals(toy.report(), book, CONFIG)
+    assert len(goals) == 0, [(GoalKind(k), p) for k, p in zip(goals.kind, goals.p_map, strict=True)]
+    assert complete_rooms(goals, book, toy.graph()) == (0, 1)
+
+
+def test_a_room_without_a_polygon_is_a_goal(toy: Toy) -> None:
+    goals = find_goals(toy.report(), GoalBook(), CONFIG)
+    assert goals.kind.tolist() == [GoalKind.OPEN, GoalKind.DOOR]
+    toy.add_polygon([0, 1, 2, 3], 0)
+    assert find_goals(toy.report(), GoalBook(), CONFIG).kind.tolist() == [GoalKind.DOOR]
+
+
+def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
+    toy.add_polygon([0, 1, 2, 3], 0)
+    for reached, times in ((False, CONFIG.goals.refusals), (True, CONFIG.goals.visits)):
+        book = GoalBook()
+        goals = find_goals(toy.report(), book, CONFIG)
+        for drive in range(times):
+            found = find_goals(toy.report(), book, CONFIG)
+            assert found.visits.tolist() == [drive]
+            book.record(found, 0, reached)
+        assert len(find_goals(toy.report(), book, CONFIG)) == 0
+        assert len(goals) == 1
+
+
+def test_paths_are_as_long_as_the_way(toy: Toy) -> None:
+    toy.add_polygon([0, 1, 2, 3], 0)
+    (length,) = find_goals(toy.report(), GoalBook(), CONFIG).path_m
+    assert length == pytest.approx(5.8, abs=1.2)  # to the near side of what can be reached of a place 5.76 m away
+
+
+def test_an_empty_list_has_all_columns() -> None:
+    goals = Goals()
+    assert len(goals) == 0
+    assert goals.p_map.shape == (0, 2)
+
+
+def test_levels_count_steps() -> None:
+    assert levels_from(3, {3: {1, 2}, 1: {0}, 2: {0}, 0: {9}, 9: {0}}) == {3: 0, 1: 1, 2: 1, 0: 2, 9: 3}
+
+
+def test_rooms_have_the_level_of_the_door_graph() -> None:
+    doors = tuple(Door(i, (0, 1), None, rooms, 3) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
+    graph = RoomGraph(0, False, (0, 1, 2, 3, 5), doors, (), {4: 2})
+    assert door_levels(graph, 0) == {0: 0, 1: 1, 3: 1, 2: 2, 5: 3}
+
+
+def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
+    toy.add_polygon([0, 4, 5, 3], 0)
+    toy.add_polygon([4, 1, 2, 5], 0)
+    toy.add_polygon([1, 8, 6], 0)
+    toy.add_polygon([9, 10, 11], 1)
+    centres, levels = polygon_levels(toy.report(), 0, to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0])
+    assert len(centres) == 3
+    assert levels.tolist() == [0, 1, 2]
+
+
+def test_goals_of_other_rooms_come_last() -> None:
+    toy = Toy(np.array([8.0, 2.0, 0.0]))
+    toy.report()
+    toy.T_world_robot = np.array([3.0, 2.0, 0.0])
+    report = toy.report()
+    book = GoalBook()
+    goals = find_goals(report, book, CONFIG)
+    assert goals.room.tolist()[0] == 0
+    assert set(goals.room.tolist()) == {0, 1}
+    assert sorted(goals.room.tolist()) == goals.room.tolist()
+
+
+def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) -> None:
+    report = toy.report()
+    gap = candidate(toy.p_map[[4, 5]], 4)
+    object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
+    assert candidate_goals(report, GoalsConfig()).room.tolist() == [0]

@@ -1,0 +1,184 @@
+"""The grid planner: clearance and ways against brute force, corners, doors, smoothing."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mecp_env.planning import path_kernels as kernels
+from mecp_env.planning.config import PathsConfig
+from mecp_env.planning.paths import WayField, way_field
+from mecp_env.slam.data import Cell, SemanticGrid
+from tests.toy import Toy
+
+CONFIG = PathsConfig()
+RADIUS_M = CONFIG.radius_m
+
+
+def grid_of(label: np.ndarray) -> SemanticGrid:
+    room = np.zeros(label.shape, np.int16)
+    return SemanticGrid(label, np.zeros(label.shape, np.bool_), room, np.array([-1.0, 2.0]), 0.1, 1)
+
+
+def ways_from(label: np.ndarray, cell: tuple[int, int]) -> WayField:
+    grid = grid_of(label)
+    start = grid.origin + (np.array([cell[1], cell[0]]) + 0.5) * 0.1
+    return way_field(grid, np.array([*start, 0.3]), CONFIG)
+
+
+def random_label(rng: np.random.Generator, height: int = 50, width: int = 80) -> np.ndarray:
+    label = np.full((height, width), Cell.FREE, np.uint8)
+    for _ in range(12):
+        r, c = rng.integers(0, height - 6), rng.integers(0, width - 6)
+        label[r : r + rng.integers(1, 8), c : c + rng.integers(1, 8)] = rng.choice([Cell.OCCUPIED, Cell.UNKNOWN])
+    label[[0, -1], :] = label[:, [0, -1]] = Cell.OCCUPIED
+    return label
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clearance_is_the_distance_to_the_nearest_wall(seed: int) -> None:
+    label = random_label(np.random.default_rng(seed))
+    walls = np.argwhere(label == Cell.OCCUPIED)
+    cells = np.argwhere(label >= 0)
+    brute = np.sqrt(((cells[:, None] - walls[None]) ** 2).sum(axis=2)).min(axis=1).reshape(label.shape)
+    assert kernels.clearance(label, 6.0) == pytest.approx(np.minimum(brute, 6.0), abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_field_is_dijkstra(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cost = kernels.cell_costs(label := random_label(rng), kernels.clearance(label, 6.0), 3.2, 6.0, 6.0)
+    row, column = rng.choice(np.argwhere(cost > 0))
+    total, length, step = kernels.distance_field(cost, int(row), int(column))
+    assert (total == dijkstra(cost, int(row), int(column))).all()
+    for r, c in rng.choice(np.argwhere(total < kernels.FAR), 20):
+        cells = kernels.trace_back(step, int(r), int(c))
+        assert cells[0].tolist() == [row, column]
+        assert cells[-1].tolist() == [r, c]
+        stride = np.abs(np.diff(cells, axis=0)).sum(axis=1)
+        assert length[r, c] == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
+
+
+def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
+    """The plain twin of the bucket queue."""
+    cost = cost.copy()
+    cost[[0, -1], :] = cost[:, [0, -1]] = 0
+    total = np.full(cost.shape, kernels.FAR)
+    total[row, column] = 0
+    heap = [(0, row, column)]
+    while heap:
+        at, r, c = heapq.heappop(heap)
+        if at > total[r, c]:
+            continue
+        for dr, dc in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b):
+            n = r + dr, c + dc
+            if min(cost[n], cost[r, n[1]], cost[n[0], c]) == 0:
+                continue
+            far = at + (7 if dr and dc else 5) * int(cost[r, c] + cost[n])
+            if far < total[n]:
+                total[n] = far
+                heapq.heappush(heap, (far, *n))
+    return total
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_no_path_cuts_a_corner_nearer_than_the_radius(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    label = random_label(rng)
+    open_cells = np.argwhere(kernels.clearance(label, 6.0) > 4.0)
+    open_cells = open_cells[label[tuple(open_cells.T)] == Cell.FREE]
+    start = tuple(rng.choice(open_cells).tolist())
+    ways = ways_from(label, start)
+    reached = np.argwhere(ways.total < kernels.FAR)
+    path = ways.path(tuple(rng.choice(reached).tolist()))
+    assert nearest_wall_face(label, path) >= RADIUS_M
+    assert (label[tuple(cells_on(path).T)] != Cell.UNKNOWN).all()
+
+
+def cells_on(path: np.ndarray) -> np.ndarray:
+    """Cells (n,2) on a path, row and column."""
+    cells = (path - np.array([-1.0, 2.0])) / 0.1
+    legs = [a + (b - a) * t for a, b in pairwise(cells) for t in np.linspace(0, 1, 200)]
+    return np.floor(np.array([*legs, cells[-1]])).astype(int)[:, ::-1]
+
+
+def nearest_wall_face(label: np.ndarray, path: np.ndarray) -> float:
+    """Least distance of a path from the square of any wall cell, m."""
+    corner = np.argwhere(label == Cell.OCCUPIED)[:, ::-1] * 0.1 + np.array([-1.0, 2.0])
+    best = math.inf
+    for a, b in pairwise(path):
+        for t in np.linspace(0, 1, max(int(np.hypot(*(b - a)) / 0.02), 1) + 1):
+            gap = np.maximum(np.maximum(corner - (a + t * (b - a)), (a + t * (b - a)) - corner - 0.1), 0.0)
+            best = min(best, float(np.hypot(*gap.T).min()))
+    return best
+
+
+def room_with_gap(cells: int) -> np.ndarray:
+    """Two rooms with a gap of some cells between them."""
+    label = np.full((40, 60), Cell.FREE, np.uint8)
+    label[[0, -1], :] = label[:, [0, -1]] = Cell.OCCUPIED
+    label[:, 30] = Cell.OCCUPIED
+    label[15 : 15 + cells, 30] = Cell.DOOR
+    return label
+
+
+def test_a_door_is_passable_and_a_slit_is_not() -> None:
+    beyond = np.array([-1.0, 2.0]) + np.array([45.5, 20.5]) * 0.1
+    assert ways_from(room_with_gap(8), (20, 10)).nearest(beyond, 0.3) is not None
+    assert ways_from(room_with_gap(5), (20, 10)).nearest(beyond, 0.3) is None
+
+
+def test_the_way_through_a_door_is_in_its_middle() -> None:
+    ways = ways_from(room_with_gap(9), (5, 10))
+    cell = ways.nearest(np.array([-1.0, 2.0]) + np.array([50.5, 5.5]) * 0.1, 0.3)
+    assert cell is not None
+    path = ways.path(cell)
+    assert abs(np.interp(2.05, path[:, 0], path[:, 1]) - (2.0 + 1.95)) < 0.11
+
+
+def test_unknown_cells_are_no_way() -> None:
+    label = room_with_gap(9)
+    label[:, 35:50] = Cell.UNKNOWN
+    assert ways_from(label, (20, 10)).nearest(np.array([4.5, 4.0]), 0.3) is None
+
+
+def test_a_robot_too_near_to_a_wall_gets_out_and_no_nearer() -> None:
+    label = room_with_gap(9)
+    ways = ways_from(label, (20, 28))  # 0.2 m from the wall
+    cell = ways.nearest(np.array([0.0, 4.0]), 0.2)
+    assert cell is not None
+    cells = kernels.trace_back(ways.step, *cell)
+    assert ways.clearance[tuple(cells.T)].min() >= ways.clearance[20, 28]
+
+
+def test_smoothing_leaves_few_points_in_the_open() -> None:
+    label = np.full((60, 90), Cell.FREE, np.uint8)
+    ways = ways_from(label, (10, 10))
+    path = ways.path((50, 80))
+    assert len(path) == 2
+    assert ways.length_m((50, 80)) == pytest.approx(7.0 + 0.4 * 4.0, abs=0.2)
+
+
+def test_a_wall_on_the_path_is_noticed() -> None:
+    label = np.full((40, 60), Cell.FREE, np.uint8)
+    path = np.array([[5.0, 20.5], [55.0, 20.5]])
+    assert not kernels.wall_on_path(label, path, 2.2)
+    label[22, 30] = Cell.OCCUPIED
+    assert kernels.wall_on_path(label, path, 2.2)
+    assert not kernels.wall_on_path(label, path, 1.9)
+
+
+def test_ways_on_a_painted_grid_lead_through_the_door() -> None:
+    toy = Toy(np.array([3.0, 3.0, 0.0]), np.array([1.0, -2.0, 0.6]))
+    for x, y in ((3.0, 3.0), (5.0, 2.0), (6.6, 1.95), (8.0, 2.0)):
+        toy.T_world_robot = np.array([x, y, 0.0])
+        report = toy.report()
+    ways = way_field(report.grid, report.belief.T_map_robot, CONFIG)
+    corner = toy.p_map[3] + 0.2 * (toy.p_map[1] - toy.p_map[3])  # in room A
+    cell = ways.nearest(corner, 0.3)
+    assert cell is not None
+    assert 6.5 < ways.length_m(cell) < 9.5
