@@ -20,6 +20,7 @@ CROSSING, FREE_END = int(CornerKind.CROSSING), int(CornerKind.FREE_END)
 REACH = 14  # beams on either side of an end that are looked at
 COUNT_BEAMS, FAR_BEAMS = 3, 2  # beams before and after a transition that make sure of it
 PLAIN_REST = 2  # beams after an end that belong to neither side, where no face can be seen
+ON_LINE_SIGMAS = 2.5
 COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
 FACE_BEAMS = 2  # beams of a second face, at least, without a jump behind it
@@ -94,8 +95,8 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
     rules, noise = rules_and_noise
     segment, side = end
     alpha, rho = walls.line[segment, 0], walls.line[segment, 1]
-    position = walls.last[segment] if side > 0 else walls.first[segment]
-    inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
+    position, gone = last_on_line(sight, walls, end, noise)
+    inner = min(REACH, walls.last[segment] - walls.first[segment] - 2 + gone)
     end_range = rho / math.cos(sight.polar[position, 1] - alpha)
     previous, far = end_range, 0
     for k in range(1, REACH + FAR_BEAMS + 1):
@@ -107,10 +108,37 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
             if far == FAR_BEAMS:
                 return End(alpha, rho, position, side, inner, k - FAR_BEAMS, FAR)
             continue
+        if far > 0 and on_line(sight, walls, segment, q, noise):  # bearing noise mixes the beams beside an edge
+            far, previous = 0, r
+            continue
         if far > 0 or abs(r - previous) > STEP_SHARE * previous + SIGMAS * noise.range_m:
             return End(alpha, rho, position, side, inner, k - 1 - far, OTHER)
         previous = r
     return End(alpha, rho, position, side, inner, REACH, OTHER)
+
+
+@kernel
+def last_on_line(sight: Sight, walls: Walls, end: tuple[int, int], noise: Noise) -> tuple[int, int]:
+    """Position of the last beam on the line beyond the end of segment end[0] on side end[1], and how many they are."""
+    segment, side = end
+    position = walls.last[segment] if side > 0 else walls.first[segment]
+    for gone in range(REACH):
+        q = (position + side) % sight.polar.shape[0]
+        if not on_line(sight, walls, segment, q, noise):
+            return position, gone
+        position = q
+    return position, REACH
+
+
+@kernel
+def on_line(sight: Sight, walls: Walls, segment: int, q: int, noise: Noise) -> bool:
+    """True when the beam at position q fits the line of the segment."""
+    cosine = math.cos(sight.polar[q, 1] - walls.line[segment, 0])
+    if cosine < STEEPEST or not sight.hit[q]:
+        return False
+    slant = walls.line[segment, 1] * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
+    sigma = math.hypot(noise.range_m, slant * noise.bearing) / math.sqrt(sight.polar[q, 2])
+    return bool(abs(sight.polar[q, 0] - walls.line[segment, 1] / cosine) <= ON_LINE_SIGMAS * sigma)
 
 
 @kernel
@@ -209,14 +237,19 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     bearing = sight.polar[end.position, 1] + end.side * mean
     offset = (0.5 * best + 0.25 - end.inner) * step
     along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
-    return Ray(bearing, variance, face_evidence(table[: end.inner + end.rest + 1], offset, along, noise))
+    return Ray(bearing, variance, face_evidence(table[: end.inner + end.rest + 1], end.inner, (offset, along), noise))
 
 
 @kernel
 def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
-    """A row a beam beside the end: offset from its last beam (rad), cost on the line, sine, cotangent, range, count."""
+    """A row a beam beside the end, by which its place on the wall or on the face is judged.
+
+    Columns: offset from the end's last beam (rad), cost on the line, sine, cotangent, range, count, and the cost of
+    passing the face: little, since it ends; but what hits the wall cannot have passed a face that comes nearer.
+    """
     size = sight.polar.shape[0]
-    table = np.empty((end.inner + after + 1, 6))
+    table = np.empty((end.inner + after + 1, 7))
+    recedes = end.side * math.tan(sight.polar[end.position, 1] - end.alpha) < 0.0
     for m in range(table.shape[0]):
         q = (end.position + end.side * (m - end.inner)) % size
         turn, r = sight.polar[q, 1] - end.alpha, sight.polar[q, 0]
@@ -230,29 +263,36 @@ def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
         table[m, 1], table[m, 2] = cost, sine
         table[m, 3] = cosine / sine if abs(sine) > 1e-6 else 0.0
         table[m, 4], table[m, 5] = r if sight.hit[q] else math.inf, sight.polar[q, 2]
+        table[m, 6] = COST_FAR if recedes or cost >= COST_CAP else COST_CAP
     return table
 
 
 @kernel
 def face_cost(beam: Array, along: float, noise: Noise) -> float:
     """Chi-square of a beam (row of beam_table) on the face at a right angle, `along` metres along the wall."""
+    if beam[4] == math.inf:
+        return beam[6]
     if along * beam[2] <= 1e-9:
-        return COST_FAR if beam[4] == math.inf else COST_CAP
+        return COST_CAP
     expected = along / beam[2]
     residual = beam[4] - expected
-    if residual == math.inf:
-        return COST_FAR
     variance = noise.range_m**2 + (expected * beam[3] * noise.bearing) ** 2
-    return float(min(residual * residual * beam[5] / variance, COST_FAR if residual > 0.0 else COST_CAP))
+    return float(min(residual * residual * beam[5] / variance, beam[6] if residual > 0.0 else COST_CAP))
 
 
 @kernel
-def face_evidence(table: Array, offset: float, along: float, noise: Noise) -> float:
-    """How much chi-square the second face from `offset` on saves, over the wall going on; 0 when it does not fit."""
+def face_evidence(table: Array, inner: int, corner: tuple[float, float], noise: Noise) -> float:
+    """How much chi-square a second face from the offset corner[0] on saves, over the wall going on; 0: no good fit.
+
+    The beams on the face and all beams after the segment's end (row `inner`) must fit one of the two.
+    """
+    offset, along = corner
     saved, misfit, beams = 0.0, 0.0, 0
     for m in range(table.shape[0]):
-        if table[m, 0] < offset:
-            continue
-        cost = face_cost(table[m], along, noise)
-        saved, misfit, beams = saved + table[m, 1] - cost, misfit + cost, beams + 1
+        cost = table[m, 1]
+        if table[m, 0] >= offset:
+            cost = face_cost(table[m], along, noise)
+            saved += table[m, 1] - cost
+        if table[m, 0] >= offset or m > inner:
+            misfit, beams = misfit + cost, beams + 1
     return saved if misfit <= MISFIT * beams else 0.0
