@@ -4,8 +4,8 @@ numba's own cache has four weak points: it fails at import where nothing can be 
 at every start until somebody deletes it; damaged machine code ends the process; and a kernel is not compiled again
 when a kernel that it calls, or a constant that it uses, changed in another file. So the cache here lies in the user's
 own cache directory (or NUMBA_CACHE_DIR), every entry carries a checksum, a damaged one is compiled again, and an entry
-is keyed on the text of the kernel's file and of every file of the package that this one imports. It is never put into
-a shared temporary directory: an entry is a pickle, and reading somebody else's would run his code.
+is keyed on all that the kernel uses (kernel_key.py). It is never put into a shared temporary directory: an entry is a
+pickle, and reading somebody else's would run his code.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import inspect
 import logging
 import os
 import pickle
-import re
 import sys
 import tempfile
 import time
@@ -29,9 +27,9 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
 from numba.misc.appdirs import AppDirs
 
+from mecp_env.kernel_key import fingerprint
+
 KEPT_DAYS = 30  # entries not written for so long are removed when something is compiled
-PACKAGE = Path(__file__).parent
-IMPORTS = re.compile(r"^\s*(?:from|import)\s+(mecp_env[\w.]*)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 DIGEST_BYTES = 32
 
 log = logging.getLogger(__name__)
@@ -45,41 +43,8 @@ def cache_directory() -> Path:
 
 
 def cache_for(function: Callable[..., Any]) -> NullCache:
-    """The cache of one function: on disk, or none where there is no place for it or no source file."""
-    if Path(inspect.getfile(function)).is_file() and _usable(cache_directory()):
-        return _KernelCache(function)
-    return _NoCache()
-
-
-def fingerprint(path: Path) -> str:
-    """Hash of the text of `path` and of all files of the package that it imports, one through another."""
-    found: set[Path] = set()
-    waiting = {path}
-    while waiting:
-        found |= waiting
-        waiting = {i for p in waiting for i in _imported(p)} - found
-    return hashlib.sha256(b"".join(sorted(_digest(p) for p in found))).hexdigest()[:16]
-
-
-@functools.cache
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
-@functools.cache
-def _digest(path: Path) -> bytes:
-    return hashlib.sha256(_text(path).encode()).digest()
-
-
-@functools.cache
-def _imported(path: Path) -> frozenset[Path]:
-    """Files of the package that the import lines of `path` name."""
-    names: set[str] = set()
-    for module, members in IMPORTS.findall(_text(path)):
-        names |= {module, *(f"{module}.{member}" for member in re.findall(r"\w+", members))}
-    bases = [PACKAGE.parent.joinpath(*name.split(".")) for name in names]
-    files = [file for base in bases for file in (base.with_suffix(".py"), base / "__init__.py")]
-    return frozenset(file for file in files if file.is_file())
+    """The cache of one function: on disk, or none where there is no place for it."""
+    return _KernelCache(function) if _usable(cache_directory()) else _NoCache()
 
 
 @functools.cache
@@ -118,16 +83,16 @@ class _NoCache(NullCache):  # type: ignore[misc]
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Tells numba where an entry lies and what it depends on."""
+    """Tells numba where the entry of a function lies and what it depends on."""
 
-    def __init__(self, function: Callable[..., Any], path: Path) -> None:
-        self._py_file = str(path)  # numba names it in a warning
-        self._stamp = fingerprint(path)
-        self._name = f"{function.__code__.co_firstlineno}-{function.__module__}-{self._stamp}"
+    def __init__(self, function: Callable[..., Any], path: str) -> None:
+        self._py_file = path  # numba names it in a warning
+        self._stamp = fingerprint(function)
+        self._name = f"{function.__module__}-{self._stamp}"
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator:
-        return cls(py_func, Path(py_file))
+        return cls(py_func, py_file)
 
     def get_cache_path(self) -> str:
         return str(cache_directory())
@@ -159,8 +124,8 @@ class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
 
-class _KernelCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of one function; a damaged entry is no entry, and one that cannot be saved is not needed."""
+class _Entry(FunctionCache):  # type: ignore[misc]
+    """numba's cache of one function, with our place, our key and our checksum."""
 
     _impl_class = _Implementation
 
@@ -172,6 +137,22 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
             source_stamp=self._impl.locator.get_source_stamp(),
         )
 
+
+class _KernelCache(NullCache):  # type: ignore[misc]
+    """The cache of one function; a damaged entry is no entry, and one that cannot be saved is not needed."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    @functools.cached_property
+    def _entry(self) -> _Entry:
+        """Made at the first call: what the function uses may be defined after it."""
+        return _Entry(self._function)
+
+    @property
+    def cache_path(self) -> str:
+        return str(cache_directory())
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = self._load_or_drop(sig, target_context)
         if found is None:
@@ -180,15 +161,15 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
-            super().save_overload(sig, data)
+            self._entry.save_overload(sig, data)
         except OSError as error:  # disk full, directory gone
-            log.info("%s: not cached (%r)", self._name, error)
+            log.info("%s: not cached (%r)", self._function, error)
 
     def _load_or_drop(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)
+            return self._entry.load_overload(sig, target_context)
         except Exception as error:  # unpickling damaged bytes can raise anything
-            log.info("%s: damaged cache entry (%r)", self._name, error)
+            log.info("%s: damaged cache entry (%r)", self._function, error)
         with contextlib.suppress(OSError):
-            self.flush()
+            self._entry.flush()
         return None

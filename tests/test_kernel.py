@@ -8,12 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mecp_env
+from mecp_env.kernel_key import fingerprint
+from mecp_env.slam.data import Cell
 
 PACKAGE = Path(mecp_env.__file__).parent
-CALLED = "from mecp_env.kernel import kernel\n\n\n@kernel\ndef called(x: float) -> float:\n    return x + {added}\n"
+CALLED = (
+    "from mecp_env.kernel import kernel\n\nADDED = {added}\n\n\n"
+    '@kernel\ndef called(x: float) -> float:\n    """{doc}"""\n    return x + ADDED\n'
+)
 CALLER = (
     "from mecp_env.kernel import kernel\nfrom mecp_env.called import called\n\n\n"
     "@kernel\ndef caller(x: float) -> float:\n    return 2.0 * called(x)\n"
@@ -27,15 +33,15 @@ class Tree:
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         self.package.mkdir()
-        for name in ("kernel.py", "kernel_cache.py"):
+        for name in ("kernel.py", "kernel_cache.py", "kernel_key.py"):
             shutil.copy(PACKAGE / name, self.package)
         (self.package / "__init__.py").touch()
         (self.package / "caller.py").write_text(CALLER)
         self.add(1.0)
 
-    def add(self, added: float) -> None:
-        """Let the called kernel add another constant."""
-        (self.package / "called.py").write_text(CALLED.format(added=added))
+    def add(self, added: float, doc: str = "x and some more.") -> None:
+        """Let the called kernel add another constant, or have another docstring."""
+        (self.package / "called.py").write_text(CALLED.format(added=added, doc=doc))
 
     def call(self, **environment: str) -> tuple[float, str]:
         """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
@@ -66,12 +72,25 @@ def test_first_compilation_says_so_in_one_line_and_the_second_process_takes_the_
     assert tree.call() == (4.0, "")
 
 
-def test_a_change_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
+def test_another_rule_in_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
+    tree.call()
+    called = tree.package / "called.py"
+    called.write_text(called.read_text().replace("x + ADDED", "x - ADDED"))
+    assert tree.call()[0] == 0.0
+
+
+def test_a_constant_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
     assert tree.call()[0] == 4.0
     tree.add(2.0)
     value, said = tree.call()
     assert value == 6.0
     assert COMPILING in said
+
+
+def test_an_edit_of_words_compiles_nothing(tree: Tree) -> None:
+    tree.call()
+    tree.add(1.0, doc="One more than x.\n\n    Now in two lines.")
+    assert tree.call() == (4.0, "")
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
@@ -116,3 +135,30 @@ def test_entries_of_long_ago_are_removed_when_something_is_compiled(tree: Tree) 
 def test_jit_can_be_switched_off(tree: Tree) -> None:
     assert tree.call(NUMBA_DISABLE_JIT="1") == (4.0, "")
     assert not tree.entries("nbi")
+
+
+def test_the_key_is_the_same_in_every_process_and_knows_what_a_kernel_uses() -> None:
+    code = (
+        "from mecp_env.kernel_key import fingerprint; from mecp_env.slam.linalg import mahalanobis\n"
+        "print(fingerprint(mahalanobis.py_func))"
+    )
+    keys = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(PACKAGE.parent)},
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(keys) == 1
+    assert len(keys.pop().strip()) == 16
+
+
+def test_the_key_follows_values_that_a_function_reads() -> None:
+    def key(scale: object) -> str:
+        return fingerprint(lambda x: x * scale)  # type: ignore[operator]
+
+    values = [1, 1.0, 2.0, (1, 2), np.array([1.0]), np.array([2.0]), Cell, Cell.FREE, frozenset({"a", "b"})]
+    assert len({key(value) for value in values}) == len(values)
+    assert key(np.array([2.0])) == key(np.array([2.0]))
