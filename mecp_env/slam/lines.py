@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.noise import Noise
-from mecp_env.slam.stretches import scatter
+from mecp_env.slam.stretches import scatter, stretch_cost
 
 Array = NDArray[np.float64]
 ITERATIONS = 2
+FACE_BEAMS, FACE_SAVES = 8, 6.0  # beams of an end face at most; chi-square that leaving them out must save
 OUTLIER2 = 16.0  # squared sigmas beyond which a beam loses weight
 STEEPEST = 0.035  # cosine of the largest incidence (88 degrees) for which a ray still meets its line
 
@@ -26,6 +27,48 @@ def rough_line(sums: Array, first: int, last: int) -> tuple[float, float]:
     x, y = (sums[last + 1, 0] - sums[first, 0]) / n, (sums[last + 1, 1] - sums[first, 1]) / n
     rho = x * math.cos(alpha) + y * math.sin(alpha)
     return (alpha, rho) if rho >= 0.0 else (alpha + math.pi, -rho)
+
+
+@kernel
+def without_end_face(points: Array, sums: Array, span: tuple[int, int], min_beams: int) -> tuple[int, int]:
+    """First and last position of the wall itself, where beams of its end face, at a right angle, are taken for it.
+
+    Seen along the wall, the face at its near end lies within the noise; its few beams turn the line.
+    """
+    first, last = span
+    alpha, _ = rough_line(sums, first, last)
+    begins, ends = -along_wall(points, first, alpha), along_wall(points, last, alpha)
+    if begins >= 0.0 and ends >= 0.0:
+        return first, last  # the robot stands before the wall: its end faces are turned away
+    best, best_cost = span, stretch_cost(sums, first, last) - FACE_SAVES
+    for dropped in range(1, min(FACE_BEAMS, last - first + 1 - min_beams) + 1):
+        low, high = (first + dropped, last) if begins < 0.0 else (first, last - dropped)
+        face = (first, low - 1) if begins < 0.0 else (high + 1, last)
+        cost = stretch_cost(sums, low, high)
+        if cost < best_cost:
+            cost += face_spread(points, face, rough_line(sums, low, high)[0])
+        if cost < best_cost:
+            best, best_cost = (low, high), cost
+    return best
+
+
+@kernel
+def along_wall(points: Array, i: int, alpha: float) -> float:
+    """Coordinate (m) of point i along a wall with normal alpha, from the foot of the perpendicular on."""
+    return float(points[i, 1] * math.cos(alpha) - points[i, 0] * math.sin(alpha))
+
+
+@kernel
+def face_spread(points: Array, span: tuple[int, int], alpha: float) -> float:
+    """Chi-square of the points about one face at a right angle to a wall with normal alpha."""
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    weight, first, second = 0.0, 0.0, 0.0
+    for i in range(span[0], span[1] + 1):
+        along = points[i, 1] * ca - points[i, 0] * sa
+        steep = along * along / (points[i, 0] ** 2 + points[i, 1] ** 2)
+        w = 1.0 / (points[i, 2] * steep + points[i, 3] * (1.0 - steep))
+        weight, first, second = weight + w, first + w * along, second + w * along * along
+    return max(second - first * first / weight, 0.0)
 
 
 @kernel

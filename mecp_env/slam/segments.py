@@ -12,7 +12,7 @@ from mecp_env.kernel import kernel
 from mecp_env.slam.config import SegmentConfig, SensorModel
 from mecp_env.slam.data import Beams, ClusterKind, Clusters, Segments
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.lines import STEEPEST, fit_line, rough_line
+from mecp_env.slam.lines import STEEPEST, fit_line, rough_line, without_end_face
 from mecp_env.slam.noise import Noise, noise_of, roll_beams
 from mecp_env.slam.rounds import is_round
 from mecp_env.slam.stretches import beam_points, break_cluster, straighten
@@ -102,7 +102,7 @@ def fit_segments(
     kept, found = np.empty((size, 3), np.int64), 0
     points, sums = points_and_sums
     for k in range(size):
-        first, last = spans[k, 1], spans[k, 2]
+        first, last = without_end_face(points, sums, (spans[k, 1], spans[k, 2]), rules.min_beams)
         trim = min(rules.trim_beams, (last - first + 1 - rules.min_beams) // 2)
         inner = (first + trim, last - trim)
         alpha, rho, aa, ar, rr, cost = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]), noise)
@@ -113,7 +113,7 @@ def fit_segments(
         if not usable:
             continue
         for end in range(2):
-            bearing = polar[spans[k, 1 + end], 1]
+            bearing = polar[first if end == 0 else last, 1]
             r = rho / math.cos(bearing - alpha)
             ends[found, end, 0], ends[found, end, 1] = r * math.cos(bearing), r * math.sin(bearing)
         length2 = (ends[found, 1, 0] - ends[found, 0, 0]) ** 2 + (ends[found, 1, 1] - ends[found, 0, 1]) ** 2
@@ -123,7 +123,6 @@ def fit_segments(
         inflate = max(excess, 1.0)
         cov[found, 0, 0], cov[found, 1, 1] = inflate * aa, inflate * rr
         cov[found, 0, 1] = cov[found, 1, 0] = inflate * ar
-        for column in range(3):
-            kept[found, column] = spans[k, column]
+        kept[found, 0], kept[found, 1], kept[found, 2] = spans[k, 0], first, last
         found += 1
     return ends[:found].copy(), line[:found].copy(), cov[:found].copy(), kept[:found].copy()
