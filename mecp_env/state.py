@@ -148,7 +148,10 @@ def encode(value: Any) -> Any:
 
 def decode(data: Any) -> Any:
     """The value that `encode` made `data` from; shares no memory with it. Raises `StateError`."""
-    return Decoder().decode(data)
+    try:
+        return Decoder().decode(data)
+    except (TypeError, ValueError, LookupError, AttributeError, RecursionError) as error:
+        raise error if isinstance(error, StateError) else StateError(f"state: damaged ({error!r:.80})") from None
 
 
 def array_data(array: np.ndarray[Any, Any]) -> dict[str, Any]:
