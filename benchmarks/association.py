@@ -1,4 +1,6 @@
-"""Association in closed loop: three associators on the same breadth-first drives (maths.md 4.6).
+"""Association in closed loop: the associators on the same breadth-first drives (maths.md 4.6).
+
+`mecp_paper` is the association of the paper to the letter; the rows "without" switch one part of ours off.
 
 The identity of a landmark is the true corner it was paired with most often. An *event* is the return to a room not
 visited for 30 scans or more in which at least two corners that are mapped can be seen; it succeeds when within five
@@ -9,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +19,19 @@ from numpy.typing import NDArray
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share
 from benchmarks.drives import Drive, Replay, record_drive, replay
 from mecp_env.metrics import AssociationLog
+from mecp_env.slam.config import SlamConfig
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-METHODS = ("mecp", "mecp_paper", "nearest")
+METHODS: dict[str, dict[str, Any]] = {  # fields of the association section, over those of the drive
+    "mecp": {},
+    "mecp without signature": {"use_signature": False},
+    "mecp without polygons": {"use_polygons": False},
+    "mecp without rooms": {"use_rooms": False},
+    "mecp_paper": SlamConfig.paper().association.model_dump(),
+    "nearest": {"method": "nearest"},
+}
 SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
 
@@ -62,11 +73,11 @@ def compare(layout: str, seed: int) -> dict[str, Figures]:
     return {method: counts(drive, replay(drive, with_method(drive, method))) for method in METHODS}
 
 
-def with_method(drive: Drive, method: str):
-    """The estimator of the drive with another associator; everything else is the same."""
+def with_method(drive: Drive, method: str) -> SlamConfig:
+    """The estimator of the drive with another association; features and filter are the same."""
     slam = drive.slam.model_dump()
-    slam["association"]["method"] = method
-    return type(drive.slam)(**slam)
+    slam["association"] |= METHODS[method]
+    return SlamConfig(**slam)
 
 
 def counts(drive: Drive, outcome: Replay) -> Figures:
@@ -101,7 +112,7 @@ def all_pairs(log: AssociationLog) -> Pairs:
     """Every corner of the log with the final identities."""
     period, true, feature, matched = log.rows[: log.used].T
     matched = matched.astype(bool)
-    claimed = np.where(matched, log.identity[feature], -1)
+    claimed = np.where(matched, log.features[feature, 0], -1)
     return Pairs(period, true, claimed, matched)
 
 
@@ -130,7 +141,7 @@ def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> li
 
 def mapped_before(log: AssociationLog, corners: Ints, period: int) -> int:
     """How many of the true corners had a landmark before `period`."""
-    return sum(bool((log.birth[log.identity == corner] < period).any()) for corner in corners.tolist())
+    return sum(bool((log.features[log.features[:, 0] == corner, 1] < period).any()) for corner in corners.tolist())
 
 
 def swapped(drive: Drive, pairs: Pairs) -> int:
@@ -170,7 +181,7 @@ def report(figures: Figures) -> str:
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "nees", "diverged")
     lines = []
     for layout, methods in figures.items():
-        lines += [f"### {layout} ({methods[METHODS[0]]['precision']['n']} seeds)", ""]
+        lines += [f"### {layout} ({methods['mecp']['precision']['n']} seeds)", ""]
         lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
         for method, row in methods.items():
             lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
