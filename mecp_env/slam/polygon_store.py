@@ -59,7 +59,7 @@ class PolygonStore:
         known.last_period = period
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
-        """Drop polygons with a dead vertex, of two rooms, or there twice; of each room the least seen beyond the cap."""
+        """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
         kept = list({tuple(p.ids.tolist()): p for p in self.polygons if _whole(p, features, graph)}.values())
         for room in {p.room for p in kept}:
             members = sorted((p for p in kept if p.room == room), key=lambda p: (p.seen, p.last_period))
