@@ -146,13 +146,15 @@ class SlamPipeline:
 
     def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
         """Recognise corners and correct the filter by them; a covariance no longer positive means divergence."""
-        view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
         try:
-            match = self.associator.associate(corners, polygons, view, self.filter)
-            return self._correct(corners, match)
+            return self._correct(corners, self._associate(corners, polygons, predicted, through))
         except FilterError:
             self.diverged = True
             return ignored(len(corners))
+
+    def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
+        view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
+        return self.associator.associate(corners, polygons, view, self.filter)
 
     def _correct(self, corners: Corners, match: Match) -> Match:
         """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""
