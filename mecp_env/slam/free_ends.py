@@ -24,8 +24,8 @@ ON_LINE_SIGMAS = 2.5
 COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
 FACE_BEAMS = 2  # beams of a second face, at least, without a jump behind it
-EVIDENCE = 15.0  # chi-square that a face too short for a segment must save, to be believed
-MISFIT = 2.5  # mean chi-square of its beams at most
+EVIDENCE = 12.0  # chi-square that a face too short for a segment must save, to be believed
+MISFIT = 3.5  # mean chi-square of its beams at most
 SMEAR = 0.5642  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
 FAR, OTHER = 1, 2  # what follows the beams beside an end
 
@@ -108,12 +108,9 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
             if far == FAR_BEAMS:
                 return End(alpha, rho, position, side, inner, k - FAR_BEAMS, FAR)
             continue
-        if far > 0 and on_line(sight, walls, segment, q, noise):  # bearing noise mixes the beams beside an edge
-            far, previous = 0, r
-            continue
-        if far > 0 or abs(r - previous) > STEP_SHARE * previous + SIGMAS * noise.range_m:
+        if abs(r - previous) > STEP_SHARE * previous + SIGMAS * noise.range_m:
             return End(alpha, rho, position, side, inner, k - 1 - far, OTHER)
-        previous = r
+        far, previous = 0, r  # a lone far beam: bearing noise mixes the beams beside an edge
     return End(alpha, rho, position, side, inner, REACH, OTHER)
 
 
@@ -292,6 +289,8 @@ def face_evidence(table: Array, inner: int, corner: tuple[float, float], noise: 
         cost = table[m, 1]
         if table[m, 0] >= offset:
             cost = face_cost(table[m], along, noise)
+            if cost == COST_FAR:  # it passes the face and says nothing about it
+                continue
             saved += table[m, 1] - cost
         if table[m, 0] >= offset or m > inner:
             misfit, beams = misfit + cost, beams + 1

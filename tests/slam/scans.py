@@ -1,0 +1,88 @@
+"""Hand-made scans: rays against faces by plain NumPy, with the laser's layout of bearings and noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mecp_env.slam.clustering import cluster_beams
+from mecp_env.slam.config import SensorModel, SlamConfig
+from mecp_env.slam.corners import extract_corners
+from mecp_env.slam.data import Scan
+from mecp_env.slam.geometry import polar_to_points
+from mecp_env.slam.segments import extract_segments
+from mecp_env.slam.sweeps import merge_sweeps
+
+MAX_RANGE_M = 30.0
+PAPER = SensorModel()
+EXACT = SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0)
+LMS200 = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0)
+
+
+def ring(*points):
+    """Faces (n,2,2) from each point to the next and back to the first."""
+    p = np.array(points, dtype=float)
+    return np.stack([p, np.roll(p, -1, axis=0)], axis=1)
+
+
+def chain(*points):
+    """Faces (n-1,2,2) from each point to the next."""
+    return ring(*points)[:-1]
+
+
+def turned(faces, angle):
+    """The faces as a robot sees them that is turned by -angle."""
+    c, s = math.cos(angle), math.sin(angle)
+    return faces @ np.array([[c, s], [-s, c]])
+
+
+def nominal_bearings(sweeps=4, beams=720):
+    """(K,B) as the laser has them: ascending in each sweep in (-pi, pi]."""
+    step = 2.0 * math.pi / (sweeps * beams)
+    return (-math.pi + step * np.arange(1, sweeps * beams + 1)).reshape(beams, sweeps).T.copy()
+
+
+def cast(faces, bearings):
+    """Exact range of each ray from the origin, inf where there is none."""
+    d = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)[..., None, :]
+    a, u = faces[:, 0], faces[:, 1] - faces[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = d[..., 0] * u[:, 1] - d[..., 1] * u[:, 0]
+        r = (a[:, 0] * u[:, 1] - a[:, 1] * u[:, 0]) / across
+        t = (a[:, 0] * d[..., 1] - a[:, 1] * d[..., 0]) / across
+    return np.where((r > 0.0) & (t >= 0.0) & (t <= 1.0), r, np.inf).min(axis=-1)
+
+
+def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720):
+    """A burst at the origin among `faces`."""
+    rng = np.random.default_rng(seed)
+    bearings = nominal_bearings(sweeps, beams)
+    ranges = cast(faces, bearings + rng.normal(0.0, 1.0, bearings.shape) * sensor.bearing_sigma_rad)
+    ranges = ranges + rng.normal(0.0, 1.0, bearings.shape) * sensor.range_sigma_m
+    hit = ranges < MAX_RANGE_M
+    return Scan(np.where(hit, ranges, MAX_RANGE_M), bearings, hit, MAX_RANGE_M)
+
+
+def blank_scan(sweeps=4, beams=720):
+    """A burst that hit nothing."""
+    bearings = nominal_bearings(sweeps, beams)
+    return Scan(np.full(bearings.shape, MAX_RANGE_M), bearings, np.zeros(bearings.shape, dtype=bool), MAX_RANGE_M)
+
+
+def front_end(scan, sensor=PAPER, config=None):
+    """Beams, clusters, segments and corners of a scan."""
+    config = config or SlamConfig()
+    beams = merge_sweeps(scan, sensor)
+    clusters = cluster_beams(beams, config.clustering, sensor)
+    segments = extract_segments(beams, clusters, config.segments, sensor)
+    return beams, clusters, segments, extract_corners(beams, segments, config.corners, sensor)
+
+
+def corners_of(faces, sensor=PAPER, seed=0, sweeps=4):
+    """The corners of one scan of `faces`, and their points (n,2)."""
+    corners = front_end(take_scan(faces, sensor, seed, sweeps), sensor)[-1]
+    return corners, polar_to_points(corners.z)
+
+
+ROOM = ring((3.0, -1.5), (3.0, 2.0), (-2.0, 2.0), (-2.0, -1.5))
