@@ -367,6 +367,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         done = not len(episode.goals) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
         cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
         episode.over = done or cut
+        if episode.over:
+            episode.metrics.compare_map(self._truth, episode.report, due=True)
         return done, cut
 
     def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:

@@ -123,7 +123,7 @@ class EpisodeMetrics:
         self._sweep(truth, T_world_robot)
         self.association.record(report, truth.identify(report.corners, T_world_robot))
         self._compare_pose(report.belief)
-        self._compare_map(truth, report)
+        self.compare_map(truth, report, due=report.period % MAP_PERIODS == 0)
 
     def move(self, increments: Array, contact: bool) -> None:
         """Count one control period: the true increments (M,2) of the body and whether it touched something."""
@@ -157,8 +157,8 @@ class EpisodeMetrics:
         self.nees_sum += self.nees
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
 
-    def _compare_map(self, truth: Truth, report: StepReport) -> None:
-        due = report.period % MAP_PERIODS == 0
+    def compare_map(self, truth: Truth, report: StepReport, due: bool) -> None:
+        """Hold rooms and doors against the truth where there is a new one, and all of them when that is `due`."""
         if due or report.graph.rooms != self.compared_rooms:
             self.compared_rooms = report.graph.rooms
             self.rooms = rooms_found(truth, report, self.T_world_map)
