@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -10,14 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.data import Beams, Clusters, Corners, Polygon
+from mecp_env.slam.data import Beams, Clusters, CornerKind, Corners, Polygon
+from mecp_env.slam.geometry import polar_to_points
 from mecp_env.slam.polygon_edges import Limits, Spans, View, edge_intervals, wall_beams
-from mecp_env.slam.polygon_guard import Features, find_rings
+from mecp_env.slam.polygon_guard import best_free_cycles, position_sigmas
 from mecp_env.slam.polygon_search import around_leftmost, around_robot, best_rings, twice_area
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+MATCHABLE = 4  # a triangle is no evidence of a place (maths 1.5)
 
 
 def largest_empty_convex_polygons(
@@ -107,21 +111,32 @@ def find_polygons(
     back, or else of the second: good for free space, not for matching. Polygons with equally many vertices are rare
     and both of use: the `keep_ties` largest come back, the larger area first.
 
-    The tolerance is `tolerance_sigmas` times the median sigma of the sites (where beams are held against an edge: of
-    its worse vertex, if that is more). Polygons that walls cross are ruled out by the beams (`guard`): all of them, or
+    The tolerance is `tolerance_sigmas` times the median sigma of the sites; where beams are held against an edge, times
+    the larger sigma of its two corners. Polygons that walls cross are ruled out by the beams (`guard`): all of them, or
     those that `wall` (B,) says end on a wall (`beams_on_walls`). The beams also cut each edge into intervals WALL, GAP
     and OPEN.
 
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
     (maths 1.3, 1.5, 1.6).
     """
-    features = Features(corners.z, corners.cov, corners.sites, corners.kind, corners.beyond)
     walls = np.full(len(beams.ranges), config.guard) if wall is None else wall & config.guard
     view, limits = View(beams.ranges, beams.bearings, walls), _limits(config)
-    sizes, rings, p_robot, slack = find_rings(features, config.keep_ties, view, limits)
+    p_robot, sigmas = polar_to_points(corners.z), position_sigmas(corners.z, corners.cov)
+    search = partial(_rings, p_robot, sigmas, keep=config.keep_ties, view=view, limits=limits)
+    rings = search(corners.sites)
+    if len(rings[0]) < MATCHABLE:
+        more = search(corners.sites | ((corners.kind == CornerKind.JAMB) & (corners.beyond < 0)))
+        rings = more if len(more[0]) >= MATCHABLE or len(rings[0]) == 0 else rings
     doors = p_robot[corners.doorways.jambs]
-    found = [ring[:size].copy() for ring, size in zip(rings, sizes, strict=True) if size]
-    return tuple(Polygon(ring, edge_intervals(p_robot[ring], slack[ring], doors, view, limits)) for ring in found)
+    found = [ring for ring in rings if len(ring)]
+    return tuple(Polygon(r, edge_intervals(p_robot[r], sigmas[r], doors, view, limits).copy()) for r in found)
+
+
+def _rings(p_robot: Array, sigmas: Array, sites: Bools, *, keep: int, view: View, limits: Limits) -> list[Ints]:
+    """The best `keep` rings of corners that are sites, each from its smallest corner; empty where there are fewer."""
+    ids = np.flatnonzero(sites)
+    sizes, rings = best_free_cycles(p_robot[ids], sigmas[ids], keep, view, limits)
+    return [ids[ring[:size]] for ring, size in zip(rings, sizes, strict=True)]
 
 
 def beams_on_walls(clusters: Clusters, beams: Beams) -> Bools:

@@ -69,6 +69,12 @@ def edge_from(a: Array, b: Array) -> Edge:
 
 
 @kernel
+def edge_slack(sigma_a: float, sigma_b: float, limits: Limits) -> float:
+    """How far off, across it, an edge between corners with these sigmas may be, m; no more than what counts as open."""
+    return min(limits.tolerance_sigmas * max(sigma_a, sigma_b), limits.open_depth_m)
+
+
+@kernel
 def cosine(x: float) -> float:
     """cos(x) for |x| <= pi/2, error below 1e-10: a few times cheaper than the library's, the same on every machine."""
     y = x * x
@@ -193,26 +199,26 @@ def passing_stretches(a: Array, b: Array, tolerance: float, view: View, limits: 
 
 
 @kernel
-def _is_gap(edge: Array, stretch: Array, doors: Array, limits: Limits) -> bool:
-    """True when an open stretch (2,) of the edge (2,2) is a gap of door width.
+def _is_gap(a: Array, b: Array, stretch: tuple[float, float], doors: Array, limits: Limits) -> bool:
+    """True when an open stretch of the edge from a to b is a gap of door width.
 
     That is: it coincides with a doorway of the scan (each covers at least half of the other), or it lies between two
     stretches of wall and is about as wide as a door or, as a door looks from the side, narrower.
     """
-    dx, dy = edge[1, 0] - edge[0, 0], edge[1, 1] - edge[0, 1]
+    dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.sqrt(dx * dx + dy * dy)
-    width = stretch[1] - stretch[0]
-    if stretch[0] > 0.0 and stretch[1] < length and limits.gap_min_m <= width <= limits.gap_max_m:
+    begin, end = stretch
+    if begin > 0.0 and end < length and limits.gap_min_m <= end - begin <= limits.gap_max_m:
         return True
     for door in range(doors.shape[0]):
         low, high, off = math.inf, -math.inf, 0.0
         for jamb in range(2):
-            x, y = doors[door, jamb, 0] - edge[0, 0], doors[door, jamb, 1] - edge[0, 1]
+            x, y = doors[door, jamb, 0] - a[0], doors[door, jamb, 1] - a[1]
             along = (x * dx + y * dy) / length
             low, high = min(low, along), max(high, along)
             off = max(off, abs(x * dy - y * dx) / length)
-        common = min(high, stretch[1]) - max(low, stretch[0])
-        if off < JAMB_DEPTH_M and 2.0 * common >= max(width, high - low):
+        common = min(high, end) - max(low, begin)
+        if off < JAMB_DEPTH_M and 2.0 * common >= max(end - begin, high - low):
             return True
     return False
 
@@ -237,26 +243,24 @@ def _write(rows: Array, at: int, edge: int, stretch: tuple[float, float], label:
 
 
 @kernel
-def edge_intervals(ring: Array, slack: Array, doors: Array, view: View, limits: Limits) -> Array:
+def edge_intervals(ring: Array, sigmas: Array, doors: Array, view: View, limits: Limits) -> Array:
     """Intervals (m,4) of a ring (k,2) around the origin: edge, start and end as share of its length, EdgeLabel.
 
-    `slack` (k,) is how far off each vertex may be, m; `doors` (g,2,2) are the jambs of the scan's doorways. An edge is
-    cut into the stretches that beams pass, GAP or OPEN, and what is left, WALL; without a stretch it is one WALL.
+    `sigmas` (k,) are those of the vertices, m; `doors` (g,2,2) the jambs of the scan's doorways. An edge is cut into
+    the stretches that beams pass, GAP or OPEN, and what is left, WALL; without a stretch it is one WALL.
     """
     size = ring.shape[0]
     rows, at = np.empty((view.ranges.shape[0] + 3 * size, 4)), 0
-    edge = np.empty((2, 2))
     for e in range(size):
-        edge[0], edge[1] = ring[e], ring[(e + 1) % size]
-        length = edge_from(edge[0], edge[1]).length
-        tolerance = max(slack[e], slack[(e + 1) % size])
-        stretches = passing_stretches(edge[0], edge[1], tolerance, view, limits)
+        a, b, slack = ring[e], ring[(e + 1) % size], edge_slack(sigmas[e], sigmas[(e + 1) % size], limits)
+        length = edge_from(a, b).length
+        stretches = passing_stretches(a, b, slack, view, limits)
         done = 0.0
         for s in range(stretches.shape[0]):
-            begin, end = stretches[s, 0] / length, stretches[s, 1] / length
-            label = GAP if _is_gap(edge, stretches[s], doors, limits) else OPEN
-            at = _write(rows, at, e, (done, begin), WALL)
-            at = _write(rows, at, e, (begin, end), label)
-            done = end
+            begin, end = stretches[s, 0], stretches[s, 1]
+            label = GAP if _is_gap(a, b, (begin, end), doors, limits) else OPEN
+            at = _write(rows, at, e, (done, begin / length), WALL)
+            at = _write(rows, at, e, (begin / length, end / length), label)
+            done = end / length
         at = _write(rows, at, e, (done, 1.0), WALL)
-    return rows[:at].copy()
+    return rows[:at]

@@ -175,17 +175,25 @@ def _measure_reach(graph: Graph) -> None:
 
 
 @kernel
-def _rank(best: Ranking, row: int, area: float, trace: int) -> int:
-    """Ranks a candidate that is of the row's size; its place, or -1. Equals stay behind those that came first."""
-    place = int(best.area.shape[1])
-    while place > 0 and area > best.area[row, place - 1]:
+def _rank(area: Array, trace: Ints, row: int, new_area: float, new_trace: int) -> int:
+    """Ranks a candidate in a row (keep,), largest area first; its place, or -1. Equals stay in order of arrival."""
+    keep = int(area.shape[1])
+    place = keep
+    while place > 0 and new_area > area[row, place - 1]:
         place -= 1
-    if place == best.area.shape[1]:
+    if place == keep:
         return -1
-    for later in range(best.area.shape[1] - 1, place, -1):
-        best.area[row, later], best.trace[row, later] = best.area[row, later - 1], best.trace[row, later - 1]
-    best.area[row, place], best.trace[row, place] = area, trace
+    for later in range(keep - 1, place, -1):
+        area[row, later], trace[row, later] = area[row, later - 1], trace[row, later - 1]
+    area[row, place], trace[row, place] = new_area, new_trace
     return place
+
+
+@kernel
+def _clear(area: Array, row: int) -> None:
+    """Empties a row."""
+    for place in range(area.shape[1]):
+        area[row, place] = -math.inf
 
 
 @kernel
@@ -195,8 +203,9 @@ def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> t
     A ring holds positions of `points`, counter-clockwise from the smallest; size 0: no cycle.
     Every cycle crosses any ray from the origin with exactly one edge. So the ray crossed by the fewest edges is taken,
     and for each edge across it the best left-turning chains that close it are found by dynamic programming over the
-    others, in order of bearing. Count and area add up over the triangles (origin, i, j): exact lexicographic maxima,
-    and of the chains that end with one edge only those with most vertices can matter.
+    others, in order of bearing: first only how long they get, then, where they get longest, by area. Count and area add
+    up over the triangles (origin, i, j): exact lexicographic maxima, and of the chains that end with one edge only
+    those with most vertices can matter.
     """
     n = points.shape[0]
     rings, sizes = np.full((keep, n), -1, np.int64), np.zeros(keep, np.int64)
@@ -207,92 +216,110 @@ def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> t
     edges = graph.ends.shape[0]
     chains = Ranking(np.empty(edges, np.int64), np.empty((edges, keep)), np.empty((edges, keep), np.int64))
     best = Ranking(np.zeros(1, np.int64), np.full((1, keep), -math.inf), np.zeros((1, keep), np.int64))
+    lengths = np.zeros((n, n), np.int64)
     for span in range(n - 1, 1, -1):
         for head in range(n - span):
-            if span + 1 >= best.size[0] and allowed[(cut + head + span) % n, (cut + head) % n]:
-                _close(graph, (head + span, head), chains, best, rings)
+            tail = head + span
+            if span + 1 >= best.size[0] and allowed[(cut + tail) % n, (cut + head) % n]:
+                lengths[head, tail] = _longest(graph, tail, head, chains.size, best.size[0])
+                best.size[0] = max(best.size[0], lengths[head, tail])
+    for head in range(n):
+        for tail in range(head, n):
+            if lengths[head, tail] == best.size[0] > 0:
+                _close(graph, (tail, head), chains, best, rings)
     for place in range(keep):
         if best.area[0, place] > -math.inf:
             sizes[place] = best.size[0]
-            _name(rings[place], best.size[0], cut)
-        else:
-            rings[place] = -1
+            _name(rings, place, best.size[0], cut)
     return sizes, rings
 
 
 @kernel
-def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Ranking, rings: Ints) -> None:
-    """Ranks the cycles that close with the edge tail -> head: left-turning chains of edges from head to tail."""
-    tail, head = closing
-    points, vector = graph.points, graph.vector
-    cx, cy = points[head, 0] - points[tail, 0], points[head, 1] - points[tail, 1]
-    base = cross(points[tail, 0], points[tail, 1], points[head, 0], points[head, 1])
-    chains.size[graph.first[head] : graph.first[tail]] = 0
-    for e in range(graph.first[head], graph.first[tail]):
-        i, j = graph.ends[e, 0], graph.ends[e, 1]
-        if i == head and turns_left(cx, cy, vector[e, 0], vector[e, 1], graph.tolerance2):
-            chains.size[e], chains.trace[e, 0] = 2, -1
-            chains.area[e], chains.area[e, 0] = -math.inf, base + vector[e, 2]
-        if chains.size[e] == 0 or j > tail or chains.size[e] + graph.reach[e] - 1 < best.size[0]:
+def _longest(graph: Graph, tail: int, head: int, size: Ints, least: int) -> int:
+    """Vertices of the longest cycle that closes with the edge tail -> head, 0 if it has fewer than `least`."""
+    first, ends, vector, reach, tolerance2 = graph.first, graph.ends, graph.vector, graph.reach, graph.tolerance2
+    cx, cy = graph.points[head, 0] - graph.points[tail, 0], graph.points[head, 1] - graph.points[tail, 1]
+    longest = 0
+    for e in range(first[head], first[tail]):
+        size[e] = 2 if e < first[head + 1] and turns_left(cx, cy, vector[e, 0], vector[e, 1], tolerance2) else 0
+    for e in range(first[head], first[tail]):
+        middle, ax, ay, grown = ends[e, 1], vector[e, 0], vector[e, 1], size[e] + 1
+        if grown == 1 or middle > tail or grown + reach[e] - 2 < least:
             continue
-        if j < tail:
-            _extend(graph, e, tail, chains)
-        elif chains.size[e] >= best.size[0] and turns_left(vector[e, 0], vector[e, 1], cx, cy, graph.tolerance2):
-            _record(graph, e, chains, best, rings)
+        if middle == tail and grown > longest + 1 and turns_left(ax, ay, cx, cy, tolerance2):
+            longest = grown - 1
+        for f in range(first[middle], first[middle + 1]):
+            if grown > size[f] and ends[f, 1] <= tail and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2):
+                size[f] = grown
+    return longest if longest >= least else 0
 
 
 @kernel
-def _extend(graph: Graph, e: int, tail: int, chains: Ranking) -> None:
-    """Hands the chains that end with edge e on to the edges after it, as far as `tail`."""
-    first, ends, vector, tolerance2 = graph.first, graph.ends, graph.vector, graph.tolerance2
-    ax, ay, size, keep = vector[e, 0], vector[e, 1], chains.size[e] + 1, chains.area.shape[1]
-    for f in range(first[ends[e, 1]], first[ends[e, 1] + 1]):
-        if ends[f, 1] > tail:
-            break
-        if size < chains.size[f] or not turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2):
+def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Ranking, rings: Ints) -> None:
+    """Ranks the longest cycles that close with the edge tail -> head: left-turning chains of edges from head to tail.
+
+    Each chain is handed on to the edges after its last one, unless it cannot become as long as the longest cycle.
+    """
+    tail, head = closing
+    first, ends, vector, reach, tolerance2 = graph.first, graph.ends, graph.vector, graph.reach, graph.tolerance2
+    size, area, trace, keep = chains.size, chains.area, chains.trace, rings.shape[0]
+    cx, cy = graph.points[head, 0] - graph.points[tail, 0], graph.points[head, 1] - graph.points[tail, 1]
+    base = cross(graph.points[tail, 0], graph.points[tail, 1], graph.points[head, 0], graph.points[head, 1])
+    for e in range(first[head], first[tail]):
+        size[e] = 0
+    for e in range(first[head], first[tail]):
+        j, ax, ay = ends[e, 1], vector[e, 0], vector[e, 1]
+        if ends[e, 0] == head and turns_left(cx, cy, ax, ay, tolerance2):
+            size[e] = 2
+            _clear(area, e)
+            _rank(area, trace, e, base + vector[e, 2], -1)
+        if size[e] == 0 or j > tail or size[e] + reach[e] - 1 < best.size[0]:
             continue
-        if size > chains.size[f]:
-            chains.size[f] = size
-            for slot in range(keep):
-                chains.area[f, slot] = -math.inf
-        for slot in range(keep):
-            area = chains.area[e, slot] + vector[f, 2]
-            if area <= chains.area[f, keep - 1]:
-                break
-            _rank(chains, f, area, e * keep + slot)
+        if j == tail and size[e] == best.size[0] and turns_left(ax, ay, cx, cy, tolerance2):
+            _record(graph, e, chains, best, rings)
+        for f in range(first[j], first[j + 1]):
+            if (
+                size[e] + 1 < size[f]
+                or ends[f, 1] > tail
+                or not turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2)
+            ):
+                continue
+            if size[e] + 1 > size[f]:
+                size[f] = size[e] + 1
+                _clear(area, f)
+            slot = 0
+            while slot < keep and area[e, slot] + vector[f, 2] > area[f, keep - 1]:
+                _rank(area, trace, f, area[e, slot] + vector[f, 2], e * keep + slot)
+                slot += 1
 
 
 @kernel
 def _record(graph: Graph, e: int, chains: Ranking, best: Ranking, rings: Ints) -> None:
     """Ranks the cycles closed by chains that end with edge e, and writes their vertices down, from head to tail."""
-    keep, size = rings.shape[0], chains.size[e]
-    if size > best.size[0]:
-        best.size[0], best.area[0] = size, -math.inf
+    keep, n, ends, trace = rings.shape[0], rings.shape[1], graph.ends, chains.trace
     for slot in range(keep):
-        if chains.area[e, slot] == -math.inf:
-            return
-        place = _rank(best, 0, chains.area[e, slot], 0)
+        area = chains.area[e, slot]
+        place = _rank(best.area, best.trace, 0, area, 0) if area > -math.inf else -1
         if place < 0:
             return
-        for later in range(keep - 1, place, -1):
-            rings[later] = rings[later - 1]
+        for cell in range(keep * n - 1, (place + 1) * n - 1, -1):
+            rings[cell // n, cell % n] = rings[cell // n - 1, cell % n]
         state = e * keep + slot
-        for position in range(size - 1, 0, -1):
-            rings[place, position] = graph.ends[state // keep, 1]
-            rings[place, 0] = graph.ends[state // keep, 0]
-            state = chains.trace[state // keep, state % keep]
+        for position in range(chains.size[e] - 1, 0, -1):
+            rings[place, position] = ends[state // keep, 1]
+            rings[place, 0] = ends[state // keep, 0]
+            state = trace[state // keep, state % keep]
 
 
 @kernel
-def _name(ring: Ints, size: int, cut: int) -> None:
+def _name(rings: Ints, row: int, size: int, cut: int) -> None:
     """Turns a ring of positions counted from `cut` into plain positions, the smallest first."""
-    n = ring.shape[0]
+    n = rings.shape[1]
     named = np.empty(size, np.int64)
     smallest = 0
     for i in range(size):
-        named[i] = (ring[i] + cut) % n
+        named[i] = (rings[row, i] + cut) % n
         if named[i] < named[smallest]:
             smallest = i
     for i in range(size):
-        ring[i] = named[(smallest + i) % size]
-    ring[size:] = -1
+        rings[row, i] = named[(smallest + i) % size]

@@ -285,14 +285,14 @@ def test_the_lazy_guard_finds_what_forbidding_all_cut_edges_first_finds():
     resolved = 0
     for _ in range(300):
         points = random_sites(rng, 10, 0.1)
-        slack = np.full(len(points), 0.02)
+        sigmas = np.full(len(points), 0.02 / LIMITS.tolerance_sigmas)
         view = View(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_))
         allowed = visible_edges(points, 0.02)
         free = allowed.copy()
         for i, j in np.argwhere(allowed):
             free[i, j] = not edge_is_cut(points[i], points[j], 0.02, view, LIMITS)
         expected = best_cycles(points, free, 0.02, 2)
-        found = best_free_cycles(points, slack, 0.02, 2, view, LIMITS)
+        found = best_free_cycles(points, sigmas, 2, view, LIMITS)
         np.testing.assert_array_equal(found[0], expected[0])
         np.testing.assert_array_equal(found[1], expected[1])
         resolved += not np.array_equal(expected[1], best_cycles(points, allowed, 0.02, 2)[1])

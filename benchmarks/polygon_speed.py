@@ -1,0 +1,110 @@
+"""Time of the MECP search: the kernel with its lazy guard on random sites, and the whole stage on real scans.
+
+Times are those of the processor spent by this thread. "kernel" is one call from Python of search and guard (720 beams
+that end on a wall 9 m away, tolerance 5 cm, two ties kept) for n sites in a 10 x 10 m square or on an ellipse.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures
+from mecp_env.slam.clustering import cluster_beams
+from mecp_env.slam.config import PolygonConfig, SlamConfig
+from mecp_env.slam.corners import extract_corners
+from mecp_env.slam.data import Beams, Corners
+from mecp_env.slam.polygon import beams_on_walls, find_polygons
+from mecp_env.slam.polygon_edges import Limits, View
+from mecp_env.slam.polygon_guard import best_free_cycles
+from mecp_env.slam.polygon_kernels import order_by_bearing
+from mecp_env.slam.segments import extract_segments
+from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.outline import build_outline, random_free_pose
+
+Array = NDArray[np.float64]
+Item = TypeVar("Item")
+SeenScan = tuple[Corners, Beams, NDArray[np.bool_]]
+
+SITES = (5, 10, 15, 20, 30, 40)
+SIGMA_M = 0.02
+LIMITS = Limits(2.5, 0.2, 3, 0.2, 0.4, 0.4, 1.2)
+VIEW = View(
+    np.full(720, 9.0), (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi, np.ones(720, np.bool_)
+)
+
+
+def measure(sets: int = 100) -> Figures:
+    """Median microseconds: {"kernel": {"uniform" | "convex": {"n=5": us, ...}}, "scans": {layout: {...}}}."""
+    return {
+        "kernel": {
+            "uniform": {f"n={n}": median_us(search, uniform(n, sets)) for n in SITES},
+            "convex": {f"n={n}": median_us(search, convex(n, sets)) for n in SITES},
+        },
+        "scans": {name: on_scans(name, sets) for name in shipped_layouts()},
+    }
+
+
+def search(sites: Array) -> object:
+    """Search and guard on sites sorted by bearing."""
+    return best_free_cycles(sites, np.full(len(sites), SIGMA_M), 2, VIEW, LIMITS)
+
+
+def uniform(n: int, sets: int) -> list[Array]:
+    """Sites anywhere in a square around the robot."""
+    rng = np.random.default_rng(n)
+    return [by_bearing(rng.uniform(-5.0, 5.0, (n, 2))) for _ in range(sets)]
+
+
+def convex(n: int, sets: int) -> list[Array]:
+    """Sites on an ellipse around the robot: the worst case of the search."""
+    rng = np.random.default_rng(n)
+    angles = [np.sort(rng.uniform(0.0, 2.0 * math.pi, n)) for _ in range(sets)]
+    return [by_bearing(np.column_stack([5.0 * np.cos(a), 3.0 * np.sin(a)])) for a in angles]
+
+
+def by_bearing(points: Array) -> Array:
+    """The points in the order that the kernels want."""
+    return np.ascontiguousarray(points[order_by_bearing(points)])
+
+
+def on_scans(layout: str, scans: int) -> Figures:
+    """The whole stage, edge intervals included, on scans from random poses of a layout at the paper's noise."""
+    seen = list(scans_of(layout, scans))
+    config = PolygonConfig()
+    return {
+        "sites": float(np.median([corners.sites.sum() for corners, _, _ in seen])),
+        "stage_us": median_us(lambda scan: find_polygons(scan[0], scan[1], config, scan[2]), seen),
+    }
+
+
+def scans_of(layout: str, scans: int) -> Iterator[SeenScan]:
+    """Corners, beams and which beams are walls', from random poses."""
+    outline, config, rng = build_outline(load_layout(layout)), SlamConfig(), np.random.default_rng(0)
+    laser = Laser(outline, LaserConfig())
+    for _ in range(scans):
+        beams = merge_sweeps(laser.scan(random_free_pose(outline, rng, 0.3), rng), config.sensor)
+        clusters = cluster_beams(beams, config.clustering, config.sensor)
+        segments = extract_segments(beams, clusters, config.segments, config.sensor)
+        corners = extract_corners(beams, segments, config.corners, config.sensor)
+        yield corners, beams, beams_on_walls(clusters, beams)
+
+
+def median_us(call: Callable[[Item], object], items: Sequence[Item], repeats: int = 20) -> float:
+    """Median over the items of the mean time of one call."""
+    times = []
+    for item in items:
+        call(item)
+        start = time.thread_time_ns()
+        for _ in range(repeats):
+            call(item)
+        times.append((time.thread_time_ns() - start) * 1e-3 / repeats)
+    return float(np.median(times))
