@@ -20,7 +20,6 @@ CROSSING, FREE_END = int(CornerKind.CROSSING), int(CornerKind.FREE_END)
 REACH = 14  # beams on either side of an end that are looked at
 COUNT_BEAMS, FAR_BEAMS = 3, 2  # beams before and after a transition that make sure of it
 PLAIN_REST = 2  # beams after an end that belong to neither side, where no face can be seen
-ON_LINE_SIGMAS = 2.5
 COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
 FACE_BEAMS = 2  # beams of a second face, at least, without a jump behind it
@@ -95,8 +94,8 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
     rules, noise = rules_and_noise
     segment, side = end
     alpha, rho = walls.line[segment, 0], walls.line[segment, 1]
-    position, gone = last_on_line(sight, walls, end, noise)
-    inner = min(REACH, walls.last[segment] - walls.first[segment] - 2 + gone)
+    position = walls.last[segment] if side > 0 else walls.first[segment]
+    inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
     end_range = rho / math.cos(sight.polar[position, 1] - alpha)
     previous, far = end_range, 0
     for k in range(1, REACH + FAR_BEAMS + 1):
@@ -112,30 +111,6 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
             return End(alpha, rho, position, side, inner, k - 1 - far, OTHER)
         far, previous = 0, r  # a lone far beam: bearing noise mixes the beams beside an edge
     return End(alpha, rho, position, side, inner, REACH, OTHER)
-
-
-@kernel
-def last_on_line(sight: Sight, walls: Walls, end: tuple[int, int], noise: Noise) -> tuple[int, int]:
-    """Position of the last beam on the line beyond the end of segment end[0] on side end[1], and how many they are."""
-    segment, side = end
-    position = walls.last[segment] if side > 0 else walls.first[segment]
-    for gone in range(REACH):
-        q = (position + side) % sight.polar.shape[0]
-        if not on_line(sight, walls, segment, q, noise):
-            return position, gone
-        position = q
-    return position, REACH
-
-
-@kernel
-def on_line(sight: Sight, walls: Walls, segment: int, q: int, noise: Noise) -> bool:
-    """True when the beam at position q fits the line of the segment."""
-    cosine = math.cos(sight.polar[q, 1] - walls.line[segment, 0])
-    if cosine < STEEPEST or not sight.hit[q]:
-        return False
-    slant = walls.line[segment, 1] * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
-    sigma = math.hypot(noise.range_m, slant * noise.bearing) / math.sqrt(sight.polar[q, 2])
-    return bool(abs(sight.polar[q, 0] - walls.line[segment, 1] / cosine) <= ON_LINE_SIGMAS * sigma)
 
 
 @kernel
@@ -214,13 +189,15 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     step = 2.0 * math.pi / sight.polar.shape[0]
     table = beam_table(sight, end, after, noise)
     costs = np.empty(2 * (end.inner + end.rest) + 1)
-    best = 0
+    best, start, before = 0, 0, 0.0
     for k in range(costs.shape[0]):
         offset = (0.5 * k + 0.25 - end.inner) * step
         along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
-        costs[k] = 0.0
-        for m in range(table.shape[0]):
-            costs[k] += table[m, 1] if table[m, 0] < offset else face_cost(table[m], along, noise)
+        while start < table.shape[0] and table[start, 0] < offset:
+            before, start = before + table[start, 1], start + 1
+        costs[k] = before
+        for m in range(start, table.shape[0]):
+            costs[k] += face_cost(table[m], along, noise)
         if costs[k] < costs[best]:
             best = k
     weight, first, second = 0.0, 0.0, 0.0
@@ -268,7 +245,7 @@ def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
 def face_cost(beam: Array, along: float, noise: Noise) -> float:
     """Chi-square of a beam (row of beam_table) on the face at a right angle, `along` metres along the wall."""
     if beam[4] == math.inf:
-        return beam[6]
+        return float(beam[6])
     if along * beam[2] <= 1e-9:
         return COST_CAP
     expected = along / beam[2]

@@ -17,6 +17,7 @@ from mecp_env.slam.noise import Noise
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
+SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
 SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
 
 
@@ -25,8 +26,10 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
     """Points (B,4): x, y, variances along and across the ray; prefix sums (B+1,8) of x, y, xx, xy, yy, covariance."""
     size = polar.shape[0]
     points, sums = np.empty((size, 4)), np.zeros((size + 1, 8))
+    c, s, bearing = 1.0, 0.0, math.inf
     for i in range(size):
-        c, s, r = math.cos(polar[i, 1]), math.sin(polar[i, 1]), polar[i, 0]
+        c, s = turned_by(c, s, bearing, polar[i, 1])
+        r, bearing = polar[i, 0], polar[i, 1]
         along = noise.range_m**2 / polar[i, 2]
         across = (r * noise.bearing) ** 2 / polar[i, 2]
         x, y = r * c, r * s
@@ -37,6 +40,17 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
         sums[i + 1, 6] = sums[i, 6] + (along - across) * c * s
         sums[i + 1, 7] = sums[i, 7] + along * s * s + across * c * c
     return points, sums
+
+
+@kernel
+def turned_by(c: float, s: float, bearing: float, following: float) -> tuple[float, float]:
+    """Cosine and sine of `following`, from those of the bearing before it: a small turn needs no trigonometry."""
+    turn = following - bearing
+    if not abs(turn) < SMALL_TURN:
+        return math.cos(following), math.sin(following)
+    q = turn * turn
+    ct, st = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0)), turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
+    return c * ct - s * st, s * ct + c * st
 
 
 @kernel
@@ -180,8 +194,8 @@ def absorb_slivers(sums: Array, first: int, ends: Ints, size: int, gain: float) 
 def straighten(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
     """Merges and refines: coarse breaks first, then fine ones."""
     size = merge_stretches(sums, first, ends, size, gain)
-    refine_breaks(sums, first, ends, size, 12)
+    refine_breaks(sums, first, ends, size, 8)
     size = absorb_slivers(sums, first, ends, size, gain)
     size = merge_stretches(sums, first, ends, size, gain)
-    refine_breaks(sums, first, ends, size, 4)
+    refine_breaks(sums, first, ends, size, 3)
     return size
