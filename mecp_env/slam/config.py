@@ -50,6 +50,8 @@ class CornerConfig(Settings):
     end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a free end the next beams are farther by this, and
     end_jump_sigmas: float = Field(4.0, ge=0.0, le=20.0)  # this many sigmas of the range
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
+    short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
+    covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
     door_width_m: tuple[float, float] = (0.75, 1.05)
     door_range_m: float = Field(3.5, gt=0.0, le=30.0)
@@ -157,6 +159,7 @@ class SlamConfig(Settings):
         return cls(
             clustering=ClusteringConfig(threshold="adaptive"),  # III-A.1: d / cos(85 deg), no noise term
             segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
+            corners=CornerConfig(short_faces=False, covariance="sensor"),  # two lines or an end; IV: constant sigmas
             polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False),  # III-A.2: exact, walls are not asked
             tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
             association=AssociationConfig(

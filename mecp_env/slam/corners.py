@@ -19,6 +19,7 @@ from mecp_env.slam.noise import Noise, noise_of, roll_beams, roll_hits
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+FACE_EVIDENCE = 12.0  # chi-square that a face too short for a segment must save, to be believed
 TWIN_M, TWIN_RAD = 0.25, math.radians(45.0)  # how far apart two finds of one corner may lie and their faces may look
 
 
@@ -41,6 +42,8 @@ def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sens
     (z, cov, kind, convex, normals, beyond, sites), (jambs, width, good) = find_corners(
         sight, walls, _rules(config, noise), _doors(config), noise
     )
+    if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
+        cov = np.diag(np.tile([noise.range_m**2, noise.bearing**2], len(z)))
     return Corners(z, cov, kind, convex, normals, beyond, sites, Doorways(jambs, width, good))
 
 
@@ -50,6 +53,7 @@ def _rules(config: CornerConfig, noise: Noise) -> Rules:
         config.end_jump_m + config.end_jump_sigmas * noise.range_m,
         config.max_sigma_m**2,
         config.floor_share * noise.range_m,
+        FACE_EVIDENCE if config.short_faces else math.inf,
     )
 
 

@@ -29,6 +29,7 @@ class Rules(NamedTuple):
     jump: float  # m, to what lies behind a free end
     max_variance: float  # m^2
     floor: float  # m, least sigma
+    evidence: float  # chi-square that a face too short for a segment must save, to be believed
 
 
 class Sight(NamedTuple):

@@ -23,7 +23,6 @@ PLAIN_REST = 2  # beams after an end that belong to neither side, where no face 
 COLLINEAR_M, SIGMAS, STEP_SHARE = 0.1, 4.0, 0.1
 COST_CAP, COST_FAR = 9.0, 2.0  # chi-square of a beam that fits neither face, of one that passes the end
 FACE_BEAMS = 2  # beams of a second face, at least, without a jump behind it
-EVIDENCE = 12.0  # chi-square that a face too short for a segment must save, to be believed
 MISFIT = 3.5  # mean chi-square of its beams at most
 SMEAR = 0.5642  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
 FAR, OTHER = 1, 2  # what follows the beams beside an end
@@ -70,7 +69,7 @@ def add_end(
         ray = kink_ray(sight, what, noise)
     else:
         return n
-    seen = ray.evidence > EVIDENCE
+    seen = ray.evidence > rules.evidence
     if not seen and (what.follows != FAR or (tangent >= 0.0 and what.rest > PLAIN_REST)):
         return n
     if math.cos(ray.bearing - what.alpha) < STEEPEST:

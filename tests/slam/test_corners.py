@@ -221,23 +221,27 @@ def truth_of(corners, points):
 @pytest.mark.parametrize("sweeps", [1, 4])
 def test_joint_covariance_of_corners_that_share_walls(sensor, sweeps):
     """All four corners of a room at once: 8 degrees of freedom; taken as independent they would be over-confident."""
-    joint, alone, samples = [], [], []
-    for seed in range(250):
+    joint, alone, samples, covs = [], [], [], []
+    for seed in range(300):
         corners, points = corners_of(ROOM, sensor, seed, sweeps)
         nu = corners.z.ravel() - truth_of(corners, points)
         nu[1::2] = (nu[1::2] + math.pi) % (2 * math.pi) - math.pi
         joint.append(nu @ np.linalg.solve(corners.cov, nu))
-        alone.append(
-            np.mean([nu[2 * i : 2 * i + 2] @ np.linalg.solve(corners.R[i], nu[2 * i : 2 * i + 2]) for i in range(4)])
-        )
+        pairs = nu.reshape(4, 2, 1)
+        alone.append(np.mean(pairs.transpose(0, 2, 1) @ np.linalg.solve(corners.R, pairs)))
         samples.append(nu)
+        covs.append(corners.cov)
     assert 7.0 < np.mean(joint) < 9.3
     assert 1.6 < np.mean(alone) < 2.4
-    sample = np.cov(np.array(samples).T)
-    scale = np.sqrt(np.outer(np.diag(sample), np.diag(sample)))
-    predicted = corners.cov / np.sqrt(np.outer(np.diag(corners.cov), np.diag(corners.cov)))
-    np.testing.assert_allclose(sample / scale, predicted, atol=0.25)
-    assert np.abs(predicted - np.kron(np.eye(4), np.ones((2, 2))) * predicted).max() > 0.3  # correlated across corners
+    predicted = correlation(np.mean(covs, axis=0))
+    np.testing.assert_allclose(correlation(np.cov(np.array(samples).T)), predicted, atol=0.3)
+    assert np.abs(predicted * (1.0 - np.kron(np.eye(4), np.ones((2, 2))))).max() > 0.3  # across corners
+
+
+def correlation(cov):
+    """The correlation matrix of a covariance."""
+    sigma = np.sqrt(np.diag(cov))
+    return cov / np.outer(sigma, sigma)
 
 
 def test_joint_covariance_is_symmetric_and_positive():
@@ -292,3 +296,19 @@ def test_the_smallest_angle_of_a_crossing_is_a_setting():
     at(polar_to_points(corners.z), 3.0, 0.0)
     strict = extract_corners(beams, segments, CornerConfig(min_angle_deg=40.0), LMS200)
     assert len(strict) == len(corners) - 1
+
+
+def test_constant_sigmas_of_the_paper():
+    config = SlamConfig(corners=CornerConfig(covariance="sensor"))
+    corners = front_end(take_scan(ROOM), PAPER, config)[-1]
+    np.testing.assert_allclose(corners.cov, np.diag([0.05**2, (0.3 * DEG) ** 2] * 4))
+
+
+def test_short_faces_can_be_left_out():
+    room = ring((3.0, -3.0), (3.0, 1.0), (-2.0, 1.0), (-2.0, -3.0))
+    scan = take_scan(np.concatenate([room, chain((1.4, 0.50), (1.4, 0.9))]), LMS200, seed=1)
+    with_faces, without = (
+        front_end(scan, LMS200, SlamConfig(corners=CornerConfig(short_faces=short)))[-1] for short in (True, False)
+    )
+    at(polar_to_points(with_faces.z), 3.0, 1.0)
+    assert not (np.hypot(*(polar_to_points(without.z) - [3.0, 1.0]).T) < 0.3).any()
