@@ -20,7 +20,7 @@ from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.polygon_speed import SITES
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.stopwatch import STAGES, Stopwatch, timed_stages
+from mecp_env.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser, cast_rays
 from mecp_env.world.layout import load_layout
@@ -164,7 +164,7 @@ def report(figures: Figures) -> str:
     """Tables: steps a second, share of the stages, rays, polygons."""
     settings = [(k, actions, values) for k, both in figures["env"].items() for actions, values in both.items()]
     speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
-    names = [*(name for name, _, _ in STAGES), "rest", "step", "drive"]
+    names = [*STAGE_NAMES, "rest", "step", "drive"]
     stages = [(name, *(round(v["us"][name], 1) for _, _, v in settings)) for name in names]
     kernel, scans = figures["polygon"]["kernel"], figures["polygon"]["scans"]
     sites = [(n, *(round(kernel[kind][f"n={n}"], 1) for kind in ("uniform", "convex"))) for n in SITES]

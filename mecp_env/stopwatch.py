@@ -15,6 +15,10 @@ import mecp_env.slam.pipeline
 from mecp_env.metrics import EpisodeMetrics
 from mecp_env.observations import Observer
 from mecp_env.planning.navigator import Navigator
+from mecp_env.slam.association.known import KnownAssociator
+from mecp_env.slam.association.mecp import MecpAssociator
+from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
+from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.pipeline import SlamPipeline
@@ -24,7 +28,7 @@ from mecp_env.world.simulation import Simulation
 env: Any = mecp_env.env
 pipeline: Any = mecp_env.slam.pipeline
 
-# stage -> the function or method that is it, where the environment and the pipeline look it up; none calls another
+# stage -> a function or method that is it, where the environment and the pipeline look it up; none calls another
 STAGES: tuple[tuple[str, Any, str], ...] = (
     ("simulation", Simulation, "step"),
     ("laser", Laser, "scan"),
@@ -34,9 +38,12 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("segments", pipeline, "extract_segments"),
     ("corners", pipeline, "extract_corners"),
     ("polygons", pipeline, "find_polygons"),
-    ("association", SlamPipeline, "_associate"),
+    ("association", MecpAssociator, "associate"),
+    ("association", MecpPaperAssociator, "associate"),
+    ("association", NearestAssociator, "associate"),
+    ("association", KnownAssociator, "associate"),
     ("filter predict", LandmarkFilter, "predict"),
-    ("filter update", SlamPipeline, "_correct"),
+    ("filter update", LandmarkFilter, "update"),
     ("map growth", SlamPipeline, "_grow_map"),
     ("grid", GridPainter, "paint"),
     ("goals", env, "find_goals"),
@@ -45,6 +52,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("observation", Observer, "observe"),
     ("info", env.MecpEnv, "_info"),
 )
+STAGE_NAMES = tuple(dict.fromkeys(name for name, _, _ in STAGES))
 STEP = ("step", env.MecpEnv, "step")
 DRIVE = ("drive", Navigator, "step")
 
@@ -56,7 +64,7 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self.seconds = dict.fromkeys([name for name, _, _ in (*STAGES, STEP, DRIVE)], 0.0)
+        self.seconds = dict.fromkeys([*STAGE_NAMES, "step", "drive"], 0.0)
         self.periods = 0
         self._period = dict.fromkeys(self.seconds, 0.0)  # of this period so far
         self._compiled = False
@@ -76,7 +84,7 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
     def microseconds(self) -> dict[str, float]:
         """Mean time of each stage in a control period, us; `rest` is what of `step` is no stage."""
         times = {name: 1e6 * seconds / max(self.periods, 1) for name, seconds in self.seconds.items()}
-        return times | {"rest": times["step"] - sum(times[name] for name, _, _ in STAGES)}
+        return times | {"rest": times["step"] - sum(times[name] for name in STAGE_NAMES)}
 
     def around(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """`function`, whose time counts for `stage`."""
