@@ -14,8 +14,9 @@ class GoalsConfig(Settings):
     open_width_m: float = Field(0.5, gt=0.0, le=5.0)  # narrower open intervals are no goals
     bare_m: float = Field(0.6, gt=0.0, le=5.0)  # pieces of floor without a polygon as wide are goals
     bare_cells: int = Field(10, ge=1, le=1000)  # and of so many cells, not counting the rim
+    further_m: float = Field(1.0, gt=0.0, le=5.0)  # into a room without a polygon, from where it was entered
     candidate_m: float = Field(1.5, gt=0.0, le=5.0)  # a door candidate is looked at from so far
-    door_beyond_m: float = Field(0.7, gt=0.0, le=3.0)  # the goal lies so far beyond the middle of a door
+    door_beyond_m: float = Field(0.9, gt=0.0, le=3.0)  # the goal lies so far beyond the middle of a door
     frontier_cells: int = Field(5, ge=1, le=1000)  # smaller frontiers are no goals
     door_clear_m: float = Field(0.5, ge=0.0, le=3.0)  # frontier cells as near to a door belong to the door
     reach_m: float = Field(0.8, gt=0.0, le=3.0)  # a goal counts as reachable when the robot can come so near

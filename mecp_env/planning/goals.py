@@ -105,14 +105,14 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     if not report.grid.label.size:
         return Goals()
     field_ = way_field(report.grid, report.belief.T_map_robot, config.paths)
-    found = [
-        opened := open_goals(report, config.goals),
-        bare_goals(report, set(opened.room.tolist()), config.goals),
-        candidate_goals(report, config.goals),
-        frontier_goals(report, config.goals),
-        door_goals(report, config.goals),
-    ]
-    goals = join(found)
+    goals = join(
+        [
+            uncovered_goals(report, book, config.goals),
+            candidate_goals(report, config.goals),
+            frontier_goals(report, config.goals),
+            door_goals(report, config.goals),
+        ]
+    )
     goals = with_paths(goals, field_, config.goals)
     goals = without_given_up(goals, book, config.goals)
     goals = with_levels(goals, report, book)
@@ -145,6 +145,18 @@ def positions(belief: Belief, ids: Ints) -> Array:
     p_map = np.full((last + 1, 2), np.nan)
     p_map[belief.ids] = belief.p_map
     return p_map[ids]
+
+
+def uncovered_goals(report: StepReport, book: GoalBook, config: GoalsConfig) -> Goals:
+    """Where no polygon lies: beyond open edges; in rooms without one on bare floor; without either further in."""
+    goals = open_goals(report, config)
+    goals = join([goals, without_rooms(bare_goals(report, config), goals)])
+    return join([goals, without_rooms(empty_room_goals(report, book, config), goals)])
+
+
+def without_rooms(goals: Goals, others: Goals) -> Goals:
+    """The goals in rooms that hold none of the others."""
+    return goals.take(np.flatnonzero(~np.isin(goals.room, others.room)))
 
 
 def open_goals(report: StepReport, config: GoalsConfig) -> Goals:
@@ -215,8 +227,8 @@ def door_goals(report: StepReport, config: GoalsConfig) -> Goals:
     return make_goals(GoalKind.DOOR, middle + config.door_beyond_m * onward, width, rooms, ids)
 
 
-def bare_goals(report: StepReport, done: set[int], config: GoalsConfig) -> Goals:
-    """The middle of each wide piece of floor that no polygon covers, in rooms without open edges (not in `done`).
+def bare_goals(report: StepReport, config: GoalsConfig) -> Goals:
+    """The middle of each wide piece of floor that no polygon covers.
 
     "There is no region of the room that is not occupied by at least one polygon" (III-B): a room just entered has no
     polygon yet, and none with an open edge.
@@ -225,8 +237,23 @@ def bare_goals(report: StepReport, done: set[int], config: GoalsConfig) -> Goals
     span = max(round(config.bare_m / 2 / cell), 1)
     layers = (grid.label, grid.polygon, grid.room)
     bare, cells = kernels.bare_cells(layers, span, gap_middles(report), config.door_clear_m / cell)
-    goals = cluster_goals(GoalKind.OPEN, report, (bare, cells), config.bare_cells)
-    return goals.take(np.flatnonzero([room not in done for room in goals.room.tolist()]))
+    return cluster_goals(GoalKind.OPEN, report, (bare, cells), config.bare_cells)
+
+
+def empty_room_goals(report: StepReport, book: GoalBook, config: GoalsConfig) -> Goals:
+    """A place further into each room that was entered and has no polygon yet.
+
+    Its floor may be covered all the same: when it is a known room, entered by another door, which a polygon will tell.
+    """
+    graph = report.graph
+    known = {graph.resolve(polygon.room) for polygon in report.known_polygons}
+    empty = sorted({room for room in book.entry if graph.resolve(room) == room} - known)
+    doors, _, _ = door_places(graph.doors, report.belief)
+    entries = np.array([book.entry[room] for room in empty]).reshape(-1, 2)
+    for p_entry in entries if len(doors) else ():
+        onward = p_entry - doors[np.hypot(*(doors - p_entry).T).argmin()]
+        p_entry += config.further_m * onward / max(float(np.hypot(*onward)), 1e-9)
+    return make_goals(GoalKind.OPEN, entries, np.full(len(empty), config.bare_m), np.array(empty, np.int64))
 
 
 def frontier_goals(report: StepReport, config: GoalsConfig) -> Goals:

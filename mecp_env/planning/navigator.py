@@ -13,7 +13,7 @@ from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import follow, is_safe, look_ahead, off_path, seen_points, stop_path
 from mecp_env.planning.goals import GoalKind, Goals, door_places
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Cell, Door, StepReport
+from mecp_env.slam.data import NO_ID, Array, Cell, Door, StepReport
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
 APPROACH_M = 0.6  # a door is entered along its normal from so far
@@ -154,24 +154,24 @@ class Navigator:
 
 
 def settled(target: Target, report: StepReport) -> bool:
-    """True when a goal has nothing more to show: covered, confirmed, known, or passed."""
+    """True when a goal has nothing more to show: covered, confirmed, known, or gone."""
     if target.kind == GoalKind.OPEN:
-        return covered(target.p_map, report)
+        return covered(target, report)
     if target.kind == GoalKind.FRONTIER:
         return not unknown_near(target.p_map, report)
     if target.kind == GoalKind.CANDIDATE:
         gaps = [candidate.ends.mean(axis=0) for candidate in report.graph.candidates]
         return not any(float(np.hypot(*(gap - target.p_map))) < 3.0 for gap in gaps)
-    door = door_of(target, report)
-    return door is None or (door.rooms[1] != UNKNOWN_ROOM and not report.graph.in_doorway)
+    return door_of(target, report) is None
 
 
-def covered(p_map: Array, report: StepReport) -> bool:
-    """True when a polygon covers the place `p_map` (2,)."""
+def covered(target: Target, report: StepReport) -> bool:
+    """True when a polygon of the target's room covers it."""
     grid = report.grid
-    column, row = np.floor((p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
-    inside = 0 <= row < grid.polygon.shape[0] and 0 <= column < grid.polygon.shape[1]
-    return inside and bool(grid.polygon[row, column])
+    column, row = np.floor((target.p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
+    if not (0 <= row < grid.polygon.shape[0] and 0 <= column < grid.polygon.shape[1]):
+        return False
+    return bool(grid.polygon[row, column] and grid.room[row, column] == report.graph.resolve(target.room))
 
 
 def unknown_near(p_map: Array, report: StepReport) -> bool:

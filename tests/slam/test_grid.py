@@ -256,12 +256,6 @@ def area(ring: np.ndarray) -> float:
 
 
 def test_the_toy_tells_floor_from_wall() -> None:
-    assert is_free(np.array([[1.0, 1.0], [6.06, 2.0], [6.06, 1.0], [12.2, 2.0], [31.0, 3.9], [33.0, 1.0]])).tolist() == [
-        True,
-        True,
-        False,
-        False,
-        True,
-        False,
-    ]
+    places = np.array([[1.0, 1.0], [6.06, 2.0], [6.06, 1.0], [12.2, 2.0], [31.0, 3.9], [33.0, 1.0]])
+    assert is_free(places).tolist() == [True, True, False, False, True, False]
     assert compose(HERE, HERE).tolist() == [0.0, 0.0, 0.0]
