@@ -60,7 +60,7 @@ class GridPainter:
 
         `matched_ids` (n,): the landmarks this scan was matched to; `completed_rooms`: rooms with nothing left to see.
         """
-        p_landmark = self._landmarks(belief)
+        p_landmark = scans.landmark_table(belief.ids, belief.p_map, len(self.p_landmark))
         change = self._look(p_landmark)
         self._update_polygons(p_landmark, tuple(known_polygons), change)
         self._follow(p_landmark, graph, change)
@@ -70,13 +70,6 @@ class GridPainter:
             self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
         self._update_pockets(graph, completed_rooms)
         return self.canvas.publish(self.config.occupied_ratio)
-
-    def _landmarks(self, belief: Belief) -> Array:
-        """(F,2) m landmark positions by id, nan where an id is none."""
-        last = int(belief.ids.max()) + 1 if len(belief.ids) else 0
-        p_landmark = np.full((max(last, len(self.p_landmark)), 2), np.nan)
-        p_landmark[belief.ids] = belief.p_map
-        return p_landmark
 
     def _look(self, p_landmark: Array) -> int:
         """What happened to the landmarks since the last look (`scans.MOVED`, `CAME`, `WENT`)."""

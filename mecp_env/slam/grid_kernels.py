@@ -263,23 +263,27 @@ def compose(
     changed = 0
     for row in range(max(dirty[0], 0), min(dirty[1], label.shape[0])):
         for column in range(max(dirty[2], 0), min(dirty[3], label.shape[1])):
-            free, hits = layers[FREE, row, column], layers[HITS, row, column]
-            value = UNKNOWN_CELL
-            if layers[DOOR, row, column] > 0:
-                value = DOOR_CELL
-            elif hits > 0 and hits >= occupied_ratio * (free + hits):
-                value = OCCUPIED_CELL
-            elif free > 0:
-                value = FREE_CELL
-            elif layers[POCKET, row, column] > 0:
-                value = OCCUPIED_CELL
+            value = cell_label(layers, row, column, occupied_ratio)
             covered = layers[COVER, row, column] > 0
             owner = layers[COVER_ROOM, row, column] if covered else layers[ROOM, row, column]
             owner = owner if value != UNKNOWN_CELL else np.int16(-1)
             if label[row, column] != value or polygon[row, column] != covered or room[row, column] != owner:
                 changed += 1
-            label[row, column], polygon[row, column], room[row, column] = value, covered, owner
+                label[row, column], polygon[row, column], room[row, column] = value, covered, owner
     return changed
+
+
+@kernel
+def cell_label(layers: Layer, row: int, column: int, occupied_ratio: float) -> int:
+    """What the votes make of a cell."""
+    hits, free = layers[HITS, row, column], layers[FREE, row, column]
+    if layers[DOOR, row, column] > 0:
+        return DOOR_CELL
+    if hits > 0 and (free == 0 or hits >= occupied_ratio * (free + hits)):
+        return OCCUPIED_CELL
+    if free > 0:
+        return FREE_CELL
+    return OCCUPIED_CELL if layers[POCKET, row, column] > 0 else UNKNOWN_CELL
 
 
 @kernel

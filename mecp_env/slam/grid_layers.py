@@ -66,17 +66,12 @@ class ScanLayer:
         """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
         if not (self.anchor[:, 0] == NO_ID).any() or len(matched_ids) < 2:
             return
-        loose = np.flatnonzero(self.anchor[:, 0] == NO_ID)
-        known = matched_ids[np.isfinite(p_landmark[matched_ids, 0])]
-        if len(known) < 2:
+        best = scans.surest(matched_ids, belief.ids, belief.covs, self.anchor.shape[1])
+        if len(best) < 2:
             return
-        row_of = np.empty(len(p_landmark), np.int64)
-        row_of[belief.ids] = np.arange(len(belief.ids))
-        spread = belief.covs[row_of[known], 0, 0] + belief.covs[row_of[known], 1, 1]
-        surest = known[np.argsort(spread, kind="stable")][: self.anchor.shape[1]]
-        for row in loose.tolist():
-            self.anchor[row, : len(surest)] = surest
-            self.p_robot[row, : len(surest)] = to_robot(self.T_map_robot[row], p_landmark[surest])
+        for row in np.flatnonzero(self.anchor[:, 0] == NO_ID).tolist():
+            self.anchor[row, : len(best)] = best
+            self.p_robot[row, : len(best)] = to_robot(self.T_map_robot[row], p_landmark[best])
 
     def follow(self, canvas: Canvas, p_landmark: Array) -> None:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
@@ -219,6 +214,7 @@ class DoorLayer:
     key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
     quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
     middles: Array = field(default_factory=lambda: np.empty((0, 2)))  # (d,2) m, of the quads
+    lines: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (c,2,2) m, across the known quads
 
     def near(self, T_map_robot: Array, distance_m: float) -> bool:
         """True when the robot stands within a distance of the middle of a door."""
@@ -235,7 +231,7 @@ class DoorLayer:
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
         self._stamp(canvas, -1)
-        self.key, self.quads, self.middles = key, quads, quads.mean(axis=1)
+        self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), cut_lines(quads)
         self._stamp(canvas, 1)
         return cut_lines(quads[~still])
 
@@ -251,8 +247,9 @@ class DoorLayer:
 
     def cuts(self, graph: RoomGraph) -> Array:
         """(d,2,2) m, the lines that part the rooms: through the middle of each door, and across each candidate."""
-        gaps = np.array([candidate.ends for candidate in graph.candidates]).reshape(-1, 2, 2)
-        return np.concatenate([cut_lines(self.quads), widened(gaps)])
+        if not graph.candidates:
+            return self.lines
+        return np.concatenate([self.lines, widened(np.array([candidate.ends for candidate in graph.candidates]))])
 
 
 def cut_lines(quads: Array) -> Array:

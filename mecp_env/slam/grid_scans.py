@@ -196,6 +196,39 @@ def any_near(points: Array, x: float, y: float, clear: float) -> bool:
 
 
 @kernel
+def landmark_table(ids: Ints, p_map: Array, least: int) -> Array:
+    """(F,2) m: the landmark positions (N,2) by id, nan where an id is none; `least` rows or more."""
+    rows = least
+    for i in range(ids.shape[0]):
+        rows = max(rows, ids[i] + 1)
+    table = np.full((rows, 2), np.nan)
+    for i in range(ids.shape[0]):
+        table[ids[i], 0], table[ids[i], 1] = p_map[i, 0], p_map[i, 1]
+    return table
+
+
+@kernel
+def surest(matched: Ints, ids: Ints, covs: Array, count: int) -> Ints:
+    """Those `count` of the landmarks `matched` (m,) that the belief (N,), covariances (N,2,2), knows best."""
+    chosen, spread = np.empty(count, np.int64), np.full(count, math.inf)
+    n = 0
+    for row in range(ids.shape[0]):
+        known = False
+        for i in range(matched.shape[0]):
+            known = known or matched[i] == ids[row]
+        size = covs[row, 0, 0] + covs[row, 1, 1]
+        if not known or size >= spread[count - 1]:
+            continue
+        n = min(n + 1, count)
+        at = n - 1
+        while at > 0 and spread[at - 1] > size:
+            spread[at], chosen[at] = spread[at - 1], chosen[at - 1]
+            at -= 1
+        spread[at], chosen[at] = size, ids[row]
+    return chosen[:n].copy()
+
+
+@kernel
 def nearest_of_room(T_map_robot: Array, room: Ints, x: float, y: float, wanted: int) -> float:
     """Distance from (x, y) to the nearest of the poses (n,3) taken in the room `wanted`; inf without one."""
     best = math.inf
