@@ -184,14 +184,39 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     Its beams lie so near the wall's extension that no single one can be told apart; the mean and variance over all
     places of the corner (half a beam apart), weighted by their likelihood, can.
     """
-    after = end.rest + (FAR_BEAMS if end.follows == FAR else 0)
-    step = 2.0 * math.pi / sight.polar.shape[0]
-    table = beam_table(sight, end, after, noise)
+    step, zero = 2.0 * math.pi / sight.polar.shape[0], sight.polar[end.position, 1]
+    table = beam_table(sight, end, end.rest + (FAR_BEAMS if end.follows == FAR else 0), noise)
+    costs, best = place_costs(table, end, (zero - end.alpha, step), noise)
+    weight, first, second = 0.0, 0.0, 0.0
+    for k in range(costs.shape[0]):
+        likelihood = math.exp(-0.5 * (costs[k] - costs[best]))
+        offset = place_of(k, end, step)
+        weight, first, second = weight + likelihood, first + likelihood * offset, second + likelihood * offset * offset
+    mean = first / weight
+    spacing = step * sight.polar.shape[0] / sight.raw_ranges.shape[0]
+    variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
+    offset = place_of(best, end, step)
+    turn = zero + end.side * offset - end.alpha
+    width = step * end.rho / math.cos(turn) ** 2  # between two beams along the wall, m
+    along = face_place(table, offset - step, (end.rho * math.tan(turn), width), noise)
+    evidence = face_evidence(table[: end.inner + end.rest + 1], end.inner, (offset, along), noise)
+    return Ray(zero + end.side * mean, variance, evidence)
+
+
+@kernel
+def place_of(k: int, end: End, step: float) -> float:
+    """Offset (rad) from the segment's last beam of the k-th place where the corner may be, half a beam apart."""
+    return (0.5 * k + 0.25 - end.inner) * step
+
+
+@kernel
+def place_costs(table: Array, end: End, turn_and_step: tuple[float, float], noise: Noise) -> tuple[Array, int]:
+    """Chi-square of all beams for each place of the corner, and the best place."""
     costs = np.empty(2 * (end.inner + end.rest) + 1)
     best, start, before = 0, 0, 0.0
     for k in range(costs.shape[0]):
-        offset = (0.5 * k + 0.25 - end.inner) * step
-        along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
+        offset = place_of(k, end, turn_and_step[1])
+        along = end.rho * math.tan(turn_and_step[0] + end.side * offset)
         while start < table.shape[0] and table[start, 0] < offset:
             before, start = before + table[start, 1], start + 1
         costs[k] = before
@@ -199,18 +224,30 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
             costs[k] += face_cost(table[m], along, noise)
         if costs[k] < costs[best]:
             best = k
-    weight, first, second = 0.0, 0.0, 0.0
-    for k in range(costs.shape[0]):
-        likelihood = math.exp(-0.5 * (costs[k] - costs[best]))
-        offset = (0.5 * k + 0.25 - end.inner) * step
-        weight, first, second = weight + likelihood, first + likelihood * offset, second + likelihood * offset * offset
-    mean = first / weight
-    spacing = step * sight.polar.shape[0] / sight.raw_ranges.shape[0]
-    variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
-    bearing = sight.polar[end.position, 1] + end.side * mean
-    offset = (0.5 * best + 0.25 - end.inner) * step
-    along = end.rho * math.tan(sight.polar[end.position, 1] + end.side * offset - end.alpha)
-    return Ray(bearing, variance, face_evidence(table[: end.inner + end.rest + 1], end.inner, (offset, along), noise))
+    return costs, best
+
+
+@kernel
+def face_place(table: Array, offset: float, guess: tuple[float, float], noise: Noise) -> float:
+    """Where along the wall (m) the second face stands: the mean of its beams, or guess[0] when there is none.
+
+    They are the beams after `offset` that are not the wall's and lie within guess[1] metres, then less, and noise of it.
+    """
+    along, width = guess
+    for _ in range(3):
+        weight, total = 0.0, 0.0
+        for m in range(table.shape[0]):
+            if table[m, 0] < offset or table[m, 4] == math.inf or table[m, 1] < COST_CAP:
+                continue
+            place, cosine = table[m, 4] * table[m, 2], table[m, 3] * table[m, 2]
+            variance = (noise.range_m * table[m, 2]) ** 2 + (table[m, 4] * cosine * noise.bearing) ** 2
+            variance /= table[m, 5]
+            if abs(place - along) < width + SIGMAS * math.sqrt(variance):
+                weight, total = weight + 1.0 / variance, total + place / variance
+        if weight == 0.0:
+            return guess[0]
+        along, width = total / weight, 0.25 * width
+    return along
 
 
 @kernel

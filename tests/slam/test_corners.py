@@ -135,7 +135,7 @@ def test_a_face_too_short_for_a_segment_still_makes_a_corner():
             assert not corners.convex[i]
             np.testing.assert_allclose(np.exp(1j * corners.normals[i]), [-1.0, -1.0j], atol=0.2)
         found += len(near)
-    assert found >= 15
+    assert found >= 18
 
 
 def with_door(width=0.9, thickness=0.12, x=2.0):
