@@ -162,7 +162,8 @@ class Toy:
         beams, segments = look(self.T_world_robot, self.rng, self.sigma)
         belief, graph = self.belief(), self.graph()
         ids, known = np.arange(len(self.p_map)), tuple(self.polygons)
-        grid = self.painter.paint(belief, beams, segments, ids, known, graph, completed)
+        self.painter.complete(completed)
+        grid = self.painter.paint(belief, beams, segments, ids, known, graph)
         none = cast("Any", None)
         return StepReport(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
 

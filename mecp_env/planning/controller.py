@@ -35,6 +35,21 @@ def follow(
     return safe_command(speed, curvature, seen_points(beams), control, body)
 
 
+def coast(
+    command: tuple[float, float], before: tuple[float, float], beams: Beams, control: ControlConfig, body: PathsConfig
+) -> tuple[float, float]:
+    """The command, or, where the way to a stop would bend into something seen, braking on the arc driven before.
+
+    A robot told to turn on the spot rolls on while it brakes.
+    """
+    v, w = before
+    if command[0] > 0.0 or v <= 0.05:
+        return command
+    keep_off, roll = body.radius_m + control.guard_m, v * v / (2.0 * control.acceleration_m_s2)
+    safe = is_safe(seen_points(beams), v, command[1] / v, keep_off, roll)
+    return command if safe else (0.0, 0.5 * w)
+
+
 def turn_rate(bearing: float, control: ControlConfig) -> float:
     """Turn rate that turns the robot to a bearing within about a period."""
     return min(max(bearing / control.period_s, -control.turn_rad_s), control.turn_rad_s)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.planning.controller import follow, is_safe, look_ahead, off_path, seen_points, stop_path
+from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
 from mecp_env.planning.goals import GoalKind, Goals, door_places
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import NO_ID, Array, Cell, Door, StepReport
@@ -63,13 +63,14 @@ class Navigator:
     recoveries: int = 0
     backing: int = 0  # periods of backing off that are left
     dwelt: int = 0  # periods spent at the goal
+    command: tuple[float, float] = STOP  # the last one of the drive
 
     def start(self, target: Target) -> None:
         """Begin a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = np.empty((0, 2))
         self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = self.dwelt = 0
-        self.planned_version, self.best_left_m = -1, math.inf
+        self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
     def step(self, report: StepReport) -> tuple[float, float]:
         """Speed (m/s) and turn rate (rad/s) for the next period; `outcome` tells whether the drive goes on."""
@@ -131,7 +132,9 @@ class Navigator:
             self.best_left_m, self.best_period = left, self.periods
         if self.periods - self.best_period >= config.navigator.stuck_periods:
             return self._recover(report)
-        return follow(self.path, report.belief.T_map_robot, report.beams, config.control, config.paths)
+        command = follow(self.path, report.belief.T_map_robot, report.beams, config.control, config.paths)
+        self.command = coast(command, self.command, report.beams, config.control, config.paths)
+        return self.command
 
     def _recover(self, report: StepReport) -> tuple[float, float]:
         """Back off and plan anew; too often: refuse the goal."""

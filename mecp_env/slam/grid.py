@@ -44,7 +44,8 @@ class GridPainter:
         self.doors = DoorLayer(0.5 * config.resolution_m)
         self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
         self.merges = 0
-        self.completed: tuple[int, ...] = ()
+        self.completed: tuple[int, ...] = ()  # rooms with nothing left to see
+        self.filled: tuple[int, ...] = ()  # those whose pockets are painted
 
     def paint(
         self,
@@ -54,12 +55,8 @@ class GridPainter:
         matched_ids: Ints,
         known_polygons: Sequence[KnownPolygon],
         graph: RoomGraph,
-        completed_rooms: Collection[int] = (),
     ) -> SemanticGrid:
-        """The grid after this period.
-
-        `matched_ids` (n,): the landmarks this scan was matched to; `completed_rooms`: rooms with nothing left to see.
-        """
+        """The grid after this period. `matched_ids` (n,): the landmarks this scan was matched to."""
         p_landmark = scans.landmark_table(belief.ids, belief.p_map, len(self.p_landmark))
         change = self._look(p_landmark)
         self._update_polygons(p_landmark, tuple(known_polygons), change)
@@ -68,8 +65,12 @@ class GridPainter:
         self.scans.hang_up(p_landmark, matched_ids, belief)
         if not self.scans.has_room.all():
             self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
-        self._update_pockets(graph, completed_rooms)
+        self._update_pockets(graph)
         return self.canvas.publish(self.config.occupied_ratio)
+
+    def complete(self, rooms: Collection[int]) -> None:
+        """Say which rooms hold nothing left to see: from the next period on their unknown pockets are walls."""
+        self.completed = tuple(sorted(rooms))
 
     def _look(self, p_landmark: Array) -> int:
         """What happened to the landmarks since the last look (`scans.MOVED`, `CAME`, `WENT`)."""
@@ -121,12 +122,12 @@ class GridPainter:
             outline, strips = free_and_walls(beams, segments, self.config)
             self.scans.add(self.canvas, pose.copy(), room, outline, strips, self.config.anchors)
 
-    def _update_pockets(self, graph: RoomGraph, completed_rooms: Collection[int]) -> None:
-        """Turn unknown pockets of completed rooms into walls, when another room is complete."""
-        completed = tuple(sorted({graph.resolve(room) for room in completed_rooms}))
-        if completed == self.completed:
+    def _update_pockets(self, graph: RoomGraph) -> None:
+        """Turn unknown pockets of completed rooms into walls, when other rooms are complete than before."""
+        completed = tuple(sorted({graph.resolve(room) for room in self.completed}))
+        if completed == self.filled:
             return
         flags = np.zeros(max(completed, default=-1) + 1, np.bool_)
         flags[list(completed)] = True
         self.canvas.find_pockets(flags, self.config.occupied_ratio)
-        self.completed = completed
+        self.filled = completed

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
-from mecp_env.planning.controller import follow, is_safe, look_ahead, near_points, safe_command, seen_points, stop_path
+from mecp_env.planning.controller import (
+    coast,
+    follow,
+    is_safe,
+    look_ahead,
+    near_points,
+    safe_command,
+    seen_points,
+    stop_path,
+)
 from mecp_env.planning.goals import GoalBook, GoalKind, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target
 from mecp_env.slam.geometry import to_map
@@ -147,6 +156,14 @@ def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
     end = reach if w == 0.0 else math.sin(reach * w / v) * v / w
     assert end <= max(distance - BODY.radius_m - CONTROL.guard_m, 0.0) + 1e-9
     assert v > 0.0 or distance < 0.5
+
+
+def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
+    beams, _ = look(np.array([5.6, 1.66, 0.0]))  # the post of the door lies ahead on the right
+    assert coast((0.0, -1.75), (0.6, 0.1), beams, CONTROL, BODY) == (0.0, 0.05)
+    assert coast((0.0, 1.75), (0.3, 0.0), beams, CONTROL, BODY) == (0.0, 1.75)
+    assert coast((0.0, -1.75), (0.0, 0.0), beams, CONTROL, BODY) == (0.0, -1.75)
+    assert coast((0.4, 0.2), (0.6, 0.1), beams, CONTROL, BODY) == (0.4, 0.2)
 
 
 def test_a_robot_that_is_too_near_may_move_away_only() -> None:
