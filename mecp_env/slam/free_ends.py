@@ -231,7 +231,7 @@ def place_costs(table: Array, end: End, turn_and_step: tuple[float, float], nois
 def face_place(table: Array, offset: float, guess: tuple[float, float], noise: Noise) -> float:
     """Where along the wall (m) the second face stands: the mean of its beams, or guess[0] when there is none.
 
-    They are the beams after `offset` that are not the wall's and lie within guess[1] metres, then less, and noise of it.
+    They are the beams after `offset`, none of the wall's, within guess[1] metres (then less) and noise of it.
     """
     along, width = guess
     for _ in range(3):
