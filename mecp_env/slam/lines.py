@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.noise import Noise
 from mecp_env.slam.stretches import scatter, stretch_cost
 
 Array = NDArray[np.float64]
@@ -41,7 +40,11 @@ def without_end_face(points: Array, sums: Array, span: tuple[int, int], min_beam
     if begins >= 0.0 and ends >= 0.0:
         return first, last  # the robot stands before the wall: its end faces are turned away
     best, best_cost = span, stretch_cost(sums, first, last) - FACE_SAVES
-    for dropped in range(1, min(FACE_BEAMS, last - first + 1 - min_beams) + 1):
+    most = min(FACE_BEAMS, last - first + 1 - min_beams)
+    kept = (first + most, last) if begins < 0.0 else (first, last - most)
+    if stretch_cost(sums, kept[0], kept[1]) >= best_cost:
+        return first, last
+    for dropped in range(1, most + 1):
         low, high = (first + dropped, last) if begins < 0.0 else (first, last - dropped)
         face = (first, low - 1) if begins < 0.0 else (high + 1, last)
         cost = stretch_cost(sums, low, high)
@@ -73,7 +76,7 @@ def face_spread(points: Array, span: tuple[int, int], alpha: float) -> float:
 
 @kernel
 def fit_line(
-    polar: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float], noise: Noise
+    polar: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float]
 ) -> tuple[float, float, float, float, float, float]:
     """alpha, rho, their variances and covariance (aa, ar, rr) and the chi-square: Gauss-Newton from `start`.
 
@@ -87,14 +90,13 @@ def fit_line(
         ca, sa = math.cos(alpha), math.sin(alpha)
         haa, har, hrr, ga, gr, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(stretch[0], stretch[1] + 1):
-            ahead, r = points[i, 0] * ca + points[i, 1] * sa, polar[i, 0]
-            cosine = ahead / r
-            if cosine < STEEPEST:
+            ahead, r2 = points[i, 0] * ca + points[i, 1] * sa, polar[i, 0] * polar[i, 0]
+            if ahead < STEEPEST * polar[i, 0]:
                 continue
             along = rho * (points[i, 1] * ca - points[i, 0] * sa) / ahead  # rho tan(theta - alpha)
             residual = ahead - rho
-            variance = ((noise.range_m * cosine) ** 2 + (along * noise.bearing) ** 2) / polar[i, 2]
-            weight = 1.0 / max(variance, residual * residual / OUTLIER2)
+            variance_r2 = points[i, 2] * ahead * ahead + points[i, 3] * along * along
+            weight = r2 / max(variance_r2, r2 * residual * residual / OUTLIER2)
             haa, har, hrr = haa + weight * along * along, har - weight * along, hrr + weight
             cost += weight * residual * residual
             ga, gr = ga + weight * along * residual, gr - weight * residual

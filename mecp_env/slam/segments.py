@@ -68,7 +68,7 @@ def find_segments(
     for c in range(cluster_first.shape[0]):
         if kind[c] == LINES:
             found = cut_cluster((points, sums), (c, cluster_first[c], cluster_last[c]), rules, spans, found)
-    return fit_segments(polar, (points, sums), spans[:found], rules, noise)
+    return fit_segments(polar, (points, sums), spans[:found], rules)
 
 
 @kernel
@@ -94,7 +94,7 @@ def cut_cluster(
 
 @kernel
 def fit_segments(
-    polar: Array, points_and_sums: tuple[Array, Array], spans: Ints, rules: Rules, noise: Noise
+    polar: Array, points_and_sums: tuple[Array, Array], spans: Ints, rules: Rules
 ) -> tuple[Array, Array, Array, Ints]:
     """End points (L,2,2), lines (L,2), covariances (L,2,2) and spans (L,3) of the stretches that are segments."""
     size = spans.shape[0]
@@ -105,7 +105,7 @@ def fit_segments(
         first, last = without_end_face(points, sums, (spans[k, 1], spans[k, 2]), rules.min_beams)
         trim = min(rules.trim_beams, (last - first + 1 - rules.min_beams) // 2)
         inner = (first + trim, last - trim)
-        alpha, rho, aa, ar, rr, cost = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]), noise)
+        alpha, rho, aa, ar, rr, cost = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]))
         freedom = max(inner[1] - inner[0] - 1, 1)
         excess = cost / (freedom + MISFIT_SIGMAS * math.sqrt(2.0 * freedom))
         usable = aa <= rules.max_alpha_variance and rho > 0.0 and (excess <= 1.0 or freedom >= LONG)
