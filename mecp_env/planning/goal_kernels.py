@@ -22,6 +22,54 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 @kernel
+def adopt_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Rooms:
+    """(H,W) the rooms, also of FREE cells without one (-1) that join the floor of a room, other than across a line.
+
+    `lines` (d,2,2): doors and candidates, in cells; cells within `margin` of one are not passed, nor are DOOR cells.
+    What was seen of a room from outside, through its door, has no room: it gets one as soon as the room has floor.
+    """
+    adopted = room.copy()
+    queue = np.empty((label.size, 2), np.int64)
+    size = 0
+    for row in range(1, label.shape[0] - 1):
+        for column in range(1, label.shape[1] - 1):
+            if label[row, column] == FREE and room[row, column] >= 0:
+                size = _spread(label, adopted, lines, margin, queue, size, row, column)
+    head = 0
+    while head < size:
+        size = _spread(label, adopted, lines, margin, queue, size, queue[head, 0], queue[head, 1])
+        head += 1
+    return adopted
+
+
+@kernel
+def _spread(
+    label: Bytes, room: Rooms, lines: Array, margin: float, queue: Ints, size: int, row: int, column: int
+) -> int:
+    """Give the room of a cell to its FREE neighbours without one, and queue them; returns the length of the queue."""
+    for k in range(4):
+        r, c = row + DROW[k], column + DCOL[k]
+        inside = 0 < r < label.shape[0] - 1 and 0 < c < label.shape[1] - 1
+        if inside and label[r, c] == FREE and room[r, c] < 0 and not _near_line(lines, c + 0.5, r + 0.5, margin):
+            room[r, c] = room[row, column]
+            queue[size, 0], queue[size, 1] = r, c
+            size += 1
+    return size
+
+
+@kernel
+def _near_line(lines: Array, x: float, y: float, margin: float) -> bool:
+    """True when one of the segments (d,2,2) lies within `margin` of (x, y)."""
+    near = False
+    for i in range(lines.shape[0]):
+        dx, dy = lines[i, 1, 0] - lines[i, 0, 0], lines[i, 1, 1] - lines[i, 0, 1]
+        share = ((x - lines[i, 0, 0]) * dx + (y - lines[i, 0, 1]) * dy) / max(dx * dx + dy * dy, 1e-9)
+        share = min(max(share, 0.0), 1.0)
+        near = near or math.hypot(lines[i, 0, 0] + share * dx - x, lines[i, 0, 1] + share * dy - y) < margin
+    return near
+
+
+@kernel
 def frontier_cells(label: Bytes, room: Rooms, doors: Array, clear: float) -> tuple[Bytes, Ints]:
     """(H,W) 1 at FREE cells of a room beside UNKNOWN ones, not within `clear` of the doors' middles (d,2), in cells.
 

@@ -30,6 +30,7 @@ class GoalKind(IntEnum):
     DOOR = 3  # a door nobody has gone through
 
 
+BARRIER_CELLS = 1.5  # floor does not join floor so near to the line of a door
 LOCAL = (GoalKind.OPEN, GoalKind.CANDIDATE, GoalKind.FRONTIER)  # a room is complete without these
 
 
@@ -52,6 +53,14 @@ class Goals:
     def take(self, rows: Ints) -> Goals:
         """The goals of some rows (n,), in that order."""
         return Goals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """What the search for goals needs of the map besides the grid."""
+
+    room: NDArray[np.int16]  # (H,W) room of each cell, also of floor seen from outside that joins the floor of a room
+    middles: Array  # (d,2) middles of the doors and the candidates, in cells
 
 
 @dataclass(slots=True, eq=False)
@@ -105,11 +114,12 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     if not report.grid.label.size:
         return Goals()
     field_ = way_field(report.grid, report.belief.T_map_robot, config.paths)
+    floor = floor_of(report)
     goals = join(
         [
-            uncovered_goals(report, book, config.goals),
+            uncovered_goals(report, floor, book, config.goals),
             candidate_goals(report, config.goals),
-            frontier_goals(report, config.goals),
+            frontier_goals(report, floor, config.goals),
             door_goals(report, config.goals),
         ]
     )
@@ -147,10 +157,10 @@ def positions(belief: Belief, ids: Ints) -> Array:
     return p_map[ids]
 
 
-def uncovered_goals(report: StepReport, book: GoalBook, config: GoalsConfig) -> Goals:
+def uncovered_goals(report: StepReport, floor: Floor, book: GoalBook, config: GoalsConfig) -> Goals:
     """Where no polygon lies: beyond open edges; in rooms without one on bare floor; without either further in."""
     goals = open_goals(report, config)
-    goals = join([goals, without_rooms(bare_goals(report, config), goals)])
+    goals = join([goals, without_rooms(bare_goals(report, floor, config), goals)])
     return join([goals, without_rooms(empty_room_goals(report, book, config), goals)])
 
 
@@ -227,7 +237,7 @@ def door_goals(report: StepReport, config: GoalsConfig) -> Goals:
     return make_goals(GoalKind.DOOR, middle + config.door_beyond_m * onward, width, rooms, ids)
 
 
-def bare_goals(report: StepReport, config: GoalsConfig) -> Goals:
+def bare_goals(report: StepReport, floor: Floor, config: GoalsConfig) -> Goals:
     """The middle of each wide piece of floor that no polygon covers.
 
     "There is no region of the room that is not occupied by at least one polygon" (III-B): a room just entered has no
@@ -235,9 +245,9 @@ def bare_goals(report: StepReport, config: GoalsConfig) -> Goals:
     """
     grid, cell = report.grid, report.grid.resolution_m
     span = max(round(config.bare_m / 2 / cell), 1)
-    layers = (grid.label, grid.polygon, grid.room)
-    bare, cells = kernels.bare_cells(layers, span, gap_middles(report), config.door_clear_m / cell)
-    return cluster_goals(GoalKind.OPEN, report, (bare, cells), config.bare_cells)
+    layers = (grid.label, grid.polygon, floor.room)
+    marked = kernels.bare_cells(layers, span, floor.middles, config.door_clear_m / cell)
+    return cluster_goals(GoalKind.OPEN, report, floor, marked, config.bare_cells)
 
 
 def empty_room_goals(report: StepReport, book: GoalBook, config: GoalsConfig) -> Goals:
@@ -256,26 +266,30 @@ def empty_room_goals(report: StepReport, book: GoalBook, config: GoalsConfig) ->
     return make_goals(GoalKind.OPEN, entries, np.full(len(empty), config.bare_m), np.array(empty, np.int64))
 
 
-def frontier_goals(report: StepReport, config: GoalsConfig) -> Goals:
+def frontier_goals(report: StepReport, floor: Floor, config: GoalsConfig) -> Goals:
     """The middle of each frontier between the floor of a room and unknown cells, away from doors and candidates."""
+    clear = config.door_clear_m / report.grid.resolution_m
+    marked = kernels.frontier_cells(report.grid.label, floor.room, floor.middles, clear)
+    return cluster_goals(GoalKind.FRONTIER, report, floor, marked, config.frontier_cells)
+
+
+def floor_of(report: StepReport) -> Floor:
+    """The floor as goals are looked for on it."""
     grid = report.grid
-    clear = config.door_clear_m / grid.resolution_m
-    marked = kernels.frontier_cells(grid.label, grid.room, gap_middles(report), clear)
-    return cluster_goals(GoalKind.FRONTIER, report, marked, config.frontier_cells)
+    middle, onward, width = door_places(report.graph.doors, report.belief)
+    half = 0.5 * width[:, None] * np.stack([-onward[:, 1], onward[:, 0]], axis=1)
+    gaps = np.array([candidate.ends for candidate in report.graph.candidates]).reshape(-1, 2, 2)
+    p_map = np.concatenate([np.stack([middle - half, middle + half], axis=1), gaps])
+    lines = np.asarray((p_map - grid.origin) / grid.resolution_m, np.float64)
+    return Floor(kernels.adopt_rooms(grid.label, grid.room, lines, BARRIER_CELLS), lines.mean(axis=1))
 
 
-def gap_middles(report: StepReport) -> Array:
-    """(d,2) middles of the doors and of the candidates, in cells."""
-    doors, _, _ = door_places(report.graph.doors, report.belief)
-    gaps = np.array([candidate.ends.mean(axis=0) for candidate in report.graph.candidates]).reshape(-1, 2)
-    middles: Array = (np.concatenate([doors, gaps]) - report.grid.origin) / report.grid.resolution_m
-    return middles
-
-
-def cluster_goals(kind: GoalKind, report: StepReport, marked: tuple[NDArray[np.uint8], Ints], least: int) -> Goals:
+def cluster_goals(
+    kind: GoalKind, report: StepReport, floor: Floor, marked: tuple[NDArray[np.uint8], Ints], least: int
+) -> Goals:
     """A goal in the middle of each cluster of at least so many marked cells: flags (H,W), and the cells (n,2)."""
     grid = report.grid
-    found = kernels.clusters(marked[0], marked[1], grid.room, least)
+    found = kernels.clusters(marked[0], marked[1], floor.room, least)
     p_map = np.asarray(grid.origin + (found[:, 1::-1] + 0.5) * grid.resolution_m, np.float64)
     rooms = np.array([report.graph.resolve(room) for room in found[:, 3].tolist()], np.int64)
     return make_goals(kind, p_map, np.asarray(found[:, 2] * grid.resolution_m, np.float64), rooms)

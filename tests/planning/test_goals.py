@@ -14,6 +14,7 @@ from mecp_env.planning.goals import (
     complete_rooms,
     door_goals,
     find_goals,
+    floor_of,
     frontier_goals,
     open_goals,
 )
@@ -21,9 +22,14 @@ from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.data import Door, RoomGraph
 from mecp_env.slam.geometry import to_map
-from tests.toy import Toy, candidate
+from tests.toy import Toy, candidate, layer_at
 
 CONFIG = PlanningConfig()
+
+
+def frontiers(toy: Toy) -> Goals:
+    report = toy.report()
+    return frontier_goals(report, floor_of(report), GoalsConfig())
 
 
 def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
@@ -85,12 +91,30 @@ def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
 
 
 def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
-    assert len(frontier_goals(toy.report(), GoalsConfig())) == 0  # all of room A is seen; beyond the door is no room
+    assert len(frontiers(toy)) == 0  # all of room A is seen; beyond the door is no room
     toy.T_world_robot = np.array([8.0, 2.0, 0.0])
-    goals = frontier_goals(toy.report(), GoalsConfig())
+    goals = frontiers(toy)
     assert len(goals)
     assert (in_world(toy, goals.p_map)[:, 0] > 11.0).all()
     assert (goals.room == 1).all()
+
+
+def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) -> None:
+    toy.T_world_robot = np.array([4.0, 1.95, 0.0])
+    report = toy.report()
+    beyond = to_map(toy.T_map_world, np.array([[8.0, 1.95]]))
+    assert layer_at(report.grid, floor_of(report).room, beyond) == [-1]
+    toy.T_world_robot = np.array([7.0, 3.6, 0.0])
+    report = toy.report()
+    room = np.full_like(report.grid.room, -1)  # as if only a patch of room B had its room
+    cell = np.floor((to_map(toy.T_map_world, np.array([[7.5, 3.0]]))[0] - report.grid.origin) / 0.1).astype(int)
+    room[cell[1], cell[0]] = 1
+    patchy = type(report.grid)(
+        report.grid.label, report.grid.polygon, room, report.grid.origin, report.grid.resolution_m, 99
+    )
+    object.__setattr__(report, "grid", patchy)
+    places = to_map(toy.T_map_world, np.array([[8.0, 1.95], [12.0, 3.0], [5.0, 1.95], [1.0, 1.0]]))
+    assert layer_at(patchy, floor_of(report).room, places).tolist() == [1, 1, -1, -1]
 
 
 def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
