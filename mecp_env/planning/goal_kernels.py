@@ -29,32 +29,35 @@ def adopt_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Rooms
     What was seen of a room from outside, through its door, has no room: it gets one as soon as the room has floor.
     """
     adopted = room.copy()
-    queue = np.empty((label.size, 2), np.int64)
-    size = 0
+    queue = np.empty((label.size + 1, 2), np.int64)
+    size, head = 0, 0
     for row in range(1, label.shape[0] - 1):
         for column in range(1, label.shape[1] - 1):
-            if label[row, column] == FREE and room[row, column] >= 0:
-                size = _spread(label, adopted, lines, margin, queue, size, row, column)
-    head = 0
+            if label[row, column] == FREE and room[row, column] < 0:
+                adopted[row, column] = _room_beside(label, room, lines, margin, row, column)
+                queue[size, 0], queue[size, 1] = row, column
+                size += 1 if adopted[row, column] >= 0 else 0
     while head < size:
-        size = _spread(label, adopted, lines, margin, queue, size, queue[head, 0], queue[head, 1])
+        for k in range(4):
+            r, c = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
+            inside = 0 < r < label.shape[0] - 1 and 0 < c < label.shape[1] - 1
+            if inside and label[r, c] == FREE and adopted[r, c] < 0:
+                adopted[r, c] = _room_beside(label, adopted, lines, margin, r, c)
+                queue[size, 0], queue[size, 1] = r, c
+                size += 1 if adopted[r, c] >= 0 else 0
         head += 1
     return adopted
 
 
 @kernel
-def _spread(
-    label: Bytes, room: Rooms, lines: Array, margin: float, queue: Ints, size: int, row: int, column: int
-) -> int:
-    """Give the room of a cell to its FREE neighbours without one, and queue them; returns the length of the queue."""
+def _room_beside(label: Bytes, room: Rooms, lines: Array, margin: float, row: int, column: int) -> int:
+    """The room of a FREE neighbour of a cell; -1 without one, and for a cell near a line."""
+    beside = -1
     for k in range(4):
         r, c = row + DROW[k], column + DCOL[k]
-        inside = 0 < r < label.shape[0] - 1 and 0 < c < label.shape[1] - 1
-        if inside and label[r, c] == FREE and room[r, c] < 0 and not _near_line(lines, c + 0.5, r + 0.5, margin):
-            room[r, c] = room[row, column]
-            queue[size, 0], queue[size, 1] = r, c
-            size += 1
-    return size
+        if label[r, c] == FREE and room[r, c] >= 0:
+            beside = int(room[r, c])
+    return -1 if beside >= 0 and _near_line(lines, column + 0.5, row + 0.5, margin) else beside
 
 
 @kernel
