@@ -19,16 +19,25 @@ QUARTER_TURN = math.pi / 2.0
 
 
 def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
-    """The measured increments (M,2) with their covariances (M,2,2), noise from `rng`; bumper = contact."""
-    sigmas = np.sqrt(_variances(motion.increments, config) + np.array([FLOOR_M, FLOOR_RAD]) ** 2)
-    cov = np.zeros((len(sigmas), 2, 2))
-    cov[:, 0, 0], cov[:, 1, 1] = sigmas[:, 0] ** 2, sigmas[:, 1] ** 2
+    """The measured increments (M,2) with their covariances (M,2,2), noise from `rng`; bumper = contact.
+
+    The noise grows with the true motion; the covariance that goes with the reading is made from the reading alone.
+    """
+    sigmas = np.sqrt(variances(motion.increments, config))  # none at rest
     measured = motion.increments + sigmas * rng.standard_normal(sigmas.shape)
-    return Odometry(measured, cov, motion.contact)
+    return Odometry(measured, _covariances(measured, config), motion.contact)
 
 
-def _variances(increments: Array, config: OdometryConfig) -> Array:
-    """Variances (M,2) of distance and turn of each increment by the configured reading."""
+def _covariances(measured: Array, config: OdometryConfig) -> Array:
+    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole period, in equal parts."""
+    even = np.tile(np.abs(measured).mean(axis=0), (len(measured), 1))
+    cov = np.zeros((len(measured), 2, 2))
+    cov[:, 0, 0], cov[:, 1, 1] = (variances(even, config) + np.array([FLOOR_M, FLOOR_RAD]) ** 2).T
+    return cov
+
+
+def variances(increments: Array, config: OdometryConfig) -> Array:
+    """Variances (M,2) of distance (m^2) and turn (rad^2) of each increment (M,2) by the configured reading."""
     sigma = config.scale * np.array([config.distance_sigma_m, config.turn_sigma_rad])
     path, turn = np.abs(increments[:, 0]), np.abs(increments[:, 1])
     if config.reading == "per_metre":
