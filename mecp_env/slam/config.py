@@ -90,6 +90,7 @@ class AssociationConfig(Settings):
     use_polygons: bool = True
     use_rooms: bool = True
     use_signature: bool = True  # paper: none
+    paper_S: bool = False  # the polygon gate without the cross-covariance of pose and map; paper: True
     gate_probability: float = Field(0.99995, gt=0.5, lt=1.0)  # measured: at 0.999 recall is 0.98, not 0.99
     signature_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)

@@ -181,9 +181,12 @@ class Polygon:
     intervals: Array  # (m,4) edge index, start and end as share of the edge's length, EdgeLabel; in order
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class KnownPolygon:
-    """A polygon of the map: links to features (III-B.1); centre and covariance are recomputed from the belief."""
+    """A polygon of the map: links to features (III-B.1); centre and covariance are recomputed from the belief.
+
+    A sighting makes a new one that shares `ids` with the old.
+    """
 
     ids: Ints  # (k,) feature ids (landmarks, or tracks that may become landmarks), counter-clockwise
     intervals: Array  # (m,4) as in Polygon, from its last sighting
@@ -233,6 +236,17 @@ class Match:
     polygon: int  # index of the matched polygon of the scan, or -1
     known: int  # index of the KnownPolygon matched (in the store at the time), or -1
     closure: bool  # a place not updated for a while was recognised: the update is iterated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """A scan's corners once it is known which features they are, and where they were seen from."""
+
+    corners: Corners
+    match: Match
+    through: Ints  # (n,) id of the mapped door each corner is seen through, or -1
+    belief: Belief
+    period: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,11 +15,9 @@ from mecp_env.slam.data import (
     Belief,
     Candidate,
     CornerKind,
-    Corners,
     Door,
     FeatureState,
     FeatureTable,
-    Match,
 )
 from mecp_env.slam.geometry import polar_to_points, to_map
 
@@ -100,32 +98,24 @@ def _frames(p_map: Array, rows: Ints) -> Array:
     return frames
 
 
-def record_doorways(
-    book: DoorBook,
-    corners: Corners,
-    match: Match,
-    features: FeatureTable,
-    belief: Belief,
-    room: int,
-    through: Ints,
-    period: int,
-    config: RoomConfig,
-) -> None:
+def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
+    corners, belief = seen.corners, seen.belief
     if not len(corners.doorways.jambs):
         return
     p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
+    other_side = np.maximum(seen.through, corners.beyond) >= 0
     for pair, confirmable in zip(corners.doorways.jambs, corners.doorways.confirmable.tolist(), strict=True):
-        if max(through[pair[0]], through[pair[1]], corners.beyond[pair[0]], corners.beyond[pair[1]]) >= 0:
+        ids = (int(seen.match.ids[pair[0]]), int(seen.match.ids[pair[1]]))
+        if other_side[pair[0]] or other_side[pair[1]]:
             continue
-        ids = (int(match.ids[pair[0]]), int(match.ids[pair[1]]))
         if ids in book.row:
             _see_again(book, ids, confirmable)
             continue
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, period), belief)
+        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, seen.period), belief)
 
 
 def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool) -> None:

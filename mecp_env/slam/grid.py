@@ -85,7 +85,9 @@ class GridPainter:
 
     def _update_polygons(self, p_landmark: Array, known: tuple[KnownPolygon, ...], change: int) -> None:
         """Bring the polygons on the grid in line with the known ones."""
-        differs = known != self.polygons.known or bool(change & scans.WENT)
+        old = self.polygons.known  # a polygon seen again is a new one with the ids of the old
+        differs = len(known) != len(old) or any(a.ids is not b.ids for a, b in zip(known, old, strict=True))
+        differs |= bool(change & scans.WENT)
         if differs:
             self.polygons.compare(self.canvas, known)
         if differs or change & scans.CAME:

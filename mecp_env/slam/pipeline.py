@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from mecp_env.slam.data import (
     Odometry,
     Polygon,
     Scan,
+    Sighting,
     StepReport,
 )
 from mecp_env.slam.doors import rename_jambs
@@ -184,13 +185,15 @@ class SlamPipeline:
         self._adopt(corners, match, ripe)
         mark_seen(self.features, match.ids[match.ids >= 0], self.period)
         belief = self.filter.belief() if len(ripe) else belief
-        moved = self.rooms.update(corners, match, through, self.features, belief, self.polygons.polygons, self.period)
+        seen = Sighting(corners, match, through, belief, self.period)
+        moved = self.rooms.update(seen, self.features, self.polygons.polygons)
         graph = self.rooms.graph()
-        added = self.polygons.remember(polygons, corners, match, self.features, graph, self.period)
-        fused = self._fuse(match, belief)
-        if len(dead) or moved or fused or added:
+        added = self.polygons.remember(polygons, match, self.features, graph, self.period)
+        pair = self._duplicate(match, belief)
+        match = self._fuse(match, pair)
+        if len(dead) or moved or pair or added:
             self.polygons.prune(self.features, graph)
-        return match, self.filter.belief() if fused else belief
+        return match, self.filter.belief() if pair else belief
 
     def _watched(self, belief: Belief) -> Belief:
         """The belief; one that is no longer worth anything is noted as divergence."""
@@ -204,29 +207,35 @@ class SlamPipeline:
                 self.associator.born(int(i), int(match.ids[i]))
 
     def _adopt(self, corners: Corners, match: Match, ripe: Ints) -> None:
-        """Tracks seen often enough become landmarks, from this sighting alone: earlier ones were not kept."""
-        room_left = self.config.filter.max_landmarks - len(self.filter.ids)
-        ripe = ripe[:room_left]
+        """Tracks seen often enough become landmarks, from this sighting alone: earlier ones were not kept.
+
+        Those that find no room in a full filter are dropped, and counted there.
+        """
         if len(ripe):
             z, R = corners.measurements(ripe)
-            self.filter.augment(z, R, match.ids[ripe])
-            self.features.state[match.ids[ripe]] = int(FeatureState.LANDMARK)
+            ids = match.ids[ripe]
+            self.filter.augment(z, R, ids)
+            accepted = np.array([self.filter.has(int(i)) for i in ids])
+            self.features.state[ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
 
-    def _fuse(self, match: Match, belief: Belief) -> bool:
-        """Make one landmark of two that are one corner, where there are such; says whether there were."""
-        pair = find_duplicate(self.features, belief, match, self.config.tracks)
-        if pair is None or self.config.association.method == "known":
-            return False
+    def _duplicate(self, match: Match, belief: Belief) -> tuple[int, int] | None:
+        """Two landmarks that are one corner, older and younger."""
+        known = self.config.association.method == "known"
+        return None if known else find_duplicate(self.features, belief, match, self.config.tracks)
+
+    def _fuse(self, match: Match, pair: tuple[int, int] | None) -> Match:
+        """Make one landmark of two that are one corner; the match names the one that is kept."""
+        if pair is None:
+            return match
         keep, drop = pair
         try:
             self.filter.fuse(keep, drop)
         except FilterError:
             self.diverged = True
-            return False
+            return match
         self.features.state[drop] = int(FeatureState.DEAD)
         self.features.seen[keep] += self.features.seen[drop]
         self.features.last_period[keep] = self.period
-        match.ids[match.ids == drop] = keep
         self.polygons.rename(keep, drop)
         rename_jambs(self.rooms.book, keep, drop)
-        return True
+        return replace(match, ids=np.where(match.ids == drop, keep, match.ids))

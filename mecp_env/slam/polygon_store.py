@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.data import Corners, FeatureState, FeatureTable, KnownPolygon, Match, Polygon, Rings, RoomGraph
+from mecp_env.slam.data import FeatureState, FeatureTable, KnownPolygon, Match, Polygon, Rings, RoomGraph
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,7 +26,6 @@ class PolygonStore:
     def remember(
         self,
         polygons: tuple[Polygon, ...],
-        corners: Corners,
         match: Match,
         features: FeatureTable,
         graph: RoomGraph,
@@ -53,14 +52,14 @@ class PolygonStore:
             self.polygons.append(KnownPolygon(ring, intervals, room, 1, period))
             self._index()
             return
-        known = self.polygons[self.row[key]]
-        known.intervals = intervals
-        known.seen += 1
-        known.last_period = period
+        i = self.row[key]
+        known = self.polygons[i]
+        self.polygons[i] = replace(known, intervals=intervals, seen=known.seen + 1, last_period=period)
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
         """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
-        kept = list({tuple(p.ids.tolist()): p for p in self.polygons if _whole(p, features, graph)}.values())
+        resolved = [replace(p, room=graph.resolve(p.room)) if p.room in graph.merged else p for p in self.polygons]
+        kept = list({tuple(p.ids.tolist()): p for p in resolved if _whole(p, features)}.values())
         for room in {p.room for p in kept}:
             members = sorted((p for p in kept if p.room == room), key=lambda p: (p.seen, p.last_period))
             dropped = {id(p) for p in members[: max(0, len(members) - self.most_per_room)]}
@@ -70,11 +69,12 @@ class PolygonStore:
 
     def rename(self, keep: int, drop: int) -> None:
         """Two ids are one corner: polygons that named `drop` now name `keep`."""
-        for polygon in self.polygons:
-            ids = np.where(polygon.ids == drop, keep, polygon.ids)
-            shift = int(ids.argmin())
-            polygon.ids = np.concatenate((ids[shift:], ids[:shift]))
-            polygon.intervals = _rolled(polygon.intervals, shift, len(ids))
+        for i, polygon in enumerate(self.polygons):
+            if (polygon.ids == drop).any():
+                ids = np.where(polygon.ids == drop, keep, polygon.ids)
+                shift = int(ids.argmin())
+                ring = np.concatenate((ids[shift:], ids[:shift]))
+                self.polygons[i] = replace(polygon, ids=ring, intervals=_rolled(polygon.intervals, shift, len(ids)))
 
     def _index(self) -> None:
         self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
@@ -98,8 +98,7 @@ def _rolled(intervals: Array, shift: int, k: int) -> Array:
     return rolled
 
 
-def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> bool:
-    polygon.room = graph.resolve(polygon.room)
+def _whole(polygon: KnownPolygon, features: FeatureTable) -> bool:
     alive = (features.state[polygon.ids] != int(FeatureState.DEAD)).all()
     at_home = (features.room[polygon.ids] == polygon.room).all()
     return bool(alive and at_home and len(set(polygon.ids.tolist())) == len(polygon.ids))

@@ -18,8 +18,8 @@ from mecp_env.slam.data import (
     Door,
     FeatureTable,
     KnownPolygon,
-    Match,
     RoomGraph,
+    Sighting,
 )
 from mecp_env.slam.doors import (
     DoorBook,
@@ -75,27 +75,17 @@ class RoomKeeper:
         ids = np.array([door.id for door in self.book.doors] + [-1], np.int64)
         return replace(corners, sites=corners.sites & ~seen_through), ids[row]
 
-    def update(
-        self,
-        corners: Corners,
-        match: Match,
-        through: Ints,
-        features: FeatureTable,
-        belief: Belief,
-        known: list[KnownPolygon],
-        period: int,
-    ) -> bool:
+    def update(self, seen: Sighting, features: FeatureTable, known: list[KnownPolygon]) -> bool:
         """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
 
         Says whether landmarks changed their room, by a merge or one by one.
         """
         if not self.in_doorway:
-            room = self.current
-            record_doorways(self.book, corners, match, features, belief, room, through, period, self.config)
-        self._follow(belief)
-        self._follow_candidates(features, belief)
-        polygon_room = self.resolve(known[match.known].room) if match.known >= 0 else UNKNOWN_ROOM
-        return self._recognise(corners, match, through, features, belief, polygon_room)
+            record_doorways(self.book, seen, features, self.current, self.config)
+        self._follow(seen.belief)
+        self._follow_candidates(features, seen.belief)
+        polygon_room = self.resolve(known[seen.match.known].room) if seen.match.known >= 0 else UNKNOWN_ROOM
+        return self._recognise(seen, features, polygon_room)
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
@@ -140,15 +130,15 @@ class RoomKeeper:
         self.newest = room
         return room
 
-    def _recognise(
-        self, corners: Corners, match: Match, through: Ints, features: FeatureTable, belief: Belief, polygon_room: int
-    ) -> bool:
+    def _recognise(self, seen: Sighting, features: FeatureTable, polygon_room: int) -> bool:
         """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
         if self.in_doorway:
             return False
         if polygon_room not in (UNKNOWN_ROOM, self.current):
-            return self._note_elsewhere(polygon_room, belief, self.config.recognise_m, features)
-        ids, rooms = self._seen_here(corners, match, through, features)
+            return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
+        # landmarks on this side of all doors, jambs left out
+        ids = _on_this_side(seen.match.ids, seen.match.decision, seen.through, seen.corners.beyond, features.kind)
+        rooms = features.room[ids].tolist()
         if set(rooms) <= {self.current}:
             return False
         if self._relabel(ids, rooms, features):
@@ -156,14 +146,7 @@ class RoomKeeper:
         other = self._majority(rooms)
         if other in (UNKNOWN_ROOM, self.current):
             return False
-        return self._note_elsewhere(other, belief, self.config.recognise_by_corners_m, features)
-
-    def _seen_here(
-        self, corners: Corners, match: Match, through: Ints, features: FeatureTable
-    ) -> tuple[Ints, list[int]]:
-        """Landmarks (v,) recognised in this scan on this side of all doors, jambs left out, and their rooms."""
-        ids = _on_this_side(match.ids, match.decision, through, corners.beyond, features.kind)
-        return ids, features.room[ids].tolist()
+        return self._note_elsewhere(other, seen.belief, self.config.recognise_by_corners_m, features)
 
     def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> bool:
         """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.

@@ -120,7 +120,7 @@ def ring(*vertices):
 
 def remember(store, table, polygon, graph, ids=range(8)):
     match = match_of([Decision.LANDMARK] * 8, list(ids))
-    return store.remember((polygon,), corners_at(np.concatenate((SQUARE, SQUARE * 2.0))), match, table, graph, 1)
+    return store.remember((polygon,), match, table, graph, 1)
 
 
 def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():

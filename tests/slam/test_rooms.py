@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mecp_env.slam.config import RoomConfig
-from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, KnownPolygon, Match
+from mecp_env.slam.data import Belief, Corners, Decision, Door, Doorways, FeatureTable, KnownPolygon, Match, Sighting
 from mecp_env.slam.doors import DoorBook, beyond_doors, record_doorways, rename_jambs
 from mecp_env.slam.rooms import RoomKeeper
 
@@ -74,7 +74,7 @@ def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_ro
     if polygon_room is not None:
         known = [KnownPolygon(match.ids, np.empty((0, 4)), polygon_room)]
         match = replace(match, polygon=0, known=0)
-    keeper.update(corners, match, through, table or features(), belief, known, 0)
+    keeper.update(Sighting(corners, match, through, belief, 0), table or features(), known)
 
 
 def keeper_with_door():
@@ -226,7 +226,8 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
     belief = belief_at(0.0, -1.5)
     corners, match = sighting(belief, (0, 1), ((0, 1),))
     for period in range(4):
-        record_doorways(book, corners, match, features(), belief, 0, np.full(2, -1), period, RoomConfig())
+        seen = Sighting(corners, match, np.full(2, -1), belief, period)
+        record_doorways(book, seen, features(), 0, RoomConfig())
     assert len(book.doors) == 1
     assert not book.candidates
 

@@ -91,7 +91,7 @@ def _match_ring(
     hypotheses = []
     for c, shift in shifts:
         ids = np.concatenate((rings[c, shift:], rings[c, :shift]))
-        if belief.mean_of_gaussians_nis(z, R, ids) > chi2_gate(2, config.gate_probability):
+        if belief.mean_of_gaussians_nis(z, R, ids, paper_S=config.paper_S) > chi2_gate(2, config.gate_probability):
             continue
         joint = belief.joint_nis(z, R, ids)
         if joint <= chi2_gate(2 * k, config.gate_probability):
