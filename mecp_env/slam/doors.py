@@ -10,15 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import RoomConfig
-from mecp_env.slam.data import (
-    UNKNOWN_ROOM,
-    Belief,
-    Candidate,
-    CornerKind,
-    Door,
-    FeatureState,
-    FeatureTable,
-)
+from mecp_env.slam.data import UNKNOWN_ROOM, Belief, Candidate, CornerKind, Door, FeatureState, FeatureTable, Sighting
 from mecp_env.slam.geometry import polar_to_points, to_map
 
 Array = NDArray[np.float64]
