@@ -168,7 +168,8 @@ class SlamConfig(Settings):
                 use_signature=False,
                 ignore_gate=0.0,  # what matches nothing is new
                 rival_gap=0.0,  # the best match counts, however near the second is
+                paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
-            filter=FilterConfig(kind="ekf", closure_iterations=1),  # standard EKF-SLAM, never iterated
+            filter=FilterConfig(kind="ekf", closure_iterations=1, linearisation_sigma_m=0.0),  # standard EKF-SLAM
             rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )

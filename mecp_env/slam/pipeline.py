@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.slam.association import Associator, KnownAssociator, ignored, make_associator
+from mecp_env.slam.checks import check_odometry, check_scan
 from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.corners import extract_corners
@@ -48,7 +49,8 @@ Identities = Callable[[Corners], Ints]
 class SlamPipeline:
     """EKF-SLAM with MECP data association over odometry and laser scans.
 
-    The map frame is the robot's pose when `start` is called. `step` takes one control period.
+    The map frame is the robot's pose when `start` is called. `step` takes one control period. `config` may be a dict.
+    Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then.
     """
 
     config: SlamConfig
@@ -62,6 +64,7 @@ class SlamPipeline:
     diverged: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
+        self.config = SlamConfig.parse(self.config)
         self.reset()
 
     def reset(self) -> None:
@@ -77,6 +80,7 @@ class SlamPipeline:
 
     def start(self, scan: Scan, *, identities: Identities | None = None) -> StepReport:
         """The report of a scan taken at rest: the first ones belong to the start pose, before any motion."""
+        check_scan(scan)
         self.period += 1
         return self._observe(scan, identities)
 
@@ -93,6 +97,8 @@ class SlamPipeline:
         `identities` (true corner of each corner) serves `method="known"` alone; `T_map_robot`, the true pose, replaces
         the estimate where an upper bound is wanted.
         """
+        check_odometry(odometry)
+        check_scan(scan)
         self.period += 1
         self.filter.predict(odometry)
         if T_map_robot is not None:

@@ -1,12 +1,15 @@
 """The estimator as a whole, on scripted drives through two rooms and round a ring."""
 
 from collections import Counter, defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mecp_env.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
-from mecp_env.slam.config import AssociationConfig, SensorModel, SlamConfig
+from mecp_env.slam.checks import SensorError
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.data import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
@@ -186,3 +189,55 @@ def test_the_floor_adds_the_same_position_error_to_every_corner(steps):
     added = np.sqrt((softened.cov - corners.cov).diagonal())
     assert np.allclose(added[0::2], 0.1)
     assert np.allclose(added[1::2] * corners.z[:, 0], 0.1)
+
+
+def damaged(scan, **fields):
+    return replace(scan, **fields)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("scan.ranges", lambda s: damaged(s, ranges=s.ranges[0])),
+        ("scan.ranges", lambda s: damaged(s, ranges=np.where(s.hit, np.nan, s.ranges))),
+        ("scan.ranges", lambda s: damaged(s, ranges=s.ranges + 100.0)),
+        ("scan.ranges", lambda s: damaged(s, ranges=-s.ranges)),
+        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, 1:])),
+        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, ::-1])),
+        ("scan.hit", lambda s: damaged(s, hit=s.hit[:, 1:])),
+    ],
+)
+def test_a_damaged_scan_is_refused_and_nothing_is_lost(drive, field, change):
+    pipeline = SlamPipeline(SlamConfig())
+    before = pipeline.start(drive.scans[0])
+    with pytest.raises(SensorError, match=field):
+        pipeline.step(drive.odometry[3], change(drive.scans[3]))
+    assert pipeline.period == before.period
+    assert np.array_equal(pipeline.filter.belief().T_map_robot, before.belief.T_map_robot)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("odometry.increments", lambda o: replace(o, increments=o.increments * np.nan)),
+        ("odometry.increments", lambda o: replace(o, increments=o.increments[0])),
+        ("odometry.cov", lambda o: replace(o, cov=o.cov[:1])),
+        ("odometry.cov", lambda o: replace(o, cov=-o.cov)),
+    ],
+)
+def test_a_damaged_reading_is_refused(drive, field, change):
+    pipeline = SlamPipeline(SlamConfig())
+    with pytest.raises(SensorError, match=field):
+        pipeline.step(change(drive.odometry[3]), drive.scans[3])
+
+
+def test_a_dict_configures_as_well():
+    assert SlamPipeline({"filter": {"kind": "ekf"}}).config.filter.kind == "ekf"
+    with pytest.raises(ConfigError, match="filtre"):
+        SlamPipeline({"filtre": {}})
+
+
+def test_landmarks_beyond_the_capacity_are_counted(drive):
+    *_, (pipeline, report, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
+    assert len(report.belief.ids) == 8
+    assert pipeline.filter.dropped > 0
