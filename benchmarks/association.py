@@ -132,9 +132,11 @@ def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> li
     for i, room in enumerate(rooms.tolist()):
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
-        window = (pairs.period > i) & (pairs.period <= i + WITHIN_SCANS) & (corner_room[pairs.true] == room)
-        window &= pairs.true >= 0
-        if returned and mapped_before(log, np.unique(pairs.true[window]), i) >= 2:
+        window = (pairs.period > i) & (pairs.period <= i + WITHIN_SCANS)
+        # corners of this room, and spurious ones that were taken for one of them
+        subject = np.where(pairs.true >= 0, pairs.true, pairs.claimed)
+        window &= (subject >= 0) & (corner_room[subject] == room)
+        if returned and mapped_before(log, np.unique(pairs.true[window & (pairs.true >= 0)]), i) >= 2:
             events.append((int((window & pairs.matched & ~pairs.wrong).sum()), int((window & pairs.wrong).sum())))
     return events
 

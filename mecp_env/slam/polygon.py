@@ -60,6 +60,7 @@ def largest_empty_convex_polygons(
     given = _finite("points", points, 2)
     center = None if robot is None else _finite("robot", robot, 1)
     _check_options(tolerance, ties)
+    given, center, tolerance = _to_unit_size(given, center, tolerance)
     sites, ids = _distinct(given)
     weight = 1.0 if ties == "area" else 0.0
     if center is None or robot_on_edge:
@@ -68,6 +69,14 @@ def largest_empty_convex_polygons(
         found = around_robot(sites - center, float(tolerance), weight)
     rings = best_rings(found, ids)
     return rings if ties == "area" else sorted(rings, key=lambda ring: -twice_area(given[list(ring)]))
+
+
+def _to_unit_size(points: Array, robot: Array | None, tolerance: float) -> tuple[Array, Array | None, float]:
+    """All three divided by one power of two, which changes no digit: products can neither overflow nor vanish."""
+    largest = max(np.abs(points).max(initial=0.0), 0.0 if robot is None else np.abs(robot).max())
+    exponent = -math.frexp(largest)[1]
+    scaled = None if robot is None else np.ldexp(robot, exponent)
+    return np.ldexp(points, exponent), scaled, math.ldexp(float(tolerance), exponent)
 
 
 def _check_options(tolerance: float, ties: str) -> None:
@@ -80,6 +89,8 @@ def _check_options(tolerance: float, ties: str) -> None:
 
 def _finite(name: str, given: ArrayLike, dimensions: int) -> Array:
     """`given` as floats of shape (n,2) or (2,); an empty list stands for (0,2)."""
+    if np.iscomplexobj(given):
+        raise MecpError(f"{name}: complex coordinates, {given!r:.80}")
     try:
         array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):

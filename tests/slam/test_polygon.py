@@ -166,3 +166,15 @@ def test_the_points_given_are_not_written_to():
     before = points.copy()
     largest_empty_convex_polygons(points, (1, 1))
     np.testing.assert_array_equal(points, before)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-9, 1.0, 1e9, 1e200])
+def test_the_unit_of_length_does_not_matter(scale):
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * scale
+    assert largest_empty_convex_polygons(square, square.mean(axis=0)) == [(0, 1, 2, 3)]
+    assert largest_empty_convex_polygons(square, tolerance=0.1 * scale) == [(0, 1, 2, 3)]
+
+
+def test_complex_coordinates_are_refused():
+    with pytest.raises(MecpError, match="points: complex"):
+        largest_empty_convex_polygons(np.array([[0, 0], [1, 0], [1j, 1]]))
