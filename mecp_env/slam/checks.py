@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mecp_env.errors import MecpError
+from mecp_env.kernel import kernel
 from mecp_env.slam.data import Array, Odometry, Scan
+
+SOUND, NOT_FINITE, OUT_OF_RANGE, OUT_OF_ORDER = 0, 1, 2, 3
 
 
 class SensorError(MecpError):
@@ -21,13 +26,31 @@ def check_scan(scan: Scan) -> None:
         given = np.shape(getattr(scan, name))
         if given != shape:
             raise SensorError(f"scan.{name}: shape {given} is not that of the ranges, {shape}")
-    _check_finite("scan.ranges", scan.ranges)
-    _check_finite("scan.bearings", scan.bearings)
-    if not (scan.ranges.min() >= 0.0 and scan.ranges.max() <= scan.max_range_m < np.inf):
-        low, high = float(scan.ranges.min()), float(scan.ranges.max())
+    fault = find_fault(np.asarray(scan.ranges, float), np.asarray(scan.bearings, float), float(scan.max_range_m))
+    if fault == NOT_FINITE:
+        raise SensorError("scan.ranges, scan.bearings: every value must be finite")
+    if fault == OUT_OF_RANGE:
+        low, high = float(np.min(scan.ranges)), float(np.max(scan.ranges))
         raise SensorError(f"scan.ranges: {low:g} to {high:g} m is not within 0 to max_range_m = {scan.max_range_m:g} m")
-    if not (np.diff(scan.bearings, axis=1) > 0.0).all() or abs(scan.bearings).max() > np.pi:
+    if fault == OUT_OF_ORDER:
         raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
+
+
+@kernel
+def find_fault(ranges: Array, bearings: Array, max_range: float) -> int:
+    """What is wrong with ranges and bearings (K,B), or SOUND."""
+    for k in range(ranges.shape[0]):
+        last = -math.inf
+        for b in range(ranges.shape[1]):
+            r, bearing = ranges[k, b], bearings[k, b]
+            if not (math.isfinite(r) and math.isfinite(bearing)):
+                return NOT_FINITE
+            if r < 0.0 or r > max_range:
+                return OUT_OF_RANGE
+            if bearing <= last or bearing > math.pi or bearing < -math.pi:
+                return OUT_OF_ORDER
+            last = bearing
+    return SOUND
 
 
 def check_odometry(odometry: Odometry) -> None:
@@ -37,13 +60,8 @@ def check_odometry(odometry: Odometry) -> None:
         raise SensorError(f"odometry.increments: shape {shape} is not (M, 2)")
     if np.shape(odometry.cov) != (shape[0], 2, 2):
         raise SensorError(f"odometry.cov: shape {np.shape(odometry.cov)} is not {(shape[0], 2, 2)}")
-    _check_finite("odometry.increments", odometry.increments)
-    _check_finite("odometry.cov", odometry.cov)
-    variances = odometry.cov[:, (0, 1), (0, 1)]
-    if variances.size and variances.min() < 0.0:
-        raise SensorError(f"odometry.cov: variance {float(variances.min()):g} is below 0")
-
-
-def _check_finite(name: str, values: Array) -> None:
-    if not np.isfinite(values).all():
-        raise SensorError(f"{name}: every value must be finite")
+    if not (np.isfinite(odometry.increments).all() and np.isfinite(odometry.cov).all()):
+        raise SensorError("odometry.increments, odometry.cov: every value must be finite")
+    least = odometry.cov.diagonal(axis1=1, axis2=2).min(initial=0.0)
+    if least < 0.0:
+        raise SensorError(f"odometry.cov: variance {float(least):g} is below 0")

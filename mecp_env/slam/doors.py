@@ -16,6 +16,7 @@ from mecp_env.slam.geometry import polar_to_points, to_map
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+MOST_SIGHTINGS = 50  # the configuration asks for no more
 SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
 
 
@@ -111,9 +112,10 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
 
 
 def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool) -> None:
-    """Count one more sighting of a known door."""
+    """Count one more sighting of a known door, as long as that tells anything."""
     d = book.row[ids]
-    book.doors[d] = replace(book.doors[d], sightings=book.doors[d].sightings + confirmable)
+    if confirmable and book.doors[d].sightings < MOST_SIGHTINGS:
+        book.doors[d] = replace(book.doors[d], sightings=book.doors[d].sightings + 1)
 
 
 def _confirm(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.kernel import kernel
 from mecp_env.slam.data import Odometry
 from mecp_env.world.config import OdometryConfig
 from mecp_env.world.simulation import Motion
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 FLOOR_M = 1e-6  # sigmas of an increment at rest, so that its covariance is positive
 FLOOR_RAD = 1e-6
 QUARTER_TURN = math.pi / 2.0
+READINGS = ("per_metre", "per_step", "linear")
+PER_METRE, PER_STEP = 0, 1
 
 
 def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
@@ -25,27 +28,54 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
     """
     sigmas = np.sqrt(variances(motion.increments, config))  # none at rest
     measured = motion.increments + sigmas * rng.standard_normal(sigmas.shape)
-    return Odometry(measured, _covariances(measured, config), motion.contact)
-
-
-def _covariances(measured: Array, config: OdometryConfig) -> Array:
-    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole period, in equal parts."""
-    even = np.tile(np.abs(measured).mean(axis=0), (len(measured), 1))
-    cov = np.zeros((len(measured), 2, 2))
-    cov[:, 0, 0], cov[:, 1, 1] = (variances(even, config) + np.array([FLOOR_M, FLOOR_RAD]) ** 2).T
-    return cov
+    return Odometry(measured, _covariances(measured, *_rules(config)), motion.contact)
 
 
 def variances(increments: Array, config: OdometryConfig) -> Array:
     """Variances (M,2) of distance (m^2) and turn (rad^2) of each increment (M,2) by the configured reading."""
-    sigma = config.scale * np.array([config.distance_sigma_m, config.turn_sigma_rad])
-    path, turn = np.abs(increments[:, 0]), np.abs(increments[:, 1])
-    if config.reading == "per_metre":
-        metres = path + config.turn_m * turn / QUARTER_TURN
-        return np.outer(metres, sigma**2)
-    arcs = len(increments)
-    if config.reading == "per_step":
-        moves = float(path.sum() + turn.sum() > 0.0)
-        return np.tile(moves * sigma**2 / arcs, (arcs, 1))
-    grown = np.array([path.sum(), path.sum() + turn.sum() / QUARTER_TURN])
-    return np.tile((sigma * grown) ** 2 / arcs, (arcs, 1))
+    return _variances(increments, *_rules(config))
+
+
+def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
+    """Reading, sigma of distance and of turn, metres a radian."""
+    distance, turn = config.scale * config.distance_sigma_m, config.scale * config.turn_sigma_rad
+    return READINGS.index(config.reading), distance, turn, config.turn_m / QUARTER_TURN
+
+
+@kernel
+def _covariances(measured: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
+    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole period, in equal parts."""
+    arcs = measured.shape[0]
+    even, cov = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2))
+    for k in range(2):
+        total = 0.0
+        for m in range(arcs):
+            total += abs(measured[m, k])
+        for m in range(arcs):
+            even[m, k] = total / arcs
+    variance = _variances(even, reading, distance, turn, turn_m)
+    for m in range(arcs):
+        cov[m, 0, 0] = variance[m, 0] + FLOOR_M * FLOOR_M
+        cov[m, 1, 1] = variance[m, 1] + FLOOR_RAD * FLOOR_RAD
+    return cov
+
+
+@kernel
+def _variances(increments: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
+    arcs = increments.shape[0]
+    variance = np.empty((arcs, 2))
+    path, turned = 0.0, 0.0
+    for m in range(arcs):
+        path += abs(increments[m, 0])
+        turned += abs(increments[m, 1])
+    for m in range(arcs):
+        if reading == PER_METRE:
+            metres = abs(increments[m, 0]) + turn_m * abs(increments[m, 1])
+            variance[m, 0], variance[m, 1] = metres * distance * distance, metres * turn * turn
+        elif reading == PER_STEP:
+            moves = 1.0 if path + turned > 0.0 else 0.0
+            variance[m, 0], variance[m, 1] = moves * distance * distance / arcs, moves * turn * turn / arcs
+        else:
+            variance[m, 0] = (distance * path) ** 2 / arcs
+            variance[m, 1] = (turn * (path + turned / QUARTER_TURN)) ** 2 / arcs
+    return variance

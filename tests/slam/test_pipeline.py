@@ -202,6 +202,7 @@ def damaged(scan, **fields):
         ("scan.ranges", lambda s: damaged(s, ranges=np.where(s.hit, np.nan, s.ranges))),
         ("scan.ranges", lambda s: damaged(s, ranges=s.ranges + 100.0)),
         ("scan.ranges", lambda s: damaged(s, ranges=-s.ranges)),
+        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings + np.inf)),
         ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, 1:])),
         ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, ::-1])),
         ("scan.hit", lambda s: damaged(s, hit=s.hit[:, 1:])),
