@@ -20,7 +20,7 @@ from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_state, 
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
 from mecp_env.observations import Observer
-from mecp_env.planning.goals import Goals, find_goals
+from mecp_env.planning.goals import Goals, complete_rooms, find_goals
 from mecp_env.render.view import View
 from mecp_env.rewards import TERMS, quantities, remember, weigh
 from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
@@ -245,7 +245,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def record_drive(self, goals: Goals, row: int, reached: bool) -> None:
         """Remember how a drive to a goal ended, and look for goals anew."""
         episode = self._started()
-        episode.book.record(goals, row, reached)
+        episode.book.record(goals, row, reached, self._planning.goals)
         episode.target = None
         self.refresh_goals()
 
@@ -345,9 +345,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             self.refresh_goals()
 
     def refresh_goals(self) -> None:
-        """Look for goals now, however lately that was done."""
+        """Look for goals now, however lately that was done; the grid is told which rooms have none left."""
         episode = self._started()
         episode.goals = find_goals(episode.report, episode.book, self._planning)
+        episode.pipeline.grid.complete(complete_rooms(episode.goals, episode.book, episode.report.graph))
         episode.goals_period, episode.goals_key = episode.report.period, goals_key(episode.report)
 
     def _compare(self, episode: Episode, motion: Motion) -> None:

@@ -1,7 +1,7 @@
 """Where there is something left to see (design 4.12): open edges, door candidates, frontiers, unexplored doors.
 
 A goal lies in a room and has a level, so that a policy can explore breadth first. What cannot be reached, or is not
-settled by going there, is given up and remembered. Without a goal the exploration is complete, and only then.
+settled by going there, is given up: closed in the `GoalBook`. Without a goal the exploration is complete, only then.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ class Remembered:
     p_map: Array  # (2,) m
     visits: int = 0
     refusals: int = 0
+    closed: bool = False  # given up: what lies there is no goal any more
 
 
 @dataclass(slots=True, eq=False)
@@ -89,14 +90,15 @@ class GoalBook:
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
 
-    def record(self, goals: Goals, row: int, reached: bool, apart_m: float = 0.5) -> None:
-        """Remember that a drive to a goal ended: there, or refused."""
-        remembered = self.find(int(goals.kind[row]), goals.p_map[row], apart_m)
+    def record(self, goals: Goals, row: int, reached: bool, config: GoalsConfig) -> None:
+        """Remember that a drive to a goal ended: there, or refused. Often enough, and the goal is closed."""
+        remembered = self.find(int(goals.kind[row]), goals.p_map[row], config.apart_m)
         if remembered is None:
             remembered = Remembered(int(goals.kind[row]), goals.p_map[row].copy())
             self.drives.append(remembered)
         remembered.visits += int(reached)
         remembered.refusals += int(not reached)
+        remembered.closed = remembered.refusals >= config.refusals or remembered.visits >= config.visits
 
     def find(self, kind: int, p_map: Array, apart_m: float) -> Remembered | None:
         """What is remembered of a goal: the drive to one of its kind nearest to it, within `apart_m`."""
@@ -109,7 +111,10 @@ class GoalBook:
 
 
 def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
-    """All goals of a step that can be reached and are not given up; see `Goals` for their order."""
+    """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
+
+    Where none can be reached, the candidates out of reach: no episode ends while a candidate remains (design 4.12).
+    """
     book.notice(report)
     if not report.grid.label.size:
         return Goals()
@@ -123,8 +128,9 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
             door_goals(report, config.goals),
         ]
     )
-    goals = with_paths(goals, field_, config.goals)
-    goals = without_given_up(goals, book, config.goals)
+    goals = without_closed(goals, book, config.goals)
+    near = with_paths(goals, field_, config.goals)
+    goals = near if len(near) else out_of_reach(goals, report.belief.T_map_robot[:2])
     goals = with_levels(goals, report, book)
     return in_order(goals, report.graph.resolve(report.graph.current))
 
@@ -309,12 +315,19 @@ def reach_of(kind: int, config: GoalsConfig) -> float:
     return config.reach_m + (config.door_beyond_m if kind == GoalKind.DOOR else 0.0)
 
 
-def without_given_up(goals: Goals, book: GoalBook, config: GoalsConfig) -> Goals:
-    """The goals that are not given up, with their visits."""
+def out_of_reach(goals: Goals, p_robot: Array) -> Goals:
+    """The candidates, where no goal can be reached; no way is known, so that its length is the straight one."""
+    goals = goals.take(np.flatnonzero(goals.kind == GoalKind.CANDIDATE))
+    goals.path_m[:] = np.hypot(*(goals.p_map - p_robot).T)
+    return goals
+
+
+def without_closed(goals: Goals, book: GoalBook, config: GoalsConfig) -> Goals:
+    """The goals that are not closed, with their visits."""
     memory = [book.find(int(k), p, config.apart_m) for k, p in zip(goals.kind, goals.p_map, strict=True)]
-    alive = [m is None or (m.refusals < config.refusals and m.visits < config.visits) for m in memory]
-    goals = goals.take(np.flatnonzero(alive))
-    goals.visits[:] = [0 if m is None else m.visits + m.refusals for m, a in zip(memory, alive, strict=True) if a]
+    still = [m for m in memory if m is None or not m.closed]
+    goals = goals.take(np.flatnonzero([m is None or not m.closed for m in memory]))
+    goals.visits[:] = [0 if m is None else m.visits + m.refusals for m in still]
     return goals
 
 

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from mecp_env.errors import ConfigError
+from mecp_env.map_scores import labels_at
 from mecp_env.observations import GOALS
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.slam.data import Cell
+from mecp_env.slam.geometry import inverse, to_map
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import make, same
 from tests.env.test_contract import below
@@ -98,6 +101,15 @@ def test_an_episode_ends_when_no_goal_is_left():
         assert row[4]["goals"] > 0
     assert rows[-1][4]["goals"] == 0
     assert rows[-1][4]["reward_completion"] == 10.0
+
+
+def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
+    env = make(actions="goal", layout="furnished")
+    rows = explore(env, limit=200)
+    assert rows[-1][2]
+    base = env.unwrapped
+    inside = to_map(inverse(base._episode.metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
+    assert labels_at(base.report.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
 
 
 def test_a_copy_between_two_drives_continues_bit_for_bit():

@@ -82,7 +82,7 @@ def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
         goals = find_goals(toy.report(), book, config)
         navigator = drive(toy, target(toy, 3.0, -6.0), 20)
         assert navigator.outcome == Outcome.REFUSED
-        book.record(goals, 0, navigator.outcome == Outcome.REACHED)
+        book.record(goals, 0, navigator.outcome == Outcome.REACHED, config.goals)
     assert len(find_goals(toy.report(), book, config)) == 0
 
 

@@ -165,9 +165,23 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
         for drive in range(times):
             found = find_goals(toy.report(), book, CONFIG)
             assert found.visits.tolist() == [drive]
-            book.record(found, 0, reached)
+            book.record(found, 0, reached, CONFIG.goals)
         assert len(find_goals(toy.report(), book, CONFIG)) == 0
+        assert [drive.closed for drive in book.drives] == [True]
         assert len(goals) == 1
+
+
+def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_others() -> None:
+    toy, book = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalBook()
+    narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
+    assert find_goals(toy.report(), book, narrow).kind.tolist() == [GoalKind.OPEN]  # the bare floor, which is in reach
+    toy.add_polygon([0, 1, 2, 3], 0)
+    for drive in range(narrow.goals.refusals):
+        goals = find_goals(toy.report(), book, narrow)
+        assert (goals.kind.tolist(), goals.visits.tolist()) == ([GoalKind.CANDIDATE], [drive])
+        assert goals.path_m == pytest.approx(np.hypot(*(goals.p_map - toy.report().belief.T_map_robot[:2]).T))
+        book.record(goals, 0, False, narrow.goals)
+    assert len(find_goals(toy.report(), book, narrow)) == 0
 
 
 def test_paths_are_as_long_as_the_way(toy: Toy) -> None:
