@@ -89,12 +89,7 @@ def _check_options(tolerance: float, ties: str) -> None:
 
 def _finite(name: str, given: ArrayLike, dimensions: int) -> Array:
     """`given` as floats of shape (n,2) or (2,); an empty list stands for (0,2)."""
-    if np.iscomplexobj(given):
-        raise MecpError(f"{name}: complex coordinates, {given!r:.80}")
-    try:
-        array = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MecpError(f"{name}: {given!r:.80} are no numbers") from None
+    array = _as_floats(name, given)
     if dimensions == 2 and array.size == 0:
         return np.empty((0, 2))
     if array.ndim != dimensions or array.shape[-1] != 2:
@@ -102,6 +97,15 @@ def _finite(name: str, given: ArrayLike, dimensions: int) -> Array:
     if not np.isfinite(array).all():
         raise MecpError(f"{name}: every coordinate must be finite, given {given!r:.80}")
     return array
+
+
+def _as_floats(name: str, given: ArrayLike) -> Array:
+    if np.iscomplexobj(given):
+        raise MecpError(f"{name}: complex coordinates, {given!r:.80}")
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MecpError(f"{name}: {given!r:.80} are no numbers") from None
 
 
 def _distinct(points: Array) -> tuple[Array, Ints]:

@@ -58,13 +58,9 @@ class PolygonStore:
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
         """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
-        resolved = [replace(p, room=graph.resolve(p.room)) if p.room in graph.merged else p for p in self.polygons]
-        kept = list({tuple(p.ids.tolist()): p for p in resolved if _whole(p, features)}.values())
-        for room in {p.room for p in kept}:
-            members = sorted((p for p in kept if p.room == room), key=lambda p: (p.seen, p.last_period))
-            dropped = {id(p) for p in members[: max(0, len(members) - self.most_per_room)]}
-            kept = [p for p in kept if id(p) not in dropped]
-        self.polygons = kept
+        kept = {tuple(p.ids.tolist()): p for p in self.polygons if _whole(p, features, graph)}
+        merged = [replace(p, room=graph.resolve(p.room)) for p in kept.values()] if graph.merged else kept.values()
+        self.polygons = _seen_most(list(merged), self.most_per_room)
         self._index()
 
     def rename(self, keep: int, drop: int) -> None:
@@ -98,7 +94,17 @@ def _rolled(intervals: Array, shift: int, k: int) -> Array:
     return rolled
 
 
-def _whole(polygon: KnownPolygon, features: FeatureTable) -> bool:
+def _seen_most(polygons: list[KnownPolygon], most: int) -> list[KnownPolygon]:
+    """The polygons in order, of each room the `most` that were seen most often, then latest."""
+    dropped: set[int] = set()
+    for room in {p.room for p in polygons}:
+        members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_period))
+        dropped.update(id(p) for p in members[: max(0, len(members) - most)])
+    return [p for p in polygons if id(p) not in dropped]
+
+
+def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> bool:
+    room = graph.resolve(polygon.room)
     alive = (features.state[polygon.ids] != int(FeatureState.DEAD)).all()
-    at_home = (features.room[polygon.ids] == polygon.room).all()
+    at_home = (features.room[polygon.ids] == room).all()
     return bool(alive and at_home and len(set(polygon.ids.tolist())) == len(polygon.ids))

@@ -38,10 +38,10 @@ def one_to_one(cost: Array, gate: float) -> Ints:
     taken = np.zeros(m, np.bool_)
     for _ in range(min(n, m)):
         best, row, column = gate, -1, -1
-        for i in range(n):
-            for j in range(m):
-                if paired[i] < 0 and not taken[j] and cost[i, j] < best:
-                    best, row, column = cost[i, j], i, j
+        for pair in range(n * m):
+            i, j = pair // m, pair % m
+            if paired[i] < 0 and not taken[j] and cost[i, j] < best:
+                best, row, column = cost[i, j], i, j
         if row < 0:
             break
         paired[row] = column

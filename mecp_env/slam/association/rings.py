@@ -48,16 +48,14 @@ def plausible_shifts(nis: Array, rings: Ints, gate: float) -> Ints:
     count, k = rings.shape
     found = np.empty((count * k, 2), np.int64)
     h = 0
-    for c in range(count):
-        for shift in range(k):
-            fits = True
-            for v in range(k):
-                if not nis[v, rings[c, (v + shift) % k]] <= gate:
-                    fits = False
-                    break
-            if fits:
-                found[h, 0], found[h, 1] = c, shift
-                h += 1
+    for hypothesis in range(count * k):
+        c, shift = hypothesis // k, hypothesis % k
+        fits = True
+        for v in range(k):
+            fits &= nis[v, rings[c, (v + shift) % k]] <= gate
+        if fits:
+            found[h, 0], found[h, 1] = c, shift
+            h += 1
     return found[:h]
 
 

@@ -89,18 +89,16 @@ def strike_by_signature(
     Both are outer or both inner corners, at least one face is seen in both, and none is turned by more than
     `tolerance`. `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame.
     """
-    for i in range(nis.shape[0]):
-        for j in range(nis.shape[1]):
-            if nis[i, j] == math.inf:
-                continue
-            shared, turned = 0, 0
-            for side in range(2):
-                difference = wrap_angle(normals[i, side] + heading - known_normals[j, side])
-                if not math.isnan(difference):
-                    shared += 1
-                    turned += abs(difference) > tolerance
-            if convex[i] != known_convex[j] or shared == 0 or turned > 0:
-                nis[i, j] = math.inf
+    n, m = nis.shape
+    for pair in range(n * m):
+        i, j = pair // m, pair % m
+        shared, turned = 0, 0
+        for side in range(2):
+            difference = wrap_angle(normals[i, side] + heading - known_normals[j, side])
+            shared += not math.isnan(difference)
+            turned += abs(difference) > tolerance
+        if convex[i] != known_convex[j] or shared == 0 or turned > 0:
+            nis[i, j] = math.inf
 
 
 @kernel
