@@ -10,17 +10,17 @@ from gymnasium.envs.registration import register, registry
 
 __version__ = "0.1.0"
 
-ENVIRONMENTS: dict[str, dict[str, str]] = {  # id -> keywords, which go over a `config`
-    "mecp_env/PaperMap-v0": {"layout": "paper"},
-    "mecp_env/Layout-v0": {},
+ENVIRONMENTS = {  # id -> entry point
+    "mecp_env/PaperMap-v0": "mecp_env.env:make_paper_map",
+    "mecp_env/Layout-v0": "mecp_env.env:make",
 }
 
 
 def register_environments() -> None:
     """Register the ids of `ENVIRONMENTS`; a second call changes nothing."""
-    for name, keywords in ENVIRONMENTS.items():
+    for name, entry_point in ENVIRONMENTS.items():
         if name not in registry:
-            register(id=name, entry_point="mecp_env.env:make", kwargs=dict(keywords))
+            register(id=name, entry_point=entry_point)
 
 
 register_environments()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 from collections.abc import Mapping
-from typing import Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.errors import ConfigError
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.settings import Settings
+from mecp_env.settings import Settings, no_bool
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
 
@@ -26,7 +27,7 @@ class ObservationConfig(Settings):
 class RewardConfig(Settings):
     """Weight of each term of the reward; the unit of the term stands beside it (see rewards.py)."""
 
-    source: Literal["belief", "truth"] = "belief"  # what the area and the completion are measured on
+    source: Literal["belief", "truth"] = "belief"  # what the area is measured on
     area: float = 0.1  # a m^2 newly mapped
     pose_information: float = 0.05  # a nat: the drop of 0.5 log det of the pose covariance
     landmark_information: float = 0.05  # a m^2: the drop of the trace of the landmarks' covariances
@@ -41,14 +42,27 @@ class EndConfig(Settings):
     coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the truth's free area that must have been seen
 
 
+def plain_value(value: Any) -> Any:
+    """`value` as plain data: a configuration or layout as a dict of what was set in it, a path as a string."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "model_dump"):
+        return value.model_dump(mode="json", exclude_unset=True)
+    return {name: plain_value(item) for name, item in value.items()} if isinstance(value, Mapping) else value
+
+
+Number = Annotated[float, BeforeValidator(no_bool)]
+
+
 class EnvConfig(Settings):
     """The whole environment; every field may be given to `gymnasium.make` as a keyword."""
 
-    layout: str | dict[str, Any] = "two_rooms"  # shipped name, path of a file, or a layout as a dict
+    # shipped name, path of a file, `Layout`, or a layout as a dict; kept as a string or a dict
+    layout: Annotated[str | dict[str, Any], BeforeValidator(plain_value)] = "two_rooms"
     estimator: Literal["slam", "known", "truth"] = "slam"
     actions: Literal["velocity", "discrete", "goal"] = "velocity"
     max_periods: int = Field(3000, ge=1, le=10_000_000)
-    start: Literal["layout", "random"] | tuple[float, float, float] = "layout"  # or x, y (m), heading (rad), world
+    start: Literal["layout", "random"] | tuple[Number, Number, Number] = "layout"  # or x, y (m), heading (rad), world
     robot: RobotConfig = RobotConfig()
     laser: LaserConfig = LaserConfig()
     odometry: OdometryConfig = OdometryConfig()
@@ -66,7 +80,7 @@ class EnvConfig(Settings):
         Sections are merged field by field. Raises `ConfigError` for an unknown name at any level (with the nearest
         known one), a wrong type or a value out of bounds.
         """
-        fields = merge(plain(config, cls.__name__), {name: plain_value(value) for name, value in keywords.items()})
+        fields = merge(plain(config), {name: plain_value(value) for name, value in keywords.items()})
         refuse_unknown(cls, fields, cls.__name__)
         return cls(**fields)
 
@@ -102,6 +116,20 @@ class EnvConfig(Settings):
         paths = following(planning.paths, {"radius_m": robot.radius_m})
         return planning.model_copy(update={"paths": paths, "control": following(planning.control, control)})
 
+    @model_validator(mode="after")
+    def _can_explore(self) -> Self:
+        """Refuse what ends every exploration before it begins."""
+        slam, paths = self.slam, self.planning_config.paths
+        at_most("slam.grid.resolution_m", slam.grid.resolution_m, 2.0 * paths.radius_m, "the robot's width")
+        width = 2.0 * (paths.radius_m + paths.margin_m)
+        at_most("2 (planning.paths.radius_m + margin_m)", width, slam.corners.door_width_m[1], "the widest door")
+        least = 4 * slam.segments.min_beams
+        if self.laser.beams < least:
+            raise ValueError(
+                f"laser.beams: {self.laser.beams}, at least {least} (slam.segments.min_beams on each of four walls)"
+            )
+        return self
+
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON data from which `build` makes an equal configuration."""
         return dump(self)
@@ -109,6 +137,12 @@ class EnvConfig(Settings):
     def to_json(self) -> str:
         """`to_dict` as text."""
         return json.dumps(self.to_dict(), indent=2)
+
+
+def at_most(field: str, value: float, bound: float, what: str) -> None:
+    """Raise `ValueError` for a value above its bound."""
+    if value > bound:
+        raise ValueError(f"{field}: {value:g} m, at most {bound:g} m, {what}")
 
 
 S = TypeVar("S", bound=Settings)
@@ -136,21 +170,12 @@ def dump(config: EnvConfig) -> dict[str, Any]:
     return data
 
 
-def plain_value(value: Any) -> Any:
-    """`value` as plain data: a configuration or layout as a dict (of a part of one only what was set)."""
-    if isinstance(value, EnvConfig):
-        return dump(value)
-    if hasattr(value, "model_dump"):
-        return value.model_dump(mode="json", exclude_unset=True)
-    return {name: plain_value(item) for name, item in value.items()} if isinstance(value, Mapping) else value
-
-
-def plain(config: Any, where: str) -> dict[str, Any]:
+def plain(config: Any) -> dict[str, Any]:
     """The fields of a configuration given as an object, a dict or None."""
     if config is None:
         return {}
     if not isinstance(config, Mapping | EnvConfig):
-        raise ConfigError(f"config: expected a dict, {where} or None, given {type(config).__name__}")
+        raise ConfigError(f"config: expected a dict, EnvConfig or None, given {type(config).__name__}")
     fields = plain_value(config)
     assert isinstance(fields, dict)
     return fields

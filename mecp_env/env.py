@@ -15,7 +15,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mecp_env.actions import make_actions
-from mecp_env.config import EnvConfig, plain_value
+from mecp_env.config import EnvConfig, merge, plain, plain_value
 from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_state, goals_key, nearest_goal
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
@@ -40,6 +40,7 @@ Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
+PAPER_LAYOUT = "paper"
 
 
 class MecpEnv(gymnasium.Env[Observation, Any]):
@@ -83,16 +84,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Episode End
 
-    Terminated: no goal is left in the belief, or the share `end={"coverage": ...}` of the true free area has been
-    seen. Truncated: `max_periods` periods are over (default 3,000), or the filter diverged (`info["diverged"]`).
+    Terminated: no goal is left in a belief with at least one polygon, or the share `end={"coverage": ...}` of the true
+    free area has been seen. Truncated: `max_periods` periods are over (default 3,000), or the filter diverged
+    (`info["diverged"]`).
 
     ## Arguments
 
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
     as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
-    `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `EnvConfig.paper()` is the paper to the
-    letter. With `estimator="known"` association is told the true identities, with `"truth"` the filter is told the
-    true pose. Unknown names raise `ConfigError` at every level.
+    `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `layout` is a shipped name, a path, a dict or a
+    `Layout`; `PaperMap-v0` has its own. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
+    association is told the true identities, with `"truth"` the filter is told the true pose. Unknown names, and values
+    with which nothing can be explored, raise `ConfigError`.
 
     ## Vectorized environment
 
@@ -224,7 +227,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             p_goals=episode.goals.p_map,
             goal_kinds=np.asarray(episode.goals.kind, np.int64),
             target=nearest_goal(episode.goals, episode.target),
-            title=f"{self._outline.name}, {self.config.estimator}",
+            title=f"{self._outline.name}, {self.config.estimator}, period {episode.metrics.periods}",
             metrics=figures(episode.metrics, self._truth, episode.report),
         )
 
@@ -365,7 +368,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _ends(self, episode: Episode) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
-        done = not len(episode.goals) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
+        explored = not len(episode.goals) and len(episode.report.known_polygons) > 0
+        done = explored or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
         cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
         episode.over = done or cut
         if episode.over:
@@ -401,6 +405,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "contact": episode.contact,
             "diverged": episode.report.diverged,
             "saturated": episode.saturated,
+            "landmarks_dropped": episode.pipeline.filter.dropped,  # that found no room in a full filter
             **figures(episode.metrics, self._truth, episode.report),
             **{f"reward_{name}": value for name, value in terms.items()},
         }
@@ -424,11 +429,22 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 def make(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The registered entry point: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
+    """The entry point of `Layout-v0`: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
     from mecp_env.wrappers import GoalActions  # which needs MecpEnv
 
     env = MecpEnv(config, render_mode, **keywords)
     return GoalActions(env) if env.config.actions == "goal" else env
 
 
-make.metadata = MecpEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make asks its entry point for the render modes
+def make_paper_map(
+    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The entry point of `PaperMap-v0`: as `make`, in the paper's building. Raises `ConfigError` for another layout."""
+    layout = merge(plain(config), keywords).get("layout", PAPER_LAYOUT)
+    if layout != PAPER_LAYOUT:
+        raise ConfigError(f"layout: {layout!r:.80}, PaperMap-v0 is {PAPER_LAYOUT!r}; Layout-v0 takes any")
+    return make(config, render_mode, **keywords | {"layout": PAPER_LAYOUT})
+
+
+for entry_point in (make, make_paper_map):  # gymnasium.make asks its entry point for the render modes
+    entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]

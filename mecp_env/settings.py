@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mecp_env.errors import ConfigError
@@ -14,6 +15,13 @@ def describe(error: ValidationError, root: str) -> str:
     return "; ".join(
         f"{'.'.join([root, *map(str, e['loc'])])}: {e['msg']} (given: {e['input']!r:.80})" for e in error.errors()
     )
+
+
+def no_bool(value: Any) -> Any:
+    """`value` itself. Raises `ValueError` for True and False, which are no numbers."""
+    if isinstance(value, bool | np.bool_):
+        raise ValueError("Input should be a number")
+    return value
 
 
 class Settings(BaseModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Point
 
 from mecp_env.config import unknown
-from mecp_env.errors import ConfigError
+from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.settings import no_bool
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.outline import Outline, random_free_pose
 from mecp_env.world.simulation import wall_distance
@@ -18,6 +20,7 @@ Array = NDArray[np.float64]
 Start = str | tuple[float, float, float]
 
 CLEARANCE_M = 0.05  # between the robot and the walls at a drawn start
+MAX_TURN = 2.0 * math.pi
 
 
 def parse_options(options: Any, default: Start, outline: Outline, robot: RobotConfig) -> Start:
@@ -33,28 +36,48 @@ def parse_options(options: Any, default: Start, outline: Outline, robot: RobotCo
 
 
 def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
-    """`start` if it can be one: "layout", "random", or a pose at which the robot touches nothing."""
-    if isinstance(start, str) and start in ("layout", "random"):
+    """`start` if it can be one: "layout", "random", or a pose at which the robot touches nothing.
+
+    Raises `ConfigError`, also when the robot is too large for the layout's own start, or for any drawn one.
+    """
+    if isinstance(start, str) and start == "random":
+        check_space(outline, robot)
+        return start
+    if isinstance(start, str) and start == "layout":
+        check_room(tuple(outline.starts[0].tolist()), outline, robot)
         return start
     pose = to_pose(start)
     if not outline.free_area.contains(Point(pose[:2])):
         raise ConfigError(f"start: {pose} does not lie in the free space of {outline.name!r}")
-    room = wall_distance(outline.segments, pose[0], pose[1])
-    if room < robot.radius_m:
-        raise ConfigError(
-            f"start: {pose} is {room:.3f} m from a wall, at least {robot.radius_m} m (the robot's radius)"
-        )
+    check_room(pose, outline, robot)
     return pose
 
 
-def to_pose(start: Any) -> tuple[float, float, float]:
-    """`start` as three finite numbers. Raises `ConfigError`."""
+def check_room(pose: tuple[float, ...], outline: Outline, robot: RobotConfig) -> None:
+    """Raise `ConfigError` where the robot would touch a wall."""
+    room = wall_distance(outline.segments, pose[0], pose[1])
+    if room < robot.radius_m:
+        raise ConfigError(f"start: {pose} is {room:.3f} m from a wall, at least robot.radius_m = {robot.radius_m}")
+
+
+def check_space(outline: Outline, robot: RobotConfig) -> None:
+    """Raise `ConfigError` when there is no place where the robot touches nothing."""
     try:
-        x, y, heading = (float(value) for value in start)
+        random_free_pose(outline, np.random.default_rng(0), robot.radius_m + CLEARANCE_M)
+    except LayoutError as error:
+        raise ConfigError(f"robot.radius_m: {robot.radius_m} m: {error}") from None
+
+
+def to_pose(start: Any) -> tuple[float, float, float]:
+    """`start` as three finite numbers, the heading at most a full turn. Raises `ConfigError`."""
+    try:
+        x, y, heading = (float(no_bool(value)) for value in start)
     except (TypeError, ValueError):
         raise ConfigError(f'start: expected "layout", "random" or x, y, heading, given {start!r:.80}') from None
     if not np.isfinite([x, y, heading]).all():
         raise ConfigError(f"start: expected finite numbers, given {start!r:.80}")
+    if abs(heading) > MAX_TURN:
+        raise ConfigError(f"start: heading {heading:g} rad, at most {MAX_TURN:.4f} (a full turn) either way")
     return x, y, heading
 
 

@@ -28,7 +28,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     with the episode. Rewards of its periods are summed. `info["event"]` tells how it ended ("reached", "refused",
     "ended" with the episode, "masked" for a row that holds no goal: one period of waiting) and `info["periods"]` how
     many periods it took, at least one. A drive after which no goal is left is followed by one period of waiting, in
-    which the episode ends.
+    which the episode ends (unless nothing was mapped yet).
 
     `callback`, if one is set, is called with the result of every inner period. A state taken inside a drive continues
     as a velocity environment: the drive itself is not part of it.
@@ -102,7 +102,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def _finish(self, steps: list[Step], event: str) -> Step:
         """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
         observation, _, terminated, truncated, info = steps[-1]
-        info |= {"event": event, "periods": len(steps), "goals": len(self.base.goals)}
+        info = info | {"event": event, "periods": len(steps), "goals": len(self.base.goals)}
         if event in ("reached", "refused") and not terminated:
             observation = self.base.observation()
         return observation, sum(step[1] for step in steps), terminated, truncated, info

@@ -79,6 +79,8 @@ def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
     run = Run.begin(EnvConfig.build(recipe["config"]), recipe["seed"])
     run.explore(lambda run: None)
     assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
+    periods = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert run.env.view().title == f"two_rooms, slam, period {periods}"  # the title of map.png
 
 
 def test_the_run_can_be_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

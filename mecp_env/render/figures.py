@@ -61,9 +61,7 @@ def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]
 
 
 def _caption(view: View) -> str:
-    return "    ".join(
-        [f"{view.title}, period {view.report.period}", *(f"{name} {value}" for name, value in summary(view.metrics))]
-    )
+    return "    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
 
 
 def _draw_intervals(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:

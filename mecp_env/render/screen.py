@@ -57,7 +57,7 @@ class Screen:
         return Box(MARGIN, HEADER, width, height), Box(2 * MARGIN + width, HEADER, width, height)
 
     def _header(self, brush: Brush, view: View) -> None:
-        brush.text(f"{view.title}, period {view.report.period}", (MARGIN, 10), 24)
+        brush.text(view.title, (MARGIN, 10), 24)
         x = float(self.config.width_px - MARGIN)
         for name, value in reversed(summary(view.metrics)):
             x -= brush.text(value, (x, 11), 22, align=1.0) + 5

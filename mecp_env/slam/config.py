@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from mecp_env.settings import Settings
+
+
+def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
+    low, high = limits
+    if not 0.0 <= low <= high:
+        raise ValueError(f"expected 0 <= least <= most, given {low:g}, {high:g}")
+    return limits
+
+
+Limits = Annotated[tuple[float, float], AfterValidator(_ordered)]  # least and most
 
 
 class SensorModel(Settings):
@@ -53,7 +63,7 @@ class CornerConfig(Settings):
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
-    door_width_m: tuple[float, float] = (0.75, 1.05)
+    door_width_m: Limits = (0.75, 1.05)
     door_range_m: float = Field(3.5, gt=0.0, le=30.0)
     door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)
 
@@ -68,7 +78,7 @@ class PolygonConfig(Settings):
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     open_depth_m: float = Field(0.2, gt=0.0, le=2.0)
     open_width_m: float = Field(0.4, gt=0.0, le=5.0)
-    gap_width_m: tuple[float, float] = (0.4, 1.2)  # between walls: a door, or one seen from the side; else it is open
+    gap_width_m: Limits = (0.4, 1.2)  # between walls: a door, or one seen from the side; else it is open
 
 
 class TrackConfig(Settings):
@@ -121,7 +131,7 @@ class RoomConfig(Settings):
     """III, rooms and doors."""
 
     confirm_sightings: int = Field(3, ge=1, le=50)
-    wall_thickness_m: tuple[float, float] = (0.05, 0.4)
+    wall_thickness_m: Limits = (0.05, 0.4)
     hysteresis_m: float = Field(0.3, ge=0.0, le=2.0)
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)
     recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms

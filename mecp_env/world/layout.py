@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,13 @@ def shipped_layouts() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in LIBRARY.glob("*.json")))
 
 
-def load_layout(given: str | Path | dict[str, Any] | Layout) -> Layout:
+def load_layout(given: str | os.PathLike[str] | dict[str, Any] | Layout) -> Layout:
     """The layout of a shipped name, a path to a JSON file, a dict of its fields, or a `Layout`.
 
     Raises LayoutError naming the source, the field, the value and the bound: for a file that is missing, larger than
     1 MB, nested deeper than 32 or no JSON; for unknown, missing or wrong fields; for impossible geometry.
     """
+    given = Path(given) if isinstance(given, os.PathLike) else given
     try:
         return check_geometry(_parse(given))
     except LayoutError as error:

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import gymnasium
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import LaserConfig
+from mecp_env.world.layout import load_layout
 
 UNKNOWN = [
     ({"layuot": "paper"}, r"EnvConfig\.layuot: no such field; did you mean 'layout'\?"),
@@ -32,8 +35,19 @@ WRONG = [
     {"end": {"coverage": 1.5}},
     {"start": "nowhere"},
     {"start": (1.0, 2.0)},
+    {"start": (True, 2.0, 0.0)},
+    {"layout": 3},
     {"observation": {"map": "please"}},
     {"robot": {"max_speed_m_s": -1.0}},
+    {"slam": {"corners": {"door_width_m": (1.0, 0.5)}}},
+    {"slam": {"polygon": {"gap_width_m": (-0.1, 0.5)}}},
+    {"slam": {"rooms": {"wall_thickness_m": (0.4, 0.1)}}},
+]
+IN_VAIN = [  # nothing can be explored
+    ({"slam": {"grid": {"resolution_m": 1.0}}}, r"slam\.grid\.resolution_m: 1 m, at most 0\.44 m"),
+    ({"planning": {"paths": {"radius_m": 2.0}}}, r"planning\.paths\.radius_m .*: 4\.1 m, at most 1\.05 m"),
+    ({"robot": {"radius_m": 1.5}}, r"radius_m .*: 3\.1 m, at most 1\.05 m"),
+    ({"laser": {"beams": 8}}, r"laser\.beams: 8, at least 20"),
 ]
 
 
@@ -49,6 +63,23 @@ def test_unknown_names_are_refused_at_every_level_with_the_nearest(fields, messa
 def test_wrong_values_are_refused_with_field_and_value(fields):
     with pytest.raises(ConfigError, match=next(iter(fields))):
         EnvConfig.build(fields)
+
+
+@pytest.mark.parametrize(("fields", "message"), IN_VAIN, ids=repr)
+def test_what_can_explore_nothing_is_refused_with_field_value_and_bound(fields, message):
+    with pytest.raises(ConfigError, match=message):
+        EnvConfig.build(fields)
+
+
+@pytest.mark.parametrize("form", [str, Path, load_layout, lambda path: json.loads(path.read_text())], ids=str)
+def test_a_layout_is_a_name_a_path_a_layout_or_a_dict(form, tmp_path):
+    path = tmp_path / "mine.json"
+    path.write_text(load_layout("twins").to_json())
+    env = gymnasium.make("mecp_env/Layout-v0", layout=form(path))
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    for config in (env.unwrapped.config, EnvConfig(layout=form(path)), EnvConfig.build({"layout": form(path)})):
+        assert load_layout(config.layout) == load_layout("twins")
+        assert EnvConfig.build(json.loads(config.to_json())) == config == again.unwrapped.config
 
 
 @pytest.mark.parametrize("config", [3, "paper", [("layout", "paper")], object()], ids=str)

@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 
 import mecp_env
 from mecp_env.config import EnvConfig
+from mecp_env.errors import ConfigError
 from mecp_env.world.layout import load_layout
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, SMALL, make
@@ -102,8 +103,8 @@ def test_observations_share_no_memory():
 
 @pytest.mark.parametrize("name", IDS)
 def test_the_spec_survives_json(name):
-    keywords = {"config": EnvConfig.build(max_periods=9), "layout": load_layout("two_rooms"), "actions": "goal"}
-    env = gymnasium.make(name, **keywords)
+    own = {} if "PaperMap" in name else {"layout": load_layout("two_rooms")}
+    env = gymnasium.make(name, config=EnvConfig.build(max_periods=9), actions="goal", **own)
     spec = EnvSpec.from_json(env.spec.to_json())
     json.dumps(env.unwrapped.spec.kwargs)
     again = gymnasium.make(spec)
@@ -120,6 +121,16 @@ def test_registration_is_idempotent_and_both_forms_of_make_work():
     assert gymnasium.make("mecp_env:mecp_env/Layout-v0").unwrapped.config.layout == "two_rooms"
     assert gymnasium.make("mecp_env/PaperMap-v0").unwrapped.config.layout == "paper"
     assert gymnasium.make("mecp_env/Layout-v0", config={"layout": "office"}).unwrapped.config.layout == "office"
+
+
+@pytest.mark.parametrize(
+    "keywords", [{"layout": "twins"}, {"config": {"layout": "twins"}}, {"config": EnvConfig(layout="twins")}], ids=str
+)
+def test_the_paper_map_takes_no_other_layout(keywords):
+    with pytest.raises(ConfigError, match=r"layout: .*PaperMap-v0 is 'paper'"):
+        gymnasium.make("mecp_env/PaperMap-v0", **keywords)
+    same = gymnasium.make("mecp_env/PaperMap-v0", layout="paper", config={"layout": "paper", "max_periods": 9})
+    assert (same.unwrapped.config.layout, same.unwrapped.config.max_periods) == ("paper", 9)
 
 
 def test_importing_the_package_is_light():

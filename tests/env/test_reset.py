@@ -5,7 +5,8 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 from mecp_env.errors import ConfigError
-from tests.env.helpers import make, same
+from tests.env.helpers import drive, make, same
+from tests.env.test_goal_actions import explore
 
 BAD_OPTIONS = [
     3,
@@ -21,6 +22,9 @@ BAD_OPTIONS = [
     {"start": [float("nan"), 2.0, 0.0]},
     {"start": [float("inf"), 2.0, 0.0]},
     {"start": [1e9, 2.0, 0.0]},
+    {"start": [1.0, 1.0, 1e300]},
+    {"start": [True, True, False]},
+    {"start": np.array([True, True, False])},
     {"start": [0.0, 0.0, 0.0]},
     {"start": {"x": 1.0}},
     {"start": np.zeros((3, 1, 2))},
@@ -53,6 +57,13 @@ def test_the_start_can_be_given():
 def test_a_start_in_a_wall_is_refused_when_the_environment_is_made():
     with pytest.raises(ConfigError, match=r"start: .*wall|start: .*free space"):
         make(start=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("start", ["layout", "random"])
+def test_a_robot_too_large_for_the_layout_is_refused_when_the_environment_is_made(start):
+    wide = {"corners": {"door_width_m": (0.75, 9.0)}}
+    with pytest.raises(ConfigError, match=r"robot\.radius_m"):
+        make(layout="twins", start=start, robot={"radius_m": 2.0}, slam=wide)
 
 
 def test_random_starts_are_free_and_follow_the_seed():
@@ -89,6 +100,20 @@ def test_step_needs_a_reset_before_and_after_an_episode():
         env.step(np.zeros(2, np.float32))
     env.reset()
     env.step(np.zeros(2, np.float32))
+
+
+def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
+    env = make(max_periods=30, slam={"segments": {"min_length_m": 5.0}}).unwrapped
+    env.reset(seed=1)
+    rows = drive(env, 30)
+    assert [row[2:4] for row in rows[:30]] == [(False, False)] * 29 + [(False, True)]
+    assert not env.report.known_polygons
+
+
+def test_info_counts_the_landmarks_that_found_no_room():
+    rows = explore(make(actions="goal", slam={"filter": {"max_landmarks": 8}}), limit=10)
+    assert rows[0][4]["landmarks_dropped"] == 0
+    assert (rows[-1][4]["landmarks"], rows[-1][4]["landmarks_dropped"] > 0) == (8, True)
 
 
 def test_coverage_can_end_an_episode():
