@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,32 @@ def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
+def door_error(truth: Truth, report: StepReport, T_world_map: Array) -> float:
+    """Mean distance (m) of the doors found from the truth: of the middle of each face that is known; 0 without one."""
+    doors = report.graph.doors
+    p_world = to_map(T_world_map, door_centres(doors, report.belief))
+    found = nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M)
+    errors = [_face_error(truth, doors[d], report.belief, T_world_map, true) for d, true in found]
+    return float(np.mean(errors)) if errors else 0.0
+
+
+def _face_error(truth: Truth, door: Door, belief: Belief, T_world_map: Array, true: int) -> float:
+    """Mean distance (m) of the middles of the door's known faces from the nearer face of the true door."""
+    true_doors = truth.outline.doors
+    ahead = np.array([np.cos(true_doors.normal[true]), np.sin(true_doors.normal[true])])
+    faces = true_doors.centre[true] + np.outer((0.5, -0.5), ahead * true_doors.thickness[true])
+    known = [face for face in (door.jambs, door.other_face) if face is not None]
+    p_map = np.array([belief.p_map[belief.rows(np.array(face))].mean(axis=0) for face in known])
+    return float(distances(to_map(T_world_map, p_map), faces).min(axis=1).mean())
+
+
+def covers(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
+    """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
+    p_map = to_map(inverse(T_world_map), truth.centres[truth.free])
+    free = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
+    return float(cells_at(grid, grid.polygon, p_map, False).mean()), float(free.mean())
+
+
 def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[int, int]:
     """How many true rooms hold the centre of a room of the map (one to one), and how many rooms hold none.
 
@@ -73,12 +101,17 @@ def grid_iou(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> float:
 
 def labels_at(grid: SemanticGrid, p_map: Array) -> NDArray[np.uint8]:
     """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
+    return cells_at(grid, grid.label, p_map, np.uint8(Cell.UNKNOWN))
+
+
+def cells_at(grid: SemanticGrid, layer: NDArray[Any], p_map: Array, outside: Any) -> NDArray[Any]:
+    """(n,) the values of a layer (H,W) of the grid at the points (n,2) of the map frame."""
     cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
-    rows, cols = grid.label.shape
+    rows, cols = layer.shape
     inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
-    labels = np.full(len(p_map), int(Cell.UNKNOWN), np.uint8)
-    labels[inside] = grid.label[cells[inside, 1], cells[inside, 0]]
-    return labels
+    values = np.full(len(p_map), outside, layer.dtype)
+    values[inside] = layer[cells[inside, 1], cells[inside, 0]]
+    return values
 
 
 def distances(a: Array, b: Array) -> Array:

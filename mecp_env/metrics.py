@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env import metric_kernels as kernels
-from mecp_env.map_scores import doors_found, grid_iou, rooms_found
+from mecp_env.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
 from mecp_env.slam.data import Belief, Decision, StepReport
 from mecp_env.slam.geometry import compose, inverse, wrap_angle
 from mecp_env.slam.linalg import mahalanobis
@@ -171,6 +171,7 @@ class EpisodeMetrics:
         tp, fp, fn, _ = (int(count) for count in self.association.final_counts())
         rooms, rooms_false = rooms_found(truth, report, self.T_world_map)
         doors, doors_false = doors_found(truth, report, self.T_world_map)
+        polygon_cover, grid_cover = covers(truth, report.grid, self.T_world_map)
         looks = max(1, report.period)
         return {
             "periods": self.periods,
@@ -183,6 +184,9 @@ class EpisodeMetrics:
             "doors": len(truth.outline.doors),
             "doors_found": doors,
             "doors_false": doors_false,
+            "door_error_m": door_error(truth, report, self.T_world_map),
+            "polygon_cover": polygon_cover,
+            "grid_cover": grid_cover,
             "grid_iou": grid_iou(truth, report.grid, self.T_world_map),
             "pose_rmse_m": math.sqrt(self.squared_error_sum / looks),
             "pose_error_final_m": self.pose_error_m,

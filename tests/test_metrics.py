@@ -254,5 +254,7 @@ def test_an_episode_adds_up():
     assert summary["pose_error_worst_m"] >= max(errors)
     assert summary["metres"] == pytest.approx(info["metres"])
     assert 0.5 < summary["metres"] < 10 * 0.4 * 0.75 * 0.6
+    assert 0.0 < summary["polygon_cover"] <= summary["grid_cover"] + 0.05
+    assert 0.0 <= summary["door_error_m"] < 0.05
     assert 0.0 < summary["grid_iou"] <= 1.0
     assert all(math.isfinite(value) for value in summary.values())
