@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mecp_env.actions import make_actions
 from mecp_env.config import EnvConfig, merge, plain, plain_value
-from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_state, goals_key, nearest_goal
+from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_parts, check_state, goals_key, nearest_goal
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
 from mecp_env.observations import Observer
@@ -26,7 +26,7 @@ from mecp_env.rewards import TERMS, quantities, remember, weigh
 from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.start import check_start, parse_options, start_pose
-from mecp_env.state import StateError, decode, encode, generator_data, make_generator
+from mecp_env.state import decode, encode, generator_data, make_generator
 from mecp_env.truth import CELL_M, Truth
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
@@ -207,8 +207,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             decode(state["simulation"]),
             decode(state["episode"]),
         )
-        if not isinstance(episode, Episode):
-            raise StateError(f"state.episode: expected an Episode, given {type(episode).__name__}")
+        check_parts(state["seed"], body, episode, SlamPipeline(self._slam))
         self._simulation.set_state(body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode

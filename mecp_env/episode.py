@@ -16,6 +16,7 @@ from mecp_env.rewards import RewardMemory
 from mecp_env.slam.data import StepReport
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.state import StateError
+from mecp_env.state_check import check_fields, examples_of
 
 Array = NDArray[np.float64]
 
@@ -67,3 +68,11 @@ def check_state(state: Any, config: EnvConfig) -> None:
         raise StateError(f"state: without {', '.join(sorted(missing))}")
     if state["config"] != config.to_json():
         raise StateError("state.config: the state is of an environment with another configuration")
+
+
+def check_parts(seed: Any, body: Any, episode: Any, fresh: SlamPipeline) -> None:
+    """Raise `StateError` unless the parts of a state are of their types; `fresh` is a pipeline just made."""
+    examples = examples_of(fresh)
+    check_fields(seed, int | None, "state.seed", examples)
+    check_fields(body, dict[str, Array], "state.simulation", examples)
+    check_fields(episode, Episode, "state.episode", examples)

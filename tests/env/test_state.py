@@ -192,6 +192,74 @@ def test_set_state_refuses_what_does_not_fit_and_changes_nothing():
         assert same(other.get_state(), before)
 
 
+def with_field(state, name, value):
+    """The state with another value of a field of the episode; `...` leaves it out."""
+    kind, fields = state["episode"]["@object"]
+    fields = {key: item for key, item in fields.items() if key != name} | ({} if value is ... else {name: value})
+    return state | {"episode": {"@object": [kind, fields]}}
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (lambda s: with_field(s, "metrics", ...), "metrics"),
+        (lambda s: with_field(s, "metrics", None), r"episode\.metrics: expected EpisodeMetrics"),
+        (lambda s: with_field(s, "over", "yes"), r"episode\.over: expected bool, given 'yes'"),
+        (lambda s: with_field(s, "goals_period", True), r"episode\.goals_period: expected int"),
+        (lambda s: with_field(s, "goals_key", {"@tuple": [1, "x"]}), r"episode\.goals_key"),
+        (lambda s: with_field(s, "target", {"@array": [np.zeros(2, np.int64), True]}), r"episode\.target"),
+        (lambda s: with_field(s, "extra", 3), "extra"),
+        (lambda s: with_field(s, "pipeline", {"@list": []}), "state: object"),
+        (lambda s: s | {"episode": None}, "episode"),
+        (lambda s: s | {"simulation": None}, "simulation"),
+        (lambda s: s | {"simulation": {"@dict": [["body", 3.0]]}}, "simulation"),
+        (lambda s: s | {"seed": "x"}, "seed"),
+        (lambda s: s | {"seed": True}, "seed"),
+    ],
+)
+def test_set_state_names_the_field_that_is_damaged_and_changes_nothing(damage, named):
+    env = make().unwrapped
+    env.reset(seed=1)
+    drive(env, 5)
+    state = env.get_state()
+    drive(env, 3)
+    before = env.get_state()
+    with pytest.raises(StateError, match=named):
+        env.set_state(damage(state))
+    assert same(env.get_state(), before)
+
+
+def damaged_inside(data, cls, name, value):
+    """The data with a field of every object of class `cls` set to `value`."""
+    if isinstance(data, list):
+        return [damaged_inside(item, cls, name, value) for item in data]
+    if not isinstance(data, dict):
+        return data
+    made = {key: damaged_inside(item, cls, name, value) for key, item in data.items()}
+    if "@object" in made and made["@object"][0].endswith(f":{cls}"):
+        made["@object"][1][name] = value
+    return made
+
+
+@pytest.mark.parametrize(
+    ("cls", "name", "value"),
+    [
+        ("GridPainter", "merges", "none"),
+        ("RightInvariantEkf", "mean", None),
+        ("RightInvariantEkf", "gone", 1),
+        ("Belief", "pose_cov", {"@list": []}),
+        ("KnownPolygon", "ids", {"@array": [np.zeros(3), True]}),
+        ("RoomGraph", "merged", {"@dict": [["a", 1]]}),
+    ],
+)
+def test_damage_deep_inside_is_found_too(cls, name, value):
+    env = make().unwrapped
+    env.reset(seed=1)
+    state = env.get_state()
+    with pytest.raises(StateError, match=rf"state\.episode\..*{name}"):
+        env.set_state(state | {"episode": damaged_inside(state["episode"], cls, name, value)})
+
+
 def test_an_environment_that_never_ran_has_no_state_but_can_be_copied():
     env = make().unwrapped
     with pytest.raises(ResetNeeded):
