@@ -1,4 +1,4 @@
-"""Explorers: breadth first against a random walk.
+"""Explorers: breadth first against a random walk, each from a start that the seed draws.
 
 A seed is complete when its episode ends with every room and every door found and 95 % of the free area seen. A room is
 found when the centre of a room of the map lies in it, a door when a door of the map lies within 0.3 m, one to one; what
@@ -65,7 +65,7 @@ def explore(task: tuple[str, str, int]) -> Episode:
     layout, where, seed = task
     module, _, name = where.partition(":")
     agent = getattr(importlib.import_module(module), name)()
-    env = make(layout=layout, actions=agent.actions, max_periods=MAX_PERIODS)
+    env = make(layout=layout, actions=agent.actions, max_periods=MAX_PERIODS, start="random")
     episode = Episode()
     if isinstance(env, GoalActions):
         env.callback = lambda step: episode.look(step[4])
