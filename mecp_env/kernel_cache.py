@@ -64,10 +64,18 @@ def _usable(directory: Path) -> bool:
 @functools.cache
 def _announce() -> None:
     """Say once a process that the first start takes longer, and clear away what has not been written for long."""
-    log.warning("mecp_env: compiling kernels; this happens once and takes less than a minute")
+    log.warning("mecp_env: compiling kernels; this happens once and takes about a minute")
     for entry in cache_directory().glob("*.nb*"):
         with contextlib.suppress(OSError):  # another process was faster
             _remove_old(entry)
+
+
+@functools.cache
+def _start_helpers() -> None:
+    """Once a process: have the other cores compile, too."""
+    from mecp_env.warm_up import start_helpers  # it knows this module, and few processes need it
+
+    start_helpers(cache_directory())
 
 
 def _remove_old(entry: Path) -> None:
@@ -157,6 +165,7 @@ class _KernelCache(NullCache):  # type: ignore[misc]
         found = self._load_or_drop(sig, target_context)
         if found is None:
             _announce()
+            _start_helpers()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:

@@ -33,7 +33,7 @@ class Tree:
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         self.package.mkdir()
-        for name in ("kernel.py", "kernel_cache.py", "kernel_key.py"):
+        for name in ("kernel.py", "kernel_cache.py", "kernel_key.py", "warm_up.py"):
             shutil.copy(PACKAGE / name, self.package)
         (self.package / "__init__.py").touch()
         (self.package / "caller.py").write_text(CALLER)
@@ -47,7 +47,8 @@ class Tree:
         """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
         code = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"
         variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
-        variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)} | environment
+        variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
+        variables |= {"MECP_ENV_COMPILE_HELPERS": "0"} | environment
         here = self.package.parent
         done = subprocess.run([sys.executable, "-c", code], env=variables, cwd=here, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
