@@ -3,7 +3,7 @@
 numba compiles on one core, and the environment has some three hundred kernels. So the process that finds the cache
 empty starts helpers: each takes the kernels that are needed last first, from a list of what an exploration calls, and
 puts them into the cache, where this process finds them when it gets there. The list is only that, a list: what is not
-in it, or no longer fits, is compiled when it is called. `python -m mecp_env.warm_up record` writes it anew.
+in it, or no longer fits, is compiled when it is called. `python -m mecp_env.record_kernels` writes it anew.
 
 MECP_ENV_COMPILE_HELPERS sets how many helpers there may be; 0 switches them off.
 """
@@ -25,8 +25,6 @@ from typing import Any
 import numba
 import numpy as np
 from numba import types
-
-from mecp_env.kernel_cache import _KernelCache
 
 LIST = Path(__file__).with_name("kernel_signatures.json")
 SWITCH = "MECP_ENV_COMPILE_HELPERS"
@@ -101,46 +99,6 @@ def decode(data: Any) -> types.Type:
     return types.Tuple([decode(part) for part in parts[0]])
 
 
-def record() -> list[Entry]:
-    """The kernels that an exploration calls from Python, with their types, in the order of their first call.
-
-    Only in a process that finds them all in the cache: else kernels that kernels call are among them.
-    """
-    found: dict[str, Entry] = {}
-    owner: Any = _KernelCache
-    load = owner.load_overload
-
-    def load_and_note(cache: Any, sig: Any, context: Any) -> Any:
-        function = cache._function
-        with contextlib.suppress(ValueError):
-            entry = [function.__module__, function.__name__, [encode(argument) for argument in sig]]
-            found.setdefault(json.dumps(entry), entry)
-        return load(cache, sig, context)
-
-    owner.load_overload = load_and_note
-    try:
-        exercise()
-    finally:
-        owner.load_overload = load
-    return list(found.values())
-
-
-def exercise() -> None:
-    """Explore the layout `paper`, which calls all that an episode calls."""
-    from mecp_env.env import MecpEnv
-    from mecp_env.planning.breadth_first import BreadthFirst
-    from mecp_env.wrappers import GoalActions
-
-    env, policy = MecpEnv(layout="paper"), BreadthFirst()
-    goals = GoalActions(env)
-    observation, _ = goals.reset(seed=0)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = goals.step(policy.act(observation, goals.action_masks()))
-        over = terminated or truncated
-    env.summary()
-
-
 def _take(lock: Path) -> bool:
     """True when the lock was free, or left behind."""
     with contextlib.suppress(OSError):
@@ -153,16 +111,5 @@ def _take(lock: Path) -> bool:
     return True
 
 
-def main(arguments: list[str]) -> None:
-    """`record`, or the share of a helper and how many there are."""
-    if arguments == ["record"]:
-        subprocess.run([sys.executable, "-c", "from mecp_env.warm_up import exercise; exercise()"], check=True)
-        lines = ",\n".join(json.dumps(entry) for entry in record())
-        LIST.write_text(f"[\n{lines}\n]\n")
-    else:
-        share, count = map(int, arguments)
-        compile_share(json.loads(LIST.read_text()), share, count)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    compile_share(json.loads(LIST.read_text()), int(sys.argv[1]), int(sys.argv[2]))

@@ -56,7 +56,7 @@ def test_the_list_names_kernels_that_exist() -> None:
             [warm_up.decode(argument) for argument in arguments]
         except (ImportError, AttributeError):
             gone.append(f"{module}.{name}")
-    assert not gone, "write the list anew: python -m mecp_env.warm_up record"
+    assert not gone, "write the list anew: python -m mecp_env.record_kernels"
 
 
 def test_a_share_compiles_what_it_can_and_skips_the_rest() -> None:
