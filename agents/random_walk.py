@@ -12,7 +12,9 @@ import tyro
 from numpy.typing import NDArray
 
 import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.errors import MecpError
 
+WRONG_INPUT = 2
 LEAST_HELD, MOST_HELD = 3, 20  # periods for which a command is held
 TURN_ON_THE_SPOT = 0.3  # share of the commands
 
@@ -55,11 +57,20 @@ class Args:
 
 
 def main(args: Args) -> int:
+    """One episode; prints its figures. Exit code 0, or 2 for wrong input."""
+    try:
+        return walk(args)
+    except (MecpError, gym.error.Error) as error:
+        print(f"random_walk: {error}", file=sys.stderr)
+        return WRONG_INPUT
+
+
+def walk(args: Args) -> int:
     """One episode; prints its figures."""
     agent = RandomWalk()
-    agent.reset(args.seed)
     env = gym.make("mecp_env/Layout-v0", layout=args.layout, actions=agent.actions, max_periods=args.periods)
     observation, _ = env.reset(seed=args.seed)
+    agent.reset(args.seed)
     over = False
     while not over:
         observation, _, terminated, truncated, _ = env.step(agent.act(observation))

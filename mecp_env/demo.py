@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
+from mecp_env.errors import ConfigError
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
@@ -42,7 +43,9 @@ class Run:
 
     @classmethod
     def begin(cls, config: EnvConfig, seed: int, render_mode: str | None = None) -> Run:
-        """A run at its first observation."""
+        """A run at its first observation. Raises `ConfigError` for a negative seed, as for a wrong configuration."""
+        if seed < 0:
+            raise ConfigError(f"seed: {seed}, at least 0")
         return cls(MecpEnv(config, render_mode), seed)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -12,31 +13,38 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from mecp_env.demo import Run
-from mecp_env.render.text import summary
 from mecp_env.stopwatch import Stopwatch
 
 EVERY = 10  # periods between two updates
+BAR_WIDTH = 6  # what is left of 80 columns
+
+
+def status(metrics: Mapping[str, float], steps_per_s: float) -> str:
+    """How far an exploration has come, in at most 65 characters: with bar and time it fits into 80 columns."""
+    return (
+        "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%}".format(**metrics)
+        + f" error {100.0 * metrics['pose_error_m']:.1f} cm {steps_per_s:,.0f} steps/s"
+    )
 
 
 class Progress:
     """A bar of the share of the building that has been seen, with rooms, doors, pose error and speed."""
 
-    def __init__(self, run: Run, watch: Stopwatch) -> None:
+    def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
         self.watch = watch
-        name, now = TextColumn("{task.description}", style="bold"), TextColumn("{task.fields[now]}")
-        self.bar = Bar(name, BarColumn(), TimeElapsedColumn(), now)
-        self.task = self.bar.add_task(f"exploring {run.env.config.layout}", total=1.0, now="preparing")
+        self.title = f"exploring {run.env.config.layout}"
+        self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
+        self.task = self.bar.add_task("preparing", total=1.0)
 
     def show(self, run: Run) -> None:
         """Bring the bar up to date, every few periods."""
         if run.periods % EVERY:
             return
         metrics = run.env.view().metrics
-        now = "  ".join(f"{name} {value}" for name, value in summary(metrics))
-        speed = f"{self.watch.steps_per_s:,.0f} steps/s" if run.periods else ""
-        self.bar.update(self.task, completed=metrics["coverage"], now=f"{now}  {speed}")
+        self.bar.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
 
     def __enter__(self) -> Self:
+        self.bar.console.print(self.title, style="bold")
         self.bar.start()
         return self
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from rich.console import Console
 
+from agents.random_walk import Args
+from agents.random_walk import main as random_walk
 from mecp_env import cli
 from mecp_env.config import EnvConfig
 from mecp_env.demo import Run, tum
+from mecp_env.progress import Progress, status
 from mecp_env.slam.config import SlamConfig
+from mecp_env.stopwatch import Stopwatch
 
 FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
 FIGURES = {
@@ -113,7 +120,7 @@ def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest
         (["demo", "--seed", "first"], "first"),
         (["demo", "--config.slam.filter.kindd", "ekf"], "--config.slam.filter.kind"),
         (["demo", "--config.slam.filter.kind", "ukf"], "riekf"),
-        (["demo", "--config.max-periods", "0"], "max_periods"),
+        (["demo", "--config.max-periods", "0"], "Error parsing config: Fields.max_periods"),
         (["demo", "--render", "holo"], "human"),
     ],
 )
@@ -135,6 +142,28 @@ def test_an_unknown_layout_ends_with_2_and_names_the_shipped_ones(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_negative_seed_and_a_missing_display_end_with_2_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["demo", "--layout", "two_rooms", "--out", str(tmp_path / "run")]
+    assert cli.main([*line, "--seed", "-1"]) == 2
+    assert capsys.readouterr().err == "mecp-env: seed: -1, at least 0\n"
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
+    assert cli.main([*line, "--render", "human"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("mecp-env: render_mode: 'human' can open no window")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", periods=0), "max_periods"), (Args(seed=-1), "-1")],
+)
+def test_wrong_input_of_the_random_walk_ends_with_2(args: Args, named: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert random_walk(args) == 2
+    assert re.fullmatch(rf"random_walk: .*{named}.*\n", capsys.readouterr().err)
+
+
 def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     assert cli.main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "file" / "run")]) == 2
@@ -143,10 +172,30 @@ def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest
 
 def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
     fields = cli.Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
-    config = cli.configuration("office", fields)
+    line = ["--config.laser.preset", "lms200", "--config.slam.filter.kind=ekf"]
+    config = cli.configuration("office", fields, line)
     assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
     assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
-    assert cli.configuration("two_rooms", cli.Fields()) == EnvConfig(layout="two_rooms")
+    assert cli.configuration("two_rooms", cli.Fields(), []) == EnvConfig(layout="two_rooms")
+
+
+def test_a_field_set_to_its_default_is_set() -> None:
+    line = "demo --config.laser.preset ideal --config.slam.sensor.range-sigma-m 0.05 --config.slam.polygon.no-guard"
+    chosen = cli.parse(line.split())
+    assert isinstance(chosen, cli.Demo)
+    config = cli.configuration("paper", chosen.config, line.split())
+    assert config.estimator_config.sensor.range_sigma_m == 0.05
+    assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
+    assert not config.slam.polygon.guard
+
+
+def test_the_progress_shows_everything_in_80_columns() -> None:
+    metrics = {"rooms_found": 12, "rooms": 12, "doors_found": 12, "doors": 12, "coverage": 1.0, "pose_error_m": 1.234}
+    run, out = Run.begin(EnvConfig(layout="two_rooms"), 0), io.StringIO()
+    progress = Progress(run, Stopwatch(), Console(file=out, width=80, force_terminal=True))
+    with progress:
+        progress.bar.update(progress.task, completed=1.0, description=status(metrics, 12345.0))
+    assert "rooms 12/12 doors 12/12 seen 100.0% error 123.4 cm 12,345 steps/s" in out.getvalue()
 
 
 def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

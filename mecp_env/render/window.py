@@ -6,6 +6,8 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from mecp_env.errors import ConfigError
+
 
 class Window:
     """Shows frames. When the user closes it, the episode goes on without a window."""
@@ -16,7 +18,10 @@ class Window:
         self._surface: pygame.Surface | None = None
 
     def show(self, frame: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3), opening the window before the first one."""
+        """Show a picture (height, width, 3), opening the window before the first one.
+
+        Raises `ConfigError` where no window can be opened.
+        """
         if self.closed:
             return
         surface = self._surface or self._open(frame.shape[1], frame.shape[0])
@@ -33,7 +38,11 @@ class Window:
         self.closed = True
 
     def _open(self, width: int, height: int) -> pygame.Surface:
-        pygame.display.init()
+        try:
+            pygame.display.init()
+            self._surface = pygame.display.set_mode((width, height))
+        except pygame.error as error:
+            pygame.display.quit()
+            raise ConfigError(f"render_mode: 'human' can open no window ({error})") from None
         pygame.display.set_caption(self.title)
-        self._surface = pygame.display.set_mode((width, height))
         return self._surface
