@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 import types
@@ -25,6 +26,14 @@ FIGURES = {"scan": {"us": 10.0}, "steps_per_s": 2000.0, "complete": common.share
 
 def content(calibration: float = 5.0, **changes: object) -> dict[str, object]:
     return {"figures": {**FIGURES, **changes}, "calibration_ms": calibration}
+
+
+@pytest.mark.parametrize("name", command.NAMES)
+def test_every_benchmark_has_figures_and_gates_and_stands_in_the_readme(name: str) -> None:
+    module = importlib.import_module(f"benchmarks.{name}")
+    assert callable(module.run)
+    assert module.GATES
+    assert f"| `{name}` |" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def test_the_interval_of_a_mean_covers_it_about_95_times_in_100() -> None:
