@@ -86,7 +86,7 @@ def test_good_velocities_pass_unchanged(action):
     assert check_velocity(action) == (float(action[0]), float(action[1]))
 
 
-@pytest.mark.parametrize("action", BAD_VELOCITIES, ids=lambda a: f"{a!r:.30}")
+@pytest.mark.parametrize("action", BAD_VELOCITIES, ids=lambda a: f"{a!r:.15}")
 def test_bad_velocities_are_refused(action):
     with pytest.raises(ActionError, match="action"):
         check_velocity(action)
@@ -97,7 +97,7 @@ def test_good_choices_pass(action):
     assert check_choice(action, 5) == int(action)
 
 
-@pytest.mark.parametrize("action", BAD_CHOICES, ids=lambda a: f"{a!r:.30}")
+@pytest.mark.parametrize("action", BAD_CHOICES, ids=lambda a: f"{a!r:.15}")
 def test_bad_choices_are_refused(action):
     with pytest.raises(ActionError, match="action"):
         check_choice(action, 5)

@@ -71,7 +71,9 @@ def test_what_can_explore_nothing_is_refused_with_field_value_and_bound(fields, 
         EnvConfig.build(fields)
 
 
-@pytest.mark.parametrize("form", [str, Path, load_layout, lambda path: json.loads(path.read_text())], ids=str)
+@pytest.mark.parametrize(
+    "form", [str, Path, load_layout, lambda path: json.loads(path.read_text())], ids=["str", "Path", "Layout", "dict"]
+)
 def test_a_layout_is_a_name_a_path_a_layout_or_a_dict(form, tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(load_layout("twins").to_json())
@@ -82,7 +84,9 @@ def test_a_layout_is_a_name_a_path_a_layout_or_a_dict(form, tmp_path):
         assert EnvConfig.build(json.loads(config.to_json())) == config == again.unwrapped.config
 
 
-@pytest.mark.parametrize("config", [3, "paper", [("layout", "paper")], object()], ids=str)
+@pytest.mark.parametrize(
+    "config", [3, "paper", [("layout", "paper")], object()], ids=lambda value: type(value).__name__
+)
 def test_a_config_of_another_type_is_refused(config):
     with pytest.raises(ConfigError, match="expected a dict"):
         EnvConfig.build(config)

@@ -97,7 +97,11 @@ class Foreign:
     x: int = 1
 
 
-@pytest.mark.parametrize("value", [print, lambda: 1, Foreign(), object(), np.array([None]), (n for n in "ab")], ids=str)
+@pytest.mark.parametrize(
+    "value",
+    [print, lambda: 1, Foreign(), object(), np.array([None]), (n for n in "ab")],
+    ids=lambda value: type(value).__name__,
+)
 def test_what_no_state_may_hold_is_refused(value):
     with pytest.raises(TypeError):
         encode(value)
