@@ -28,10 +28,11 @@ PERIODS = 150
 
 
 def probe() -> str:
-    """What this machine's C library makes of a few thousand angles, in short."""
+    """What this machine's C library and NumPy's own vector code make of a few thousand angles, in short."""
     angles = np.linspace(-7.0, 7.0, 4001)
     values = [f(a) for a in angles for f in (math.sin, math.cos, math.tan)] + [math.atan2(a, 0.3) for a in angles]
-    return hashlib.sha256(np.array(values).tobytes()).hexdigest()[:16]
+    vector = [f(angles) for f in (np.sin, np.cos, np.exp, np.arctan)] + [np.arctan2(angles, 0.3), np.hypot(angles, 0.3)]
+    return hashlib.sha256(np.array(values).tobytes() + np.array(vector).tobytes()).hexdigest()[:16]
 
 
 def run_hash(case: str) -> str:
