@@ -194,10 +194,10 @@ class SlamPipeline:
         seen = Sighting(corners, match, through, belief, self.period)
         moved = self.rooms.update(seen, self.features, self.polygons.polygons)
         graph = self.rooms.graph()
-        added = self.polygons.remember(polygons, match, self.features, graph, self.period)
+        crowded = self.polygons.remember(polygons, match, self.features, graph, self.period)
         pair = self._duplicate(match, belief)
         match = self._fuse(match, pair)
-        if len(dead) or moved or pair or added:
+        if len(dead) or moved or pair or crowded:
             self.polygons.prune(self.features, graph)
         return match, self.filter.belief() if pair else belief
 

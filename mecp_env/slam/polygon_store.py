@@ -33,15 +33,18 @@ class PolygonStore:
     ) -> bool:
         """Add this scan's polygons whose vertices all have an id and lie in this room, or note them seen again.
 
-        Says whether there was a new one.
+        Says whether the room now has more of them than the cap.
         """
-        known = len(self.polygons)
+        added = len(self.polygons)
         for polygon in () if graph.in_doorway else polygons:
             ids = match.ids[polygon.corners]
             # Fig. 6: polygons of different rooms share no vertex
             if ids.min() >= 0 and (features.room[ids] == graph.current).all() and len(set(ids.tolist())) == len(ids):
                 self._note(ids, polygon.intervals, graph.current, period)
-        return len(self.polygons) > known
+        return len(self.polygons) > added and self._above_cap(graph.current)
+
+    def _above_cap(self, room: int) -> bool:
+        return sum(polygon.room == room for polygon in self.polygons) > self.most_per_room
 
     def _note(self, ids: Ints, intervals: Array, room: int, period: int) -> None:
         shift = int(ids.argmin())
@@ -49,8 +52,9 @@ class PolygonStore:
         intervals = _rolled(intervals, shift, len(ids))
         key = tuple(ring.tolist())
         if key not in self.row:
+            self.row[key] = len(self.polygons)
             self.polygons.append(KnownPolygon(ring, intervals, room, 1, period))
-            self._index()
+            self._index_rings(len(ring))
             return
         i = self.row[key]
         known = self.polygons[i]
@@ -76,9 +80,11 @@ class PolygonStore:
         self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
         self.rings = {}
         for cardinality in {len(p.ids) for p in self.polygons}:
-            index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
-            ids = np.stack([self.polygons[i].ids for i in index])
-            self.rings[cardinality] = Rings(np.array(index, np.int64), ids)
+            self._index_rings(cardinality)
+
+    def _index_rings(self, cardinality: int) -> None:
+        index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
+        self.rings[cardinality] = Rings(np.array(index, np.int64), np.stack([self.polygons[i].ids for i in index]))
 
 
 @kernel
