@@ -8,13 +8,17 @@ from typing import Any, TypeVar
 import numba
 
 from mecp_env.kernel_cache import cache_for
+from mecp_env.kernel_compiler import Kernel, KernelCompiler
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
 
 
 def kernel(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
-    compiled = numba.njit(nogil=True)(function)
-    if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT hands back the function itself
-        compiled._cache = cache_for(function)
-    return compiled  # type: ignore[no-any-return]
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled = Kernel(function, targetoptions=OPTIONS, pipeline_class=KernelCompiler)
+    compiled._cache = cache_for(function)
+    return compiled

@@ -27,6 +27,7 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
 from numba.misc.appdirs import AppDirs
 
+from mecp_env.kernel_compiler import Inner
 from mecp_env.kernel_key import fingerprint
 
 KEPT_DAYS = 30  # entries not written for so long are removed when something is compiled
@@ -169,6 +170,8 @@ class _KernelCache(NullCache):  # type: ignore[misc]
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        if isinstance(data.entry_point, Inner):
+            return  # it is part of its caller's entry
         try:
             self._entry.save_overload(sig, data)
         except OSError as error:  # disk full, directory gone

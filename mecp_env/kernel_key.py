@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "1: njit(nogil=True)"  # changes with the options that kernels are compiled with
+FORMAT = "2: nogil, inner kernels linked unoptimised"  # changes with the options that kernels are compiled with
 
 
 def fingerprint(function: Callable[..., Any]) -> str:

@@ -24,6 +24,7 @@ CALLER = (
     "from mecp_env.kernel import kernel\nfrom mecp_env.called import called\n\n\n"
     "@kernel\ndef caller(x: float) -> float:\n    return 2.0 * called(x)\n"
 )
+CALL = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"  # twice the same number
 COMPILING = "compiling kernels"
 
 
@@ -33,7 +34,7 @@ class Tree:
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         self.package.mkdir()
-        for name in ("kernel.py", "kernel_cache.py", "kernel_key.py", "warm_up.py"):
+        for name in ("kernel.py", "kernel_cache.py", "kernel_compiler.py", "kernel_key.py", "warm_up.py"):
             shutil.copy(PACKAGE / name, self.package)
         (self.package / "__init__.py").touch()
         (self.package / "caller.py").write_text(CALLER)
@@ -43,9 +44,8 @@ class Tree:
         """Let the called kernel add another constant, or have another docstring."""
         (self.package / "called.py").write_text(CALLED.format(added=added, doc=doc))
 
-    def call(self, **environment: str) -> tuple[float, str]:
+    def call(self, code: str = CALL, **environment: str) -> tuple[float, str]:
         """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
-        code = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"
         variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
         variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
         variables |= {"MECP_ENV_COMPILE_HELPERS": "0"} | environment
@@ -88,6 +88,30 @@ def test_a_constant_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) ->
     assert COMPILING in said
 
 
+def test_an_inner_kernel_is_compiled_in_full_once_python_calls_it(tree: Tree) -> None:
+    code = (
+        "from mecp_env.kernel_compiler import Inner; from mecp_env.caller import caller, called\n"
+        "caller(1.0); inner = [isinstance(made.entry_point, Inner) for made in called.overloads.values()]\n"
+        "assert inner == [True], inner\n"
+        "print(called(1.0), caller(1.0) - 2.0)"
+    )
+    assert tree.call(code)[0] == 2.0
+    assert len(tree.entries("nbc")) == 2
+
+
+def test_an_error_in_an_inner_kernel_arrives(tree: Tree) -> None:
+    called = tree.package / "called.py"
+    raising = "if x < 2.0:\n        raise ValueError('small', x)\n    return x"
+    called.write_text(called.read_text().replace("return x", raising))
+    code = (
+        "from mecp_env.caller import caller; import pytest\n"
+        "with pytest.raises(ValueError, match='small.*1.5'): caller(1.5)\n"
+        "print(caller(3.0), caller(3.0))"
+    )
+    for _ in range(2):  # compiled, and from the cache
+        assert tree.call(code)[0] == 8.0
+
+
 def test_an_edit_of_words_compiles_nothing(tree: Tree) -> None:
     tree.call()
     tree.add(1.0, doc="One more than x.\n\n    Now in two lines.")
@@ -117,7 +141,7 @@ def test_an_unwritable_cache_is_said_and_survived(tree: Tree) -> None:
 def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree: Tree, tmp_path: Path) -> None:
     tree.call(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "own"), HOME=str(tmp_path / "own"))
     found = list((tmp_path / "own").rglob("*.nbc"))
-    assert len(found) == 2
+    assert len(found) == 1  # the called kernel is part of its caller's entry
     assert not list(tree.package.rglob("*.nb?"))
     if os.name == "posix":
         assert found[0].parent.stat().st_mode & 0o077 == 0
