@@ -36,10 +36,10 @@ SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 1
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
 
 GATES = (
-    Gate("paper/mecp/precision/value", "share", 0.003),
-    Gate("paper/mecp/recall/value", "share", 0.01),
-    Gate("paper/mecp/rmse_m/value", "error", 1.5),
-    Gate("paper/mecp/closure_recall/value", "share", 0.05),
+    Gate("paper/mecp/precision", "share", 0.003),
+    Gate("paper/mecp/recall", "share", 0.01),
+    Gate("paper/mecp/rmse_m", "error", 1.5),
+    Gate("paper/mecp/closure_recall", "share", 0.05),
 )
 
 

@@ -145,3 +145,13 @@ def test_a_wrong_command_line_ends_with_2(line: list[str]) -> None:
 
 def test_options_are_what_benchmarks_are_given() -> None:
     assert Options() == Options(jobs=1, quick=False)
+
+
+@pytest.mark.parametrize("name", command.NAMES)
+def test_every_gate_finds_its_figure_in_the_committed_results(name: str) -> None:
+    """A gate whose path is misspelt would fail every run: held against itself, a baseline must pass."""
+    baseline = common.RESULTS / f"{name}.json"
+    if not baseline.is_file():
+        pytest.skip(f"no committed results of {name}")
+    content = json.loads(baseline.read_text())
+    assert common.failures(importlib.import_module(f"benchmarks.{name}").GATES, content, content) == []
