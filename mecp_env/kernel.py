@@ -8,17 +8,25 @@ from typing import Any, TypeVar
 import numba
 
 from mecp_env.kernel_cache import cache_for
-from mecp_env.kernel_compiler import Kernel, KernelCompiler
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+TESTED_NUMBA = ("0.68.",)  # `kernel_compiler` leans on the inside of numba; with any other version it stays out
 
 
 def kernel(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
     if numba.config.DISABLE_JIT:
         return function
-    compiled = Kernel(function, targetoptions=OPTIONS, pipeline_class=KernelCompiler)
+    compiled = _dispatcher(function)
     compiled._cache = cache_for(function)
-    return compiled
+    return compiled  # type: ignore[no-any-return]
+
+
+def _dispatcher(function: Callable[..., Any]) -> Any:
+    if not numba.__version__.startswith(TESTED_NUMBA):
+        return numba.njit(nogil=True, no_cfunc_wrapper=True)(function)
+    from mecp_env.kernel_compiler import Kernel, KernelCompiler
+
+    return Kernel(function, targetoptions=OPTIONS, pipeline_class=KernelCompiler)

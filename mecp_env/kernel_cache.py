@@ -27,7 +27,6 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
 from numba.misc.appdirs import AppDirs
 
-from mecp_env.kernel_compiler import Inner
 from mecp_env.kernel_key import fingerprint
 
 KEPT_DAYS = 30  # entries not written for so long are removed when something is compiled
@@ -145,6 +144,10 @@ class _Entry(FunctionCache):  # type: ignore[misc]
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
         )
+
+
+class Inner:
+    """Stands where numba keeps the machine code of a kernel, for a kernel that has none (`kernel_compiler`)."""
 
 
 class _KernelCache(NullCache):  # type: ignore[misc]

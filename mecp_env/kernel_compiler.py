@@ -19,12 +19,10 @@ from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.core.typed_passes import NativeLowering
 
+from mecp_env.kernel_cache import Inner
+
 _compiling: list[Kernel] = []  # outermost first; numba's compiler lock guards it
 _environments: list[Any] = []  # of kernels linked into others: machine code points to them for ever
-
-
-class Inner:
-    """Stands where numba keeps the machine code of a kernel, for a kernel that has none."""
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]

@@ -187,3 +187,13 @@ def test_the_key_follows_values_that_a_function_reads() -> None:
     values = [1, 1.0, 2.0, (1, 2), np.array([1.0]), np.array([2.0]), Cell, Cell.FREE, frozenset({"a", "b"})]
     assert len({key(value) for value in values}) == len(values)
     assert key(np.array([2.0])) == key(np.array([2.0]))
+
+
+def test_with_another_numba_its_own_compiler_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler of ours leans on the inside of the numba that it was tested with."""
+    from mecp_env import kernel as module
+
+    monkeypatch.setattr(module.numba, "__version__", "9.99.0")
+    compiled = module.kernel(lambda x: x + 1.0)
+    assert type(compiled).__module__.startswith("numba.")
+    assert compiled(1.0) == 2.0
