@@ -96,9 +96,7 @@ def frontier_cells(label: Bytes, room: Rooms, doors: Array, clear: float) -> tup
 
 
 @kernel
-def bare_cells(
-    grid: tuple[Bytes, Bools, Rooms], span: int, doors: Array, clear: float
-) -> tuple[Bytes, Ints]:
+def bare_cells(grid: tuple[Bytes, Bools, Rooms], span: int, doors: Array, clear: float) -> tuple[Bytes, Ints]:
     """(H,W) 1 at FREE cells of a room that no polygon covers, nor its neighbours `span` cells away; and where (n,2).
 
     `grid`: label, polygon and room; not within `clear` of the doors' middles (d,2), in cells.

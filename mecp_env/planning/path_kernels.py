@@ -70,7 +70,10 @@ def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, 
 
 @kernel
 def open_start(cost: Costs, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
-    """Let a robot that stands too near to a wall out: over cells near it that are no nearer to walls than it is."""
+    """Let a robot that stands too near to a wall out: over cells near it, at most a cell nearer to walls than it is.
+
+    That cell is for the way round: past a barred cell there is no diagonal step.
+    """
     if cost[row, column] > 0:
         return
     cost[row, column] = MAX_COST
@@ -78,7 +81,7 @@ def open_start(cost: Costs, label: Bytes, distance: Distances, row: int, column:
         for c in range(max(column - radius, 0), min(column + radius + 1, cost.shape[1])):
             near = (r - row) ** 2 + (c - column) ** 2 <= radius * radius
             free = label[r, c] == FREE or label[r, c] == DOOR
-            if near and free and cost[r, c] == 0 and distance[r, c] >= distance[row, column]:
+            if near and free and cost[r, c] == 0 and distance[r, c] >= distance[row, column] - 1.0:
                 cost[r, c] = MAX_COST
 
 

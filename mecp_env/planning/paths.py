@@ -15,7 +15,6 @@ Array = NDArray[np.float64]
 Costs = NDArray[np.int32]
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class WayField:
     """The cheapest ways from the robot to every cell of a grid."""

@@ -212,9 +212,7 @@ def looks_through(outline: Array, eye: Array, door: Array) -> bool:
 
 
 @kernel
-def paint_room(
-    layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array], brush: Brush
-) -> None:
+def paint_room(layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array], brush: Brush) -> None:
     """Write `room` into the cells inside the outline (m,2) and of the strips (s,4,2), as far as doors let see.
 
     `view`: the eye (2,) and the doors (d,2,2), on the lattice like the rest.
@@ -256,9 +254,7 @@ def replace_room(layer: Layer, room: int, ring: Array, brush: Brush) -> None:
 
 
 @kernel
-def compose(
-    layers: Layer, occupied_ratio: float, label: Bytes, polygon: Bools, room: Layer, dirty: Ints
-) -> int:
+def compose(layers: Layer, occupied_ratio: float, label: Bytes, polygon: Bools, room: Layer, dirty: Ints) -> int:
     """Bring the published arrays up to date inside the window `dirty`; returns how many cells changed."""
     changed = 0
     for row in range(max(dirty[0], 0), min(dirty[1], label.shape[0])):
@@ -308,9 +304,7 @@ def find_pockets(label: Bytes, room: Layer, complete: Bools, pocket: Layer) -> N
 
 
 @kernel
-def flood_unknown(
-    label: Bytes, room: Layer, state: Bytes, queue: Ints, row: int, column: int
-) -> tuple[int, int]:
+def flood_unknown(label: Bytes, room: Layer, state: Bytes, queue: Ints, row: int, column: int) -> tuple[int, int]:
     """Size of the unknown component around a cell (its cells in `queue`) and the one room around it (-2: not one)."""
     height, width = label.shape
     queue[0, 0], queue[0, 1] = row, column

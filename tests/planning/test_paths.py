@@ -155,6 +155,15 @@ def test_a_robot_too_near_to_a_wall_gets_out_and_no_nearer() -> None:
     assert ways.clearance[tuple(cells.T)].min() >= ways.clearance[20, 28]
 
 
+def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> None:
+    """Seen in `furnished`: the free cells around it are nearer to walls by less than a cell; no goal was left."""
+    label = np.full((30, 30), Cell.FREE, np.uint8)
+    label[:10, 14:] = label[4:9, 13] = label[:, 18:] = Cell.OCCUPIED  # the niche: a box, a wall beside it
+    label[14, :5] = label[15, 4:12] = label[16, 10:18] = Cell.OCCUPIED  # a slanted wall on its other side
+    ways = ways_from(label, (12, 12))
+    assert (ways.total[2:10, 2:9] < kernels.FAR).all()
+
+
 def test_smoothing_leaves_few_points_in_the_open() -> None:
     label = np.full((60, 90), Cell.FREE, np.uint8)
     ways = ways_from(label, (10, 10))
