@@ -11,7 +11,8 @@ from mecp_env.kernel_cache import cache_for
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-OPTIONS = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+SHARED = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}  # no test for 0 before every division
+OPTIONS = {"nopython": True, **SHARED}
 TESTED_NUMBA = ("0.68.",)  # `kernel_compiler` leans on the inside of numba; with any other version it stays out
 
 
@@ -26,7 +27,7 @@ def kernel(function: F) -> F:
 
 def _dispatcher(function: Callable[..., Any]) -> Any:
     if not numba.__version__.startswith(TESTED_NUMBA):
-        return numba.njit(nogil=True, no_cfunc_wrapper=True)(function)
+        return numba.njit(**SHARED)(function)
     from mecp_env.kernel_compiler import Kernel, KernelCompiler
 
     return Kernel(function, targetoptions=OPTIONS, pipeline_class=KernelCompiler)

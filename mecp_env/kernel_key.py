@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "2: nogil, inner kernels linked unoptimised"  # changes with the options that kernels are compiled with
+FORMAT = "3: nogil, inner kernels linked unoptimised, numpy errors"  # changes with the options of `kernel`
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
