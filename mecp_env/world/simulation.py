@@ -30,6 +30,14 @@ MASS_KG = 9.0  # Pioneer P3-DX
 TOUCH_M = 1e-3  # a body in contact stays so far inside the wall, or the next substep would not see the contact
 PUSHED_M_S = 1e-6  # a contact is what changes the velocity by more than this
 
+# The drive (11,): the command; how much the wheels change their speeds in a substep; how long one is; force and torque
+# that change a velocity by one in it; how far the robot gets in it; how near a wall pymunk moves the robot, and where
+# that is pushed out of it; how many substeps an arc has
+SPEED, TURN, MOST_DV, MOST_DW, DT, FORCE, TORQUE, STRIDE, REACH, INNER, SUBSTEPS = range(11)
+# The course (8,): the pose at the last reading; for the substep that pymunk makes next, the velocity that the wheels
+# aim at, and the force and the torque for it
+AIM_X, AIM_Y, FORCE_X, FORCE_Y, TWIST = range(3, 8)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -78,12 +86,16 @@ class Simulation:
         """
         if not (math.isfinite(v) and math.isfinite(w)):
             raise ActionError(f"command: v={v!r}, w={w!r}, expected finite numbers")
-        command = self._within_limits(v, w)
+        self._drive[SPEED], self._drive[TURN] = self._within_limits(v, w)
         increments, contact = np.empty((self.config.arcs, 2)), False
-        for arc in range(self.config.arcs):
-            before = self._state.copy()
-            contact |= self._arc(command)
-            increments[arc] = increment(before, self._state)
+        done, _, _ = self._drive_on(increments, 0)
+        glided = stale = True
+        while done < self._substeps:
+            self._substep_in_pymunk(stale, forget=glided or done % self.config.substeps == 0)
+            reached, touched, stale = self._drive_on(increments, done + 1)
+            glided = reached > done + 1
+            contact |= touched
+            done = reached
         return Motion(increments, contact)
 
     def get_state(self) -> dict[str, Any]:
@@ -106,12 +118,14 @@ class Simulation:
         self._build()
 
     def _build(self) -> None:
-        """The pymunk space of the outline; it holds nothing that the state does not."""
+        """What is worked out once of config and outline, the pymunk space among it; nothing that the state holds."""
         config, dt = self.config, self.config.substep_s
-        moment = MASS_KG * config.radius_m**2 / 2.0
+        moment, stride = MASS_KG * config.radius_m**2 / 2.0, config.max_speed_m_s * dt
         changes = config.max_acceleration_m_s2 * dt, config.max_turn_acceleration_rad_s2 * dt
-        self._drive = np.array([*changes, dt, MASS_KG / dt, moment / dt])
-        self._stride_m = config.max_speed_m_s * dt
+        distances = stride, config.radius_m + TOUCH_M + stride, config.radius_m - TOUCH_M
+        self._drive = np.array([0.0, 0.0, *changes, dt, MASS_KG / dt, moment / dt, *distances, config.substeps])
+        self._course = np.zeros(8)
+        self._substeps, self._substep_s = config.arcs * config.substeps, dt
         self._space = pymunk.Space()
         self._space.collision_slop = 0.0
         self._space.collision_bias = 1.0  # off: pymunk keeps its way out of a wall where no state sees it
@@ -122,93 +136,108 @@ class Simulation:
         self._shape = pymunk.Circle(self._body, config.radius_m)  # frictionless: it slides along walls
         self._space.add(self._body, self._shape)
 
-    def _within_limits(self, v: float, w: float) -> Array:
+    def _within_limits(self, v: float, w: float) -> tuple[float, float]:
         v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
-        return np.array([min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)])
+        return min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)
 
-    def _arc(self, command: Array) -> bool:
-        """Moves by one arc; returns whether something was touched with force."""
-        reach = self.config.radius_m + TOUCH_M + self._stride_m
-        contact, fresh, left = False, True, self.config.substeps
-        while left:
-            free = glide(self._segments, self._state, command, self._drive, left, reach, self._stride_m)
-            left -= free
-            if left:
-                contact |= self._substep_near_wall(command, fresh or free > 0)
-                fresh, left = False, left - 1
-        return contact
+    def _drive_on(self, increments: Array, done: int) -> tuple[int, bool, bool]:
+        """As the kernel `drive_on`, for the robot as it is."""
+        reached, touched, stale = drive_on(self._segments, self._state, self._drive, self._course, increments, done)
+        return reached, touched, stale
 
-    def _load_body(self) -> None:
-        """Gives pymunk the state; then takes its shape out and in, so that no past contact is remembered."""
-        x, y, heading, vx, vy, w = self._state.tolist()
-        self._body.position, self._body.angle = (x, y), heading
-        self._body.velocity, self._body.angular_velocity = (vx, vy), w
-        self._space.remove(self._shape)
-        self._space.add(self._shape)
-
-    def _substep_near_wall(self, command: Array, fresh: bool) -> bool:
-        """Moves by one substep in pymunk, which has the state already unless `fresh`."""
-        if fresh:
-            self._load_body()
+    def _substep_in_pymunk(self, stale: bool, forget: bool) -> None:
+        """Moves by one substep in pymunk, which does not have the state yet if `stale`, and may `forget` contacts."""
         body = self._body
-        vx, vy, w = wheels(self._state, command, self._drive)
-        body.force, body.torque = wheel_force(self._state, vx, vy, w, self._drive)
-        self._space.step(self.config.substep_s)
-        (x, y), (x_rate, y_rate) = body.position, body.velocity
-        settled = settle(self._segments, self._state, x, y, self.config.radius_m - TOUCH_M)
-        self._state[2:] = body.angle, x_rate, y_rate, body.angular_velocity
-        if not settled:
-            body.position = self._state[0], self._state[1]
-        return math.hypot(x_rate - vx, y_rate - vy) > PUSHED_M_S
+        if stale:
+            x, y, body.angle, vx, vy, body.angular_velocity = self._state.tolist()
+            body.position, body.velocity = (x, y), (vx, vy)
+        if forget:  # a shape that was taken out and in has no past
+            self._space.remove(self._shape)
+            self._space.add(self._shape)
+        *_, force_x, force_y, torque = self._course.tolist()
+        body.force = force_x, force_y
+        if torque:  # pymunk has none after a substep
+            body.torque = torque
+        self._space.step(self._substep_s)
+        self._state[:] = *body.position, body.angle, *body.velocity, body.angular_velocity
 
 
 @kernel
-def increment(before: Array, after: Array) -> tuple[float, float]:
-    """Distance along the mean heading, and turn, from one state (6,) to another."""
-    turn = after[2] - before[2]
-    heading = before[2] + 0.5 * turn
-    return (after[0] - before[0]) * math.cos(heading) + (after[1] - before[1]) * math.sin(heading), turn
+def drive_on(
+    segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int
+) -> tuple[int, bool, bool]:
+    """Takes the state (6,) over after substep `done` of the period, at its start or from pymunk, and drives on.
 
-
-@kernel
-def wheels(state: Array, command: Array, drive: Array) -> tuple[float, float, float]:
-    """Velocity x, y and turn rate that the wheels aim at for the next substep.
-
-    From the present speed towards the command (2,), by at most drive[0] and drive[1]. A velocity has the direction
-    that the robot has half-way through the substep in which it moves; substeps last drive[2] seconds.
+    Returns the substep reached: the last, or one that pymunk must make, for a wall is within reach (see `course`);
+    whether pymunk's substep touched something with force; whether pymunk does not have the state that was reached.
     """
-    heading = state[2] + 0.5 * state[5] * drive[2]
-    speed = math.cos(heading) * state[3] + math.sin(heading) * state[4]
-    v = speed + min(max(command[0] - speed, -drive[0]), drive[0])
-    w = state[5] + min(max(command[1] - state[5], -drive[1]), drive[1])
-    heading += 0.5 * (state[5] + w) * drive[2]
-    return v * math.cos(heading), v * math.sin(heading), w
+    touched, settled = False, True
+    if done > 0:
+        touched = math.hypot(state[3] - course[AIM_X], state[4] - course[AIM_Y]) > PUSHED_M_S
+        settled = settle(segments, state, drive[INNER])
+    reached = glide(segments, state, drive, course, increments, done)
+    return reached, touched, reached > done or not settled
 
 
 @kernel
-def wheel_force(state: Array, vx: float, vy: float, w: float, drive: Array) -> tuple[tuple[float, float], float]:
-    """Force and torque that give the body of the state (6,) the velocity vx, vy, w within a substep."""
-    return ((vx - state[3]) * drive[3], (vy - state[4]) * drive[3]), (w - state[5]) * drive[4]
+def glide(segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int) -> int:
+    """Moves the state (6,) while no wall is within reach, as pymunk would; returns the substep of the period reached.
 
-
-@kernel
-def glide(
-    segments: Array, state: Array, command: Array, drive: Array, substeps: int, reach: float, stride: float
-) -> int:
-    """Moves the state (6,) while no wall is within `reach`, as pymunk would; returns how many substeps were made."""
-    spare = wall_distance(segments, state[0], state[1]) - reach
-    for done in range(substeps):
+    Arcs that end on the way are read into `increments` (M,2).
+    """
+    substeps, spare = int(drive[SUBSTEPS]), 0.0
+    read_arc(state, course, increments, done, substeps)
+    while done < increments.shape[0] * substeps:
+        if spare <= 0.0 or done % substeps == 0:
+            spare = wall_distance(segments, state[0], state[1]) - drive[REACH]
+        vx, vy, w = wheels(state, drive)
         if spare <= 0.0:
-            spare = wall_distance(segments, state[0], state[1]) - reach
-        if spare <= 0.0:
+            aim(state, drive, course, vx, vy, w)
             return done
-        spare -= stride
-        vx, vy, w = wheels(state, command, drive)
-        state[0] += state[3] * drive[2]
-        state[1] += state[4] * drive[2]
-        state[2] += state[5] * drive[2]
+        spare -= drive[STRIDE]
+        state[0] += state[3] * drive[DT]
+        state[1] += state[4] * drive[DT]
+        state[2] += state[5] * drive[DT]
         state[3], state[4], state[5] = vx, vy, w
-    return substeps
+        done += 1
+        read_arc(state, course, increments, done, substeps)
+    return done
+
+
+@kernel
+def read_arc(state: Array, course: Array, increments: Array, done: int, substeps: int) -> None:
+    """Reads off, where an arc ends, the distance along its mean heading and the turn; there the next one begins."""
+    if done % substeps:
+        return
+    if done > 0:
+        turn = state[2] - course[2]
+        heading = course[2] + 0.5 * turn
+        ahead = (state[0] - course[0]) * math.cos(heading) + (state[1] - course[1]) * math.sin(heading)
+        increments[done // substeps - 1, 0], increments[done // substeps - 1, 1] = ahead, turn
+    course[0], course[1], course[2] = state[0], state[1], state[2]
+
+
+@kernel
+def aim(state: Array, drive: Array, course: Array, vx: float, vy: float, w: float) -> None:
+    """Notes the velocity that the wheels aim at, and the force and torque that give it to the body in a substep."""
+    course[AIM_X], course[AIM_Y] = vx, vy
+    course[FORCE_X] = (vx - state[3]) * drive[FORCE]
+    course[FORCE_Y] = (vy - state[4]) * drive[FORCE]
+    course[TWIST] = (w - state[5]) * drive[TORQUE]
+
+
+@kernel
+def wheels(state: Array, drive: Array) -> tuple[float, float, float]:
+    """Velocity x, y and turn rate that the wheels aim at for the next substep: towards the command, within limits.
+
+    A velocity has the direction that the robot has half-way through the substep in which it moves.
+    """
+    heading = state[2] + 0.5 * state[5] * drive[DT]
+    speed = math.cos(heading) * state[3] + math.sin(heading) * state[4]
+    v = speed + min(max(drive[SPEED] - speed, -drive[MOST_DV]), drive[MOST_DV])
+    w = state[5] + min(max(drive[TURN] - state[5], -drive[MOST_DW]), drive[MOST_DW])
+    heading += 0.5 * (state[5] + w) * drive[DT]
+    return v * math.cos(heading), v * math.sin(heading), w
 
 
 @kernel
@@ -222,14 +251,17 @@ def wall_distance(segments: Array, x: float, y: float) -> float:
 
 
 @kernel
-def settle(segments: Array, state: Array, x: float, y: float, radius: float) -> bool:
-    """Puts the state's position at (x, y), out of all walls nearer than `radius`; returns whether (x, y) was free."""
-    state[0], state[1] = x, y
+def settle(segments: Array, state: Array, radius: float) -> bool:
+    """Pushes the state's position out of all walls nearer than `radius`; returns whether there was none."""
+    x, y = state[0], state[1]
     for _ in range(8):
         free = True
         for k in range(segments.shape[0]):
             dx, dy = _from_face(segments, k, state[0], state[1])
-            distance = math.sqrt(dx * dx + dy * dy)
+            squared = dx * dx + dy * dy
+            if squared > radius * radius:
+                continue
+            distance = math.sqrt(squared)
             if 1e-9 < distance < radius - 1e-9:
                 state[0] += dx * (radius / distance - 1.0)
                 state[1] += dy * (radius / distance - 1.0)
