@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise, world_jacobian
-from mecp_env.slam.filters.landmarks import take
+from mecp_env.slam.filters.landmarks import find_slots, take
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.linalg import factor_lower, solve_lower
@@ -22,18 +22,29 @@ CONVERGED = 1e-6  # m and rad
 
 
 @kernel
-def pairwise_nis(mean: Array, cov: Array, slots: Ints, z: Array, R: Array, invariant: bool) -> Array:
-    """NIS (n,m) of every measurement z (n,2), R (n,2,2) against every landmark of `slots` (m,)."""
-    n, m = z.shape[0], slots.shape[0]
-    nis = np.empty((n, m))
-    h, A, a_heading = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+def pairwise_nis(
+    mean: Array,
+    cov: Array,
+    slot_ids: Ints,
+    count: int,
+    ids: Ints,
+    z: Array,
+    R: Array,
+    invariant: bool,
+    nis: Array,
+) -> bool:
+    """Write the NIS (n,m) of every z (n,2), R (n,2,2) against every landmark of `ids` (m,); False: an unknown id."""
+    n, m = z.shape[0], ids.shape[0]
+    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    if not find_slots(slot_ids, count, ids, slots):
+        return False
     linearise(mean, np.zeros(mean.shape[0]), slots, invariant, h, A, a_heading)
     for j in range(m):
         s_rr, s_rb, s_bb = predicted_cov(cov, 3 + 2 * slots[j], A[j], a_heading[j])
         for i in range(n):
             u, v = z[i, 0] - h[j, 0], wrap_angle(z[i, 1] - h[j, 1])
             nis[i, j] = nis_2x2(u, v, s_rr + R[i, 0, 0], s_rb + R[i, 1, 0], s_bb + R[i, 1, 1])
-    return nis
+    return True
 
 
 @kernel
@@ -60,24 +71,37 @@ def nis_2x2(u: float, v: float, s_uu: float, s_uv: float, s_vv: float) -> float:
 
 
 @kernel
-def joint_cost(mean: Array, cov: Array, slots: Ints, z: Array, R: Array, invariant: bool, iterations: int) -> float:
-    """Least prior + measurement cost over pose and landmarks (nan when S is not positive).
+def joint_cost(
+    mean: Array,
+    cov: Array,
+    slot_ids: Ints,
+    count: int,
+    ids: Ints,
+    z: Array,
+    R: Array,
+    invariant: bool,
+    iterations: int,
+) -> float:
+    """Least prior + measurement cost over pose and landmarks `ids` (m,); nan: S is not positive, or an unknown id.
 
     iterations = 1: the linear joint NIS nu^T S^-1 nu. More: Gauss-Newton from the pose that lays z best on the
     landmarks (at its fixed point nu^T S^-1 nu with nu = z - h(xi) + H xi is the sum of both costs).
     """
-    m = slots.shape[0]
+    m = ids.shape[0]
+    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    if not find_slots(slot_ids, count, ids, slots):
+        return math.nan
     part, block = take(mean, cov, slots)
     size, own = part.shape[0], np.arange(m)
-    h, A, a_heading, xi = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2)), np.zeros(size)
+    nu, S, xi = np.empty(2 * m), np.empty((2 * m, 2 * m)), np.zeros(size)
     if iterations > 1:
         procrustes(part, z, invariant, xi)
     cost = math.nan
     for _ in range(iterations):
         linearise(part, xi, own, invariant, h, A, a_heading)
-        nu = residual(z, h, A, a_heading, own, xi)
+        residual(z, h, A, a_heading, own, xi, nu)
         HP = project(block, size, A, a_heading, own)
-        S = innovation_cov(HP, A, a_heading, own, R)
+        innovation_cov(HP, A, a_heading, own, R, S)
         if not factor_lower(S):
             return math.nan
         y = solve_lower(S, nu)
@@ -158,13 +182,28 @@ def blend(HP: Array, weights: Array, xi: Array) -> float:
 
 
 @kernel
-def centre_nis(mean: Array, cov: Array, slots: Ints, z: Array, R: Array, invariant: bool, paper_S: bool) -> float:
-    """NIS of the centre of the points z (k,2) against the centre of the landmarks (eq. 2, 3; nan: S not positive).
+def centre_nis(
+    mean: Array,
+    cov: Array,
+    slot_ids: Ints,
+    count: int,
+    ids: Ints,
+    z: Array,
+    R: Array,
+    invariant: bool,
+    paper_S: bool,
+) -> float:
+    """NIS of the centre of the points z (k,2) against the centre of the landmarks `ids` (eq. 2, 3).
+
+    nan: S is not positive, or an unknown id.
 
     nu = m_obs - m_map, S = H P H^T + noise with H = [J (m_obs - p) | I | -I/k ...]; the heading's column vanishes for
     the invariant error. paper_S: observed and stored centre count as independent, their cross term C is dropped.
     """
-    k = slots.shape[0]
+    k = ids.shape[0]
+    slots = np.empty(k, np.int64)
+    if not find_slots(slot_ids, count, ids, slots):
+        return math.nan
     part, block = take(mean, cov, slots)
     noise, centre = observed_centre(part, z, R)
     plain = paper_S or not invariant

@@ -11,7 +11,6 @@ import numpy as np
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.data import Array, Belief, Ints, Odometry
 from mecp_env.slam.filters import compatibility, landmarks, motion
-from mecp_env.slam.filters.error_state import propagate_invariant, propagate_plain
 from mecp_env.slam.filters.measurement import joint_innovation
 from mecp_env.slam.filters.update import batch_update, fuse_pair
 from mecp_env.slam.protocols import FilterError
@@ -58,15 +57,10 @@ class LandmarkFilter:
 
     def predict(self, odometry: Odometry) -> None:
         """Move the pose by the increments of one period; a bumper contact adds lateral and heading variance."""
-        before = self.mean[1:3].copy()
         slip = 1.0 if odometry.bumper else 0.0
         lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
         increments, covs = _array(odometry.increments), _array(odometry.cov)
-        noise = motion.integrate(self.mean, increments, covs, lateral_var, heading_var)
-        if self.invariant:
-            propagate_invariant(self.mean, self.cov, self.size, noise)
-        else:
-            propagate_plain(self.mean, self.cov, self.size, self.mean[1:3] - before, noise)
+        motion.predict(self.mean, self.cov, self.size, increments, covs, lateral_var, heading_var, self.invariant)
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by all pairs z[i] - ids[i] at once; z (n,2), R (2n,2n), ids (n,); FilterError: S is not positive."""
@@ -74,7 +68,8 @@ class LandmarkFilter:
         if len(ids) == 0:
             return
         steps = self.closure_iterations if iterate else 1
-        if not batch_update(self.mean, self.cov, self.size, self._slots(ids), z, R, self.invariant, steps):
+        if not batch_update(self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, steps):
+            self._refuse_unknown(ids)
             raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
 
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
@@ -94,17 +89,28 @@ class LandmarkFilter:
     def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
         """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
         z, R, ids = _observations(z, R, ids)
-        return joint_innovation(self.mean, self.cov, self.size, self._slots(ids), z, R, self.invariant)
+        size = 2 * len(ids)
+        nu, S = np.empty(size), np.empty((size, size))
+        if not joint_innovation(self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, nu, S):
+            self._refuse_unknown(ids)
+        return nu, S
 
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
-        return compatibility.pairwise_nis(self.mean, self.cov, self._slots(ids), _array(z), _array(R), self.invariant)
+        z, R, ids = _array(z), _array(R), _integers(ids)
+        nis = np.empty((len(z), len(ids)))
+        if not compatibility.pairwise_nis(
+            self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, nis
+        ):
+            self._refuse_unknown(ids)
+        return nis
 
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and landmarks (maths 4.2)."""
         z, R, ids = _observations(z, R, ids)
-        nis = compatibility.joint_cost(self.mean, self.cov, self._slots(ids), z, R, self.invariant, iterations)
-        return _finite(nis, "joint_nis")
+        mean, cov, slot_ids, count = self.mean, self.cov, self.slot_ids, self.count
+        nis = compatibility.joint_cost(mean, cov, slot_ids, count, ids, z, R, self.invariant, iterations)
+        return self._finite(nis, "joint_nis", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
         """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (III-B.1, eq. 2-3).
@@ -112,8 +118,9 @@ class LandmarkFilter:
         Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
         """
         z, R, ids = _observations(z, R, ids)
-        nis = compatibility.centre_nis(self.mean, self.cov, self._slots(ids), z, R, self.invariant, paper_S)
-        return _finite(nis, "mean_of_gaussians_nis")
+        mean, cov, slot_ids, count = self.mean, self.cov, self.slot_ids, self.count
+        nis = compatibility.centre_nis(mean, cov, slot_ids, count, ids, z, R, self.invariant, paper_S)
+        return self._finite(nis, "mean_of_gaussians_nis", ids)
 
     def marginal(self, ids: Ints) -> tuple[Array, Array]:
         """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
@@ -136,7 +143,9 @@ class LandmarkFilter:
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
-        pose, pose_cov, p_map, covs = landmarks.world_belief(self.mean, self.cov, self.count, self.invariant)
+        pose, pose_cov = np.empty(3), np.empty((3, 3))
+        p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
+        landmarks.world_belief(self.mean, self.cov, self.invariant, pose, pose_cov, p_map, covs)
         return Belief(pose, pose_cov, self.ids, p_map, covs)
 
     def snapshot(self) -> Self:
@@ -149,10 +158,21 @@ class LandmarkFilter:
         landmarks.pin_pose(self.mean, self.cov, self.size, _array(T_map_robot), var, self.invariant)
 
     def _slots(self, ids: Ints) -> Ints:
-        slots, missing = landmarks.find_slots(self.slot_ids, self.count, np.ascontiguousarray(ids, np.int64))
-        if missing:
-            raise FilterError(f"ids {np.asarray(ids)[slots < 0].tolist()} are no landmarks of this filter")
+        ids = _integers(ids)
+        slots = np.empty(len(ids), np.int64)
+        if not landmarks.find_slots(self.slot_ids, self.count, ids, slots):
+            raise FilterError(f"ids {ids[slots < 0].tolist()} are no landmarks of this filter")
         return slots
+
+    def _refuse_unknown(self, ids: Ints) -> None:
+        """Raise `FilterError` when one of the ids is no landmark of this filter."""
+        self._slots(ids)
+
+    def _finite(self, nis: float, name: str, ids: Ints) -> float:
+        if math.isnan(nis):
+            self._refuse_unknown(ids)
+            raise FilterError(f"{name}: innovation covariance is not positive")
+        return nis
 
     def _reserve(self, landmark_count: int) -> None:
         capacity = len(self.slot_ids)
@@ -170,15 +190,13 @@ def _array(values: Array) -> Array:
     return np.ascontiguousarray(values, np.float64)
 
 
+def _integers(values: Ints) -> Ints:
+    return np.ascontiguousarray(values, np.int64)
+
+
 def _observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
-    z, R, ids = _array(z), _array(R), np.ascontiguousarray(ids, np.int64)
+    z, R, ids = _array(z), _array(R), _integers(ids)
     n = len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids
-
-
-def _finite(nis: float, name: str) -> float:
-    if math.isnan(nis):
-        raise FilterError(f"{name}: innovation covariance is not positive")
-    return nis

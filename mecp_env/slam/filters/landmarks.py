@@ -15,16 +15,24 @@ Ints = NDArray[np.int64]
 
 
 @kernel
-def find_slots(slot_ids: Ints, count: int, ids: Ints) -> tuple[Ints, int]:
-    """Slot of each id (m,), -1 where the filter has no such landmark, and how many it has not."""
-    slots, missing = np.full(ids.shape[0], -1), ids.shape[0]
+def find_slots(slot_ids: Ints, count: int, ids: Ints, slots: Ints) -> bool:
+    """Write the slot of each id (m,), -1 where the filter has no such landmark; says whether it has all of them."""
+    complete = True
     for k in range(ids.shape[0]):
-        for slot in range(count):
-            if slot_ids[slot] == ids[k]:
-                slots[k] = slot
-                missing -= 1
-                break
-    return slots, missing
+        slots[k] = slot_of(slot_ids, count, ids[k], k)
+        complete = complete and slots[k] >= 0
+    return complete
+
+
+@kernel
+def slot_of(slot_ids: Ints, count: int, landmark: int, likely: int) -> int:
+    """Slot of one landmark or -1; the slot `likely` is looked at first."""
+    if likely < count and slot_ids[likely] == landmark:
+        return likely
+    for slot in range(count):
+        if slot_ids[slot] == landmark:
+            return slot
+    return -1
 
 
 @kernel
@@ -111,11 +119,12 @@ def world_marginal(mean: Array, cov: Array, slots: Ints, invariant: bool) -> tup
 
 
 @kernel
-def world_belief(mean: Array, cov: Array, count: int, invariant: bool) -> tuple[Array, Array, Array, Array]:
-    """In the world: pose (3,) and its covariance (3,3), means (N,2) and own covariances (N,2,2) of the landmarks."""
-    pose, pose_cov = world_marginal(mean, cov, np.empty(0, np.int64), invariant)
-    p_map, covs = np.empty((count, 2)), np.empty((count, 2, 2))
-    for k in range(count):
+def world_belief(
+    mean: Array, cov: Array, invariant: bool, pose: Array, pose_cov: Array, p_map: Array, covs: Array
+) -> None:
+    """Write, in the world, pose (3,) and its covariance (3,3), means (N,2) and own covariances (N,2,2) of landmarks."""
+    world_pose(mean, cov, invariant, pose, pose_cov)
+    for k in range(p_map.shape[0]):
         i = 3 + 2 * k
         p_map[k, 0], p_map[k, 1] = mean[i], mean[i + 1]
         tx, ty = (-mean[i + 1], mean[i]) if invariant else (0.0, 0.0)
@@ -123,7 +132,20 @@ def world_belief(mean: Array, cov: Array, count: int, invariant: bool) -> tuple[
         covs[k, 1, 0] = cov[i + 1, i] + tx * cov[0, i + 1] + ty * cov[0, i] + tx * ty * cov[0, 0]
         covs[k, 1, 1] = cov[i + 1, i + 1] + 2.0 * ty * cov[0, i + 1] + ty * ty * cov[0, 0]
         covs[k, 0, 1] = covs[k, 1, 0]
-    return pose, pose_cov, p_map, covs
+
+
+@kernel
+def world_pose(mean: Array, cov: Array, invariant: bool, pose: Array, pose_cov: Array) -> None:
+    """Write x, y, heading (3,) and their covariance (3,3)."""
+    block = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            block[i, j] = cov[i, j]
+    change_chart(block, 3, world_jacobian(mean, 3, invariant))
+    for i in range(3):
+        pose[i] = mean[(i + 1) % 3]
+        for j in range(3):
+            pose_cov[i, j] = block[(i + 1) % 3, (j + 1) % 3]
 
 
 @kernel

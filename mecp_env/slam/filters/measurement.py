@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.filters.error_state import linearise
+from mecp_env.slam.filters.landmarks import find_slots
 from mecp_env.slam.geometry import wrap_angle
 
 Array = NDArray[np.float64]
@@ -14,17 +15,14 @@ Ints = NDArray[np.int64]
 
 
 @kernel
-def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Array) -> Array:
-    """nu (2m,) = z - h(xi) + H xi, bearings wrapped: the innovation, referred to xi = 0."""
-    m = slots.shape[0]
-    nu = np.empty(2 * m)
-    for k in range(m):
+def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Array, nu: Array) -> None:
+    """Write nu (2m,) = z - h(xi) + H xi, bearings wrapped: the innovation, referred to xi = 0."""
+    for k in range(slots.shape[0]):
         i = 3 + 2 * slots[k]
         ex, ey = xi[i] - xi[1], xi[i + 1] - xi[2]
         nu[2 * k] = z[k, 0] - h[k, 0] + A[k, 0, 0] * ex + A[k, 0, 1] * ey + a_heading[k, 0] * xi[0]
         bearing = wrap_angle(z[k, 1] - h[k, 1])
         nu[2 * k + 1] = bearing + A[k, 1, 0] * ex + A[k, 1, 1] * ey + a_heading[k, 1] * xi[0]
-    return nu
 
 
 @kernel
@@ -43,10 +41,9 @@ def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Arra
 
 
 @kernel
-def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array) -> Array:
-    """S (2m,2m) = H P H^T + R, symmetric to the bit."""
+def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array, S: Array) -> None:
+    """Write S (2m,2m) = H P H^T + R, symmetric to the bit."""
     m = slots.shape[0]
-    S = np.empty((2 * m, 2 * m))
     for b in range(m):
         i = 3 + 2 * slots[b]
         for s in range(2):
@@ -55,16 +52,28 @@ def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array)
                 total = ax * (HP[a, i] - HP[a, 1]) + ay * (HP[a, i + 1] - HP[a, 2]) + at * HP[a, 0]
                 S[a, 2 * b + s] = total + R[a, 2 * b + s]
                 S[2 * b + s, a] = S[a, 2 * b + s]
-    return S
 
 
 @kernel
 def joint_innovation(
-    mean: Array, cov: Array, n: int, slots: Ints, z: Array, R: Array, invariant: bool
-) -> tuple[Array, Array]:
-    """nu (2m,) and S (2m,2m) of z (m,2) against the landmarks at `slots`, with all cross terms."""
-    m = slots.shape[0]
-    h, A, a_heading, xi = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2)), np.zeros(n)
+    mean: Array,
+    cov: Array,
+    slot_ids: Ints,
+    count: int,
+    ids: Ints,
+    z: Array,
+    R: Array,
+    invariant: bool,
+    nu: Array,
+    S: Array,
+) -> bool:
+    """Write nu (2m,) and S (2m,2m) of z (m,2) against the landmarks `ids`, all cross terms; False: an unknown id."""
+    m, n = ids.shape[0], 3 + 2 * count
+    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    if not find_slots(slot_ids, count, ids, slots):
+        return False
+    xi = np.zeros(n)
     linearise(mean, xi, slots, invariant, h, A, a_heading)
-    nu = residual(z, h, A, a_heading, slots, xi)
-    return nu, innovation_cov(project(cov, n, A, a_heading, slots), A, a_heading, slots, R)
+    residual(z, h, A, a_heading, slots, xi, nu)
+    innovation_cov(project(cov, n, A, a_heading, slots), A, a_heading, slots, R, S)
+    return True

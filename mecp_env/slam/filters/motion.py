@@ -8,9 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
+from mecp_env.slam.filters.error_state import propagate_invariant, propagate_plain
 from mecp_env.slam.geometry import wrap_angle
 
 Array = NDArray[np.float64]
+
+
+@kernel
+def predict(
+    mean: Array,
+    cov: Array,
+    n: int,
+    increments: Array,
+    covs: Array,
+    lateral_var: float,
+    heading_var: float,
+    invariant: bool,
+) -> None:
+    """Move the pose along the arcs (as `integrate`) and carry the covariance of the n numbers with it; in place."""
+    moved = np.empty(2)
+    moved[0], moved[1] = mean[1], mean[2]
+    noise = integrate(mean, increments, covs, lateral_var, heading_var)
+    if invariant:
+        propagate_invariant(mean, cov, n, noise)
+    else:
+        moved[0], moved[1] = mean[1] - moved[0], mean[2] - moved[1]
+        propagate_plain(mean, cov, n, moved, noise)
 
 
 @kernel

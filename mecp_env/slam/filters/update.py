@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.filters.error_state import linearise, retract
+from mecp_env.slam.filters.landmarks import find_slots
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 from mecp_env.slam.linalg import downdate, factor_lower, forward_rows, solve_lower
 
@@ -18,20 +19,30 @@ CONVERGED = 1e-7  # m and rad: an iterated update stops when no number of the st
 
 @kernel
 def batch_update(
-    mean: Array, cov: Array, n: int, slots: Ints, z: Array, R: Array, invariant: bool, iterations: int
+    mean: Array,
+    cov: Array,
+    slot_ids: Ints,
+    count: int,
+    ids: Ints,
+    z: Array,
+    R: Array,
+    invariant: bool,
+    iterations: int,
 ) -> bool:
     """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
 
-    Returns False, and leaves the state alone, when S is not positive.
+    Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
     """
-    m = slots.shape[0]
-    h, A, a_heading, xi = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2)), np.zeros(n)
-    W = np.empty((0, n))
+    m, n = ids.shape[0], 3 + 2 * count
+    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    nu, S, W, xi = np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((0, n)), np.zeros(n)
+    if not find_slots(slot_ids, count, ids, slots):
+        return False
     for _ in range(iterations):
         linearise(mean, xi, slots, invariant, h, A, a_heading)
-        nu = residual(z, h, A, a_heading, slots, xi)
+        residual(z, h, A, a_heading, slots, xi, nu)
         W = project(cov, n, A, a_heading, slots)
-        S = innovation_cov(W, A, a_heading, slots, R)
+        innovation_cov(W, A, a_heading, slots, R, S)
         if not factor_lower(S):
             return False
         forward_rows(S, W)  # W = L^-1 H P
