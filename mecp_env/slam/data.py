@@ -7,13 +7,13 @@ heading of the robot in the map. Carriers of one scan are frozen; whoever makes 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.linalg import blocks_of, diagonal_blocks, softened
+from mecp_env.slam.linalg import diagonal_blocks, find_rows, pick_measurements, softened
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -159,15 +159,22 @@ class Corners:
     @property
     def R(self) -> Array:
         """(n,2,2) covariance of each corner's own range and bearing."""
-        return diagonal_blocks(self.cov)
+        blocks = np.empty((len(self), 2, 2))
+        diagonal_blocks(self.cov, blocks)
+        return blocks
 
     def with_floor(self, sigma_m: float) -> Corners:
         """The same corners with an independent position error of `sigma_m` added to each."""
-        return replace(self, cov=softened(self.cov, self.z, sigma_m))
+        cov = softened(self.cov, self.z, sigma_m)
+        marks = self.kind, self.convex, self.normals, self.beyond, self.sites
+        return Corners(self.z, cov, *marks, self.doorways)
 
     def measurements(self, index: Ints) -> tuple[Array, Array]:
         """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""
-        return self.z[index], blocks_of(self.cov, index)
+        k = len(index)
+        z, R = np.empty((k, 2)), np.empty((2 * k, 2 * k))
+        pick_measurements(self.z, self.cov, index, z, R)
+        return z, R
 
     def __len__(self) -> int:
         return len(self.z)
@@ -261,9 +268,9 @@ class Belief:
 
     def rows(self, wanted: Ints) -> Ints:
         """Row of each landmark id in `wanted` (any shape), all of which are in `ids`."""
-        row = np.empty(int(self.ids.max()) + 1, np.int64)
-        row[self.ids] = np.arange(len(self.ids))
-        return row[wanted]
+        rows = np.empty(wanted.shape, np.int64)
+        find_rows(self.ids, wanted.ravel(), rows.reshape(-1))
+        return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

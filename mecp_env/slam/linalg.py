@@ -129,28 +129,34 @@ def mirror_tile(P: Array, n: int, i0: int, j0: int) -> None:
 
 
 @kernel
-def blocks_of(cov: Array, index: Ints) -> Array:
-    """The 2x2 blocks of cov (2n,2n) that belong to `index` (k,), as (2k,2k)."""
-    k = index.shape[0]
-    chosen = np.empty((2 * k, 2 * k))
-    for i in range(k):
-        for j in range(k):
+def pick_measurements(z: Array, cov: Array, index: Ints, some_z: Array, some_cov: Array) -> None:
+    """Write the rows of z (n,2) and the 2x2 blocks of cov (2n,2n) that belong to `index` (k,): (k,2) and (2k,2k)."""
+    for i in range(index.shape[0]):
+        some_z[i, 0], some_z[i, 1] = z[index[i], 0], z[index[i], 1]
+        for j in range(index.shape[0]):
             for u in range(2):
-                chosen[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
-                chosen[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
-    return chosen
+                some_cov[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
+                some_cov[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
 
 
 @kernel
-def diagonal_blocks(cov: Array) -> Array:
-    """The 2x2 blocks (n,2,2) on the diagonal of cov (2n,2n)."""
-    n = cov.shape[0] // 2
-    blocks = np.empty((n, 2, 2))
-    for i in range(n):
+def diagonal_blocks(cov: Array, blocks: Array) -> None:
+    """Write the 2x2 blocks (n,2,2) on the diagonal of cov (2n,2n)."""
+    for i in range(blocks.shape[0]):
         for u in range(2):
             for v in range(2):
                 blocks[i, u, v] = cov[2 * i + u, 2 * i + v]
-    return blocks
+
+
+@kernel
+def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> None:
+    """Write the row in `ids` (N,) of each of `wanted` (m,), -1 where it is missing."""
+    for k in range(wanted.shape[0]):
+        rows[k] = -1
+        for i in range(ids.shape[0]):
+            if ids[i] == wanted[k]:
+                rows[k] = i
+                break
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Protocol
 
@@ -15,6 +16,9 @@ from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+NEW, IGNORED = int(Decision.NEW), int(Decision.IGNORED)
+UNSEEN, AMBIGUOUS = int(Reason.UNSEEN), int(Reason.AMBIGUOUS)
 
 
 class Associator(Protocol):
@@ -51,20 +55,21 @@ def one_to_one(cost: Array, gate: float) -> Ints:
 
 def undecided(n: int) -> Match:
     """A match in which each of n corners is still NEW and nothing was recognised; to be filled in by its maker."""
-    return Match(
-        ids=np.full(n, NO_ID, np.int64),
-        decision=np.full(n, int(Decision.NEW), np.int64),
-        reason=np.full(n, int(Reason.UNSEEN), np.int64),
-        nis=np.full(n, np.nan),
-        polygon=-1,
-        known=-1,
-        closure=False,
-    )
+    return _match(n, NEW, UNSEEN)
 
 
 def ignored(n: int) -> Match:
     """A match in which each of n corners is ignored: nothing can be said of them."""
-    match = undecided(n)
-    match.decision[:] = int(Decision.IGNORED)
-    match.reason[:] = int(Reason.AMBIGUOUS)
-    return match
+    return _match(n, IGNORED, AMBIGUOUS)
+
+
+def _match(n: int, decision: int, reason: int) -> Match:
+    columns = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
+    _fill(*columns, decision, reason)
+    return Match(*columns, polygon=-1, known=-1, closure=False)
+
+
+@kernel
+def _fill(ids: Ints, decision: Ints, reason: Ints, nis: Array, one_decision: int, one_reason: int) -> None:
+    for i in range(ids.shape[0]):
+        ids[i], decision[i], reason[i], nis[i] = NO_ID, one_decision, one_reason, math.nan

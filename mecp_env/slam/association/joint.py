@@ -125,6 +125,21 @@ def grow(nu: Array, S: Array, corner: Ints, landmark: Ints, seed: Ints, gate: fl
 
 
 @kernel
+def likeliest(costs: Array, corner: Ints, landmark: Ints, most: int) -> Ints:
+    """The first pairings to try: -1 for a free choice, then the `most` pairings that cost least; `costs` (n,N)."""
+    count = corner.shape[0]
+    tried, seeds = np.zeros(count, np.bool_), np.empty(1 + min(most, count), np.int64)
+    seeds[0] = -1
+    for s in range(1, seeds.shape[0]):
+        best, seeds[s] = math.inf, -1
+        for p in range(count):
+            if not tried[p] and costs[corner[p], landmark[p]] < best:
+                best, seeds[s] = costs[corner[p], landmark[p]], p
+        tried[seeds[s]] = True
+    return seeds
+
+
+@kernel
 def best_growth(
     nu: Array, S: Array, corner: Ints, landmark: Ints, seeds: Ints, gate: float, gap: float
 ) -> tuple[Array, Bools]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.association.base import chi2_gate, undecided
-from mecp_env.slam.association.joint import best_growth, grow
+from mecp_env.slam.association.joint import best_growth, grow, likeliest
 from mecp_env.slam.association.rings import RingMatch, match_rings
-from mecp_env.slam.association.singles import pairing_table, possible_pairs, settle
+from mecp_env.slam.association.singles import fix_rows, pairing_table, possible_pairs, settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+NONE = np.empty(0, np.int64)
 LANDMARK, IGNORED = int(Decision.LANDMARK), int(Decision.IGNORED)
 POLYGON, JOINT, AMBIGUOUS = int(Reason.POLYGON), int(Reason.JOINT), int(Reason.AMBIGUOUS)
 
@@ -57,32 +58,74 @@ class MecpAssociator:
     def _pair(
         self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
     ) -> Match:
-        fixed = np.full(len(corners), -1, np.int64)
-        if ring is not None:
-            fixed[ring.corners] = view.belief.rows(ring.ids)
-        corner, row = possible_pairs(costs, self._gate, fixed, self.config.most_pairs)
-        if not len(corner):
+        fixed = self._fixed(len(corners), ring, view)
+        corner, row = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64)
+        count = possible_pairs(costs, self._gate, fixed, self.config.most_pairs, corner, row)
+        if not count:
             return match
+        corner, row = corner[:count], row[:count]
         z, R = corners.measurements(corner)
-        nu, S = belief.innovation(z, R, view.belief.ids[row])
-        if ring is not None:
-            seed = np.flatnonzero(fixed[corner] == row)
-            nis, ambiguous = grow(nu, S, corner, row, seed, self._gate, self.config.rival_gap)
-        else:
-            seeds = self._first_pairs(costs, corner, row, view)
-            nis, ambiguous = best_growth(nu, S, corner, row, seeds, self._gate, self.config.rival_gap)
         ids = view.belief.ids[row]
-        write_pairs(match.ids, match.decision, match.reason, match.nis, corner, ids, nis, ambiguous, fixed >= 0)
-        return match if ring is None else replace(match, polygon=ring.polygon, known=ring.known)
+        nu, S = belief.innovation(z, R, ids)
+        seeds = self._most_seeds(view)
+        columns = match.ids, match.decision, match.reason, match.nis
+        accept(nu, S, corner, row, ids, fixed, costs, seeds, self._gate, self.config.rival_gap, *columns)
+        return match if ring is None else Match(*columns, ring.polygon, ring.known, match.closure)
 
-    def _first_pairs(self, costs: Array, corner: Ints, row: Ints, view: MapView) -> Ints:
-        """Which pairing to start from: a free choice while the pose is sharp, each of the likeliest otherwise."""
-        variance = view.belief.pose_cov.diagonal()
-        sharp = max(variance[0], variance[1]) < self.config.sharp_sigma_m**2
-        if sharp and variance[2] < np.deg2rad(self.config.sharp_sigma_deg) ** 2:
-            return np.array([-1])
-        order = np.argsort(costs[corner, row], kind="stable")[: self.config.most_seeds]
-        return np.concatenate(([-1], order))
+    def _fixed(self, n: int, ring: RingMatch | None, view: MapView) -> Ints:
+        """(n,) the landmark row of each corner whose identity the polygon gives, -1 elsewhere."""
+        fixed = np.empty(n, np.int64)
+        corners, ids = (NONE, NONE) if ring is None else (ring.corners, ring.ids)
+        fix_rows(corners, ids, view.belief.ids, fixed)
+        return fixed
+
+    def _most_seeds(self, view: MapView) -> int:
+        """From how many pairings to start beside a free choice: from none while the pose is sharp."""
+        x, y, heading = view.belief.pose_cov.diagonal().tolist()
+        sharp = max(x, y) < self.config.sharp_sigma_m**2 and heading < math.radians(self.config.sharp_sigma_deg) ** 2
+        return 0 if sharp else self.config.most_seeds
+
+
+@kernel
+def accept(
+    nu: Array,
+    S: Array,
+    corner: Ints,
+    row: Ints,
+    ids: Ints,
+    fixed: Ints,
+    costs: Array,
+    most_seeds: int,
+    gate: float,
+    gap: float,
+    match_ids: Ints,
+    decision: Ints,
+    reason: Ints,
+    match_nis: Array,
+) -> None:
+    """Select pairings (P,) that are jointly compatible and enter them into the columns of a match; in place.
+
+    Those that a polygon has `fixed` come first; without any, the best of several growths counts.
+    """
+    seed = fixed_pairs(corner, row, fixed)
+    if seed.shape[0] > 0:
+        nis, ambiguous = grow(nu, S, corner, row, seed, gate, gap)
+    else:
+        seeds = likeliest(costs, corner, row, most_seeds)
+        nis, ambiguous = best_growth(nu, S, corner, row, seeds, gate, gap)
+    write_pairs(match_ids, decision, reason, match_nis, corner, ids, nis, ambiguous, fixed)
+
+
+@kernel
+def fixed_pairs(corner: Ints, row: Ints, fixed: Ints) -> Ints:
+    """The pairings (of P) that the polygon has `fixed` (n,)."""
+    pairs = np.empty(corner.shape[0], np.int64)
+    count = 0
+    for p in range(corner.shape[0]):
+        if fixed[corner[p]] == row[p]:
+            pairs[count] = p
+            count += 1
+    return pairs[:count]
 
 
 @kernel
@@ -95,7 +138,7 @@ def write_pairs(
     ids: Ints,
     nis: Array,
     ambiguous: Bools,
-    by_polygon: Bools,
+    fixed: Ints,
 ) -> None:
     """Enter the accepted pairs (nis not nan) and the ambiguous corners into the columns of a match; in place."""
     for p in range(corner.shape[0]):
@@ -104,4 +147,4 @@ def write_pairs(
             decision[c], reason[c] = IGNORED, AMBIGUOUS
         if not math.isnan(nis[p]):
             match_ids[c], match_nis[c], decision[c] = ids[p], nis[p], LANDMARK
-            reason[c] = POLYGON if by_polygon[c] else JOINT
+            reason[c] = POLYGON if fixed[c] >= 0 else JOINT

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from mecp_env.kernel import kernel
 from mecp_env.slam.association.base import chi2_gate
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Corners, FeatureState, MapView, Polygon
+from mecp_env.slam.data import Corners, FeatureState, MapView, Polygon, Rings
 from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+LANDMARK = int(FeatureState.LANDMARK)
 AMBIGUITY_GAP = 9.21  # maths.md 4.2: the second best must be this much worse
 
 
@@ -35,28 +36,51 @@ def known_rings(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
     rings = view.rings.get(cardinality)
     if rings is None:
         return np.empty(0, np.int64), np.empty((0, cardinality), np.int64)
-    whole = (view.features.state[rings.ids] == int(FeatureState.LANDMARK)).all(axis=1)
+    whole = (view.features.state[rings.ids] == LANDMARK).all(axis=1)
     return rings.index[whole], rings.ids[whole]
 
 
 @kernel
-def plausible_shifts(nis: Array, rings: Ints, gate: float) -> Ints:
-    """(h,2) ring and shift for which every vertex passes its own gate.
+def plausible_rings(
+    nis: Array, corners: Ints, landmarks: Ints, state: Ints, rings: Ints, gate: float, found: Ints, which: Ints
+) -> int:
+    """Write the ids (h,k) of the known rings, turned so that every vertex passes its own gate, and which (h,) they are.
 
-    `nis` (k,N) of the scan polygon's vertices against landmark rows; `rings` (C,k) landmark rows, both ccw.
+    `nis` (n,N) of corners against `landmarks` (N,); `corners` (k,) are the vertices of the scan's polygon, `rings`
+    (C,k) ids of features with their `state` (F,), both ccw. A ring of landmarks alone counts. Returns h.
     """
     count, k = rings.shape
-    found = np.empty((count * k, 2), np.int64)
+    row = np.empty(state.shape[0], np.int64)
+    for j in range(landmarks.shape[0]):
+        row[landmarks[j]] = j
     h = 0
-    for hypothesis in range(count * k):
-        c, shift = hypothesis // k, hypothesis % k
-        fits = True
-        for v in range(k):
-            fits &= nis[v, rings[c, (v + shift) % k]] <= gate
-        if fits:
-            found[h, 0], found[h, 1] = c, shift
-            h += 1
-    return found[:h]
+    for c in range(count):
+        if not _all_landmarks(rings[c], state):
+            continue
+        for shift in range(k):
+            if _passes(nis, corners, row, rings[c], shift, gate):
+                which[h] = c
+                for v in range(k):
+                    found[h, v] = rings[c, (v + shift) % k]
+                h += 1
+    return h
+
+
+@kernel
+def _all_landmarks(ids: Ints, state: Ints) -> bool:
+    whole = True
+    for v in range(ids.shape[0]):
+        whole &= state[ids[v]] == LANDMARK
+    return whole
+
+
+@kernel
+def _passes(nis: Array, corners: Ints, row: Ints, ring: Ints, shift: int, gate: float) -> bool:
+    """True when each of the corners (k,) is inside the gate of the landmark `shift` vertices on in the ring (k,)."""
+    k, fits = ring.shape[0], True
+    for v in range(k):
+        fits &= nis[corners[v], row[ring[(v + shift) % k]]] <= gate
+    return fits
 
 
 def match_rings(
@@ -78,23 +102,31 @@ def match_rings(
 def _match_ring(
     corners: Corners, polygon: Polygon, view: MapView, nis: Array, belief: Filter, config: AssociationConfig
 ) -> tuple[int, Ints, Ints, float] | None:
-    k = len(polygon.corners)
-    index, rings = known_rings(view, k)
-    if not len(index):
+    rings = view.rings.get(len(polygon.corners))
+    if rings is None:
         return None
-    rows = view.belief.rows(rings)
-    vertex_gate = 2.0 * chi2_gate(2, config.gate_probability)  # generous: the joint test decides
-    shifts = plausible_shifts(np.ascontiguousarray(nis[polygon.corners]), rows, vertex_gate)
+    gate = chi2_gate(2, config.gate_probability)
+    ids, known = _plausible(polygon, rings, view, nis, 2.0 * gate)  # generous: the joint test decides
+    if not len(ids):
+        return None
+    joint_gate = chi2_gate(2 * len(polygon.corners), config.gate_probability)
     z, R = corners.measurements(polygon.corners)
     hypotheses = []
-    for c, shift in shifts:
-        ids = np.concatenate((rings[c, shift:], rings[c, :shift]))
-        if belief.mean_of_gaussians_nis(z, R, ids, paper_S=config.paper_S) > chi2_gate(2, config.gate_probability):
+    for ring, c in zip(ids, known.tolist(), strict=True):
+        if belief.mean_of_gaussians_nis(z, R, ring, paper_S=config.paper_S) > gate:
             continue
-        joint = belief.joint_nis(z, R, ids)
-        if joint <= chi2_gate(2 * k, config.gate_probability):
-            hypotheses.append((joint, int(index[c]), ids))
+        joint = belief.joint_nis(z, R, ring)
+        if joint <= joint_gate:
+            hypotheses.append((joint, int(rings.index[c]), ring))
     return _agreed(hypotheses, polygon.corners)
+
+
+def _plausible(polygon: Polygon, rings: Rings, view: MapView, nis: Array, gate: float) -> tuple[Ints, Ints]:
+    """Ids (h,k) of known rings as `plausible_rings` writes them, and which of `rings` (h,) they are."""
+    count, k = rings.ids.shape
+    ids, known = np.empty((count * k, k), np.int64), np.empty(count * k, np.int64)
+    h = plausible_rings(nis, polygon.corners, view.belief.ids, view.features.state, rings.ids, gate, ids, known)
+    return ids[:h], known[:h]
 
 
 def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[int, Ints, Ints, float] | None:
@@ -102,6 +134,8 @@ def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[i
     if not hypotheses:
         return None
     nis, known, ids = min(hypotheses, key=lambda h: (h[0], h[1]))
+    if len(hypotheses) == 1:
+        return known, corners, ids, nis
     agreed = np.ones(len(ids), np.bool_)
     for rival in hypotheses:
         if rival[0] < nis + AMBIGUITY_GAP:

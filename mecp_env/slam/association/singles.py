@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-NEW, IGNORED = int(Decision.NEW), int(Decision.IGNORED)
+JAMB, NEW, IGNORED = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.IGNORED)
 AMBIGUOUS, IN_DOORWAY, BEYOND_DOOR = int(Reason.AMBIGUOUS), int(Reason.IN_DOORWAY), int(Reason.BEYOND_DOOR)
 
 
@@ -38,40 +38,30 @@ def pairing_table(
 
     With `elsewhere`, a corner that no landmark of its room lies near may be one of any room.
     """
-    ids = view.belief.ids
+    ids, features = view.belief.ids, view.features
     nis = belief.individual_nis(corners.z, corners.R, ids)
+    costs, nearest = np.empty_like(nis), np.empty(len(corners))
     if config.use_signature:
-        strike_by_signature(
-            nis,
-            view.belief.T_map_robot[2],
-            corners.convex,
-            corners.normals,
-            view.features.convex[ids],
-            view.features.normals[ids],
-            math.radians(config.signature_deg),
-        )
-    costs = strike_by_room(nis, _rooms_seen(corners, view, config), _rooms_known(view), gate, elsewhere)
-    return PairingTable(nis, costs, nis.min(axis=1))
+        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.signature_deg)
+        known = features.convex, features.normals
+        strike_by_signature(nis, heading, corners.convex, corners.normals, ids, *known, tolerance)
+    seen = _rooms_seen(corners, view, config)
+    strike_by_room(nis, costs, nearest, seen, ids, features.room, features.kind, gate, elsewhere)
+    return PairingTable(nis, costs, nearest)
 
 
 def _rooms_seen(corners: Corners, view: MapView, config: AssociationConfig) -> Ints:
     """(n,) the room each corner lies in, UNKNOWN_ROOM where that is open."""
     graph = view.graph
-    everywhere = graph.in_doorway or not config.use_rooms
-    rooms = np.full(len(corners), UNKNOWN_ROOM if everywhere else graph.current, np.int64)
     if not config.use_rooms:
-        return rooms
-    rooms[corners.beyond >= 0] = UNKNOWN_ROOM
-    beyond = {door.id: door.rooms[1] if door.rooms[0] == graph.current else door.rooms[0] for door in graph.doors}
-    for i in np.flatnonzero(view.through >= 0).tolist():
-        rooms[i] = beyond[int(view.through[i])]
-    return rooms
-
-
-def _rooms_known(view: MapView) -> Ints:
-    """(N,) the room of each landmark, UNKNOWN_ROOM for jambs: they belong to both rooms."""
-    ids = view.belief.ids
-    return np.where(view.features.kind[ids] == int(CornerKind.JAMB), UNKNOWN_ROOM, view.features.room[ids])
+        return np.full(len(corners), UNKNOWN_ROOM, np.int64)
+    home = UNKNOWN_ROOM if graph.in_doorway else graph.current
+    rooms = [home if gap < 0 else UNKNOWN_ROOM for gap in corners.beyond.tolist()]
+    through = view.through.tolist()
+    if max(through) >= 0:
+        behind = {door.id: door.rooms[1] if door.rooms[0] == graph.current else door.rooms[0] for door in graph.doors}
+        rooms = [room if door < 0 else behind[door] for room, door in zip(rooms, through, strict=True)]
+    return np.array(rooms, np.int64)
 
 
 @kernel
@@ -80,6 +70,7 @@ def strike_by_signature(
     heading: float,
     convex: Bools,
     normals: Array,
+    ids: Ints,
     known_convex: Bools,
     known_normals: Array,
     tolerance: float,
@@ -87,46 +78,65 @@ def strike_by_signature(
     """Set nis (n,N) to inf where corner and landmark cannot be one; in place.
 
     Both are outer or both inner corners, at least one face is seen in both, and none is turned by more than
-    `tolerance`. `normals` (n,2) are in the robot frame, `known_normals` (N,2) in the map frame.
+    `tolerance`. `normals` (n,2) are in the robot frame, those known (F,2) in the map frame; `ids` (N,) are the rows of
+    the landmarks among the F features.
     """
-    n, m = nis.shape
-    for pair in range(n * m):
-        i, j = pair // m, pair % m
-        shared, turned = 0, 0
-        for side in range(2):
-            difference = wrap_angle(normals[i, side] + heading - known_normals[j, side])
-            shared += not math.isnan(difference)
-            turned += abs(difference) > tolerance
-        if convex[i] != known_convex[j] or shared == 0 or turned > 0:
-            nis[i, j] = math.inf
-
-
-@kernel
-def strike_by_room(nis: Array, seen: Ints, known: Ints, gate: float, elsewhere: bool) -> Array:
-    """nis (n,N) with inf where the rooms `seen` (n,) and `known` (N,) differ, unless one of them is open (< 0).
-
-    With `elsewhere`, the row of a corner that has nothing inside `gate` in its room is left as it was.
-    """
-    costs = nis.copy()
     for i in range(nis.shape[0]):
-        at_home = False
         for j in range(nis.shape[1]):
-            if seen[i] >= 0 and known[j] >= 0 and seen[i] != known[j]:
-                costs[i, j] = math.inf
-            at_home |= costs[i, j] <= gate
-        if elsewhere and not at_home:
-            costs[i] = nis[i]
-    return costs
+            f = ids[j]
+            if convex[i] != known_convex[f] or not _faces_fit(normals[i], heading, known_normals[f], tolerance):
+                nis[i, j] = math.inf
 
 
 @kernel
-def possible_pairs(costs: Array, gate: float, fixed: Ints, most: int) -> tuple[Ints, Ints]:
-    """Corner and landmark row (P,) of each pair inside the gate; of too many, those that cost least, `most` of them.
+def _faces_fit(normals: Array, heading: float, known: Array, tolerance: float) -> bool:
+    """True when at least one face (of two) is seen in both and none is turned by more than `tolerance`."""
+    shared, turned = False, False
+    for side in range(2):
+        difference = wrap_angle(normals[side] + heading - known[side])
+        shared |= not math.isnan(difference)
+        turned |= abs(difference) > tolerance
+    return shared and not turned
 
-    A corner with a `fixed` (n,) landmark row (-1: none) has that pair alone, whatever it costs.
+
+@kernel
+def strike_by_room(
+    nis: Array,
+    costs: Array,
+    nearest: Array,
+    seen: Ints,
+    ids: Ints,
+    known_room: Ints,
+    known_kind: Ints,
+    gate: float,
+    elsewhere: bool,
+) -> None:
+    """Write nis (n,N) to `costs`, inf where the rooms differ unless one of them is open, and its least to `nearest`.
+
+    `seen` (n,) is the room of each corner, open < 0; `ids` (N,) are the rows of the landmarks among the F features.
+    Jambs belong to both rooms. With `elsewhere`, the row of a corner that has nothing inside `gate` in its room stays
+    as it was.
+    """
+    for i in range(nis.shape[0]):
+        at_home, nearest[i] = False, math.inf
+        for j in range(nis.shape[1]):
+            room = UNKNOWN_ROOM if known_kind[ids[j]] == JAMB else known_room[ids[j]]
+            costs[i, j] = math.inf if seen[i] >= 0 and room >= 0 and seen[i] != room else nis[i, j]
+            at_home |= costs[i, j] <= gate
+            nearest[i] = min(nearest[i], nis[i, j])
+        if elsewhere and not at_home:
+            for j in range(nis.shape[1]):
+                costs[i, j] = nis[i, j]
+
+
+@kernel
+def possible_pairs(costs: Array, gate: float, fixed: Ints, most: int, corner: Ints, row: Ints) -> int:
+    """Write corner and landmark row (P,) of each pair inside the gate; of too many, the `most` that cost least.
+
+    A corner with a `fixed` (n,) landmark row (-1: none) has that pair alone, whatever it costs. Returns P.
     """
     n, m = costs.shape
-    corner, row, price = np.empty(n * m, np.int64), np.empty(n * m, np.int64), np.empty(n * m)
+    price = np.empty(n * m)
     count = 0
     for i in range(n):
         for j in range(m):
@@ -134,10 +144,32 @@ def possible_pairs(costs: Array, gate: float, fixed: Ints, most: int) -> tuple[I
                 corner[count], row[count] = i, j
                 price[count] = -1.0 if fixed[i] == j else costs[i, j]
                 count += 1
-    if count > most:
-        keep = np.sort(np.argsort(price[:count])[:most])
-        return corner[keep], row[keep]
-    return corner[:count], row[:count]
+    while count > most:
+        count = _drop_dearest(corner, row, price, count)
+    return count
+
+
+@kernel
+def _drop_dearest(corner: Ints, row: Ints, price: Array, count: int) -> int:
+    """Take the dearest of `count` pairs out, of equal ones the last; returns how many are left."""
+    dearest = 0
+    for p in range(1, count):
+        if price[p] >= price[dearest]:
+            dearest = p
+    for p in range(dearest, count - 1):
+        corner[p], row[p], price[p] = corner[p + 1], row[p + 1], price[p + 1]
+    return count - 1
+
+
+@kernel
+def fix_rows(corners: Ints, ids: Ints, landmarks: Ints, fixed: Ints) -> None:
+    """Write to `fixed` (n,) the row among `landmarks` (N,) of the `ids` (v,) that `corners` (v,) are, -1 elsewhere."""
+    for i in range(fixed.shape[0]):
+        fixed[i] = -1
+    for v in range(corners.shape[0]):
+        for j in range(landmarks.shape[0]):
+            if landmarks[j] == ids[v]:
+                fixed[corners[v]] = j
 
 
 def settle(match: Match, corners: Corners, view: MapView, nearest: Array, ignore_gate: float) -> None:

@@ -3,11 +3,13 @@
 import itertools
 
 import numpy as np
+import pytest
 
 from mecp_env.slam.association.base import chi2_gate, one_to_one
-from mecp_env.slam.association.joint import best_growth, grow
-from mecp_env.slam.association.singles import possible_pairs, strike_by_room, strike_by_signature
-from mecp_env.slam.data import Belief
+from mecp_env.slam.association.joint import best_growth, grow, likeliest
+from mecp_env.slam.association.rings import plausible_rings
+from mecp_env.slam.association.singles import fix_rows, possible_pairs, strike_by_room, strike_by_signature
+from mecp_env.slam.data import Belief, CornerKind, FeatureState
 
 
 def common_error_case(rng, wrong):
@@ -68,7 +70,7 @@ def test_one_to_one_takes_the_smallest_first():
 
 def compatible(heading, convex, seen, known_convex, known, tolerance):
     nis = np.zeros((len(seen), len(known)))
-    strike_by_signature(nis, heading, convex, seen, known_convex, known, tolerance)
+    strike_by_signature(nis, heading, convex, seen, np.arange(len(known)), known_convex, known, tolerance)
     return (nis == 0.0).tolist()
 
 
@@ -91,17 +93,69 @@ def test_signature_wraps_at_pi():
 def test_rooms_keep_corners_apart_but_not_those_unknown_at_home():
     nis = np.array([[1.0, 2.0], [50.0, 2.0], [1.0, 2.0]])
     seen, known = np.array([0, 0, -1]), np.array([0, 1])
-    inf = np.inf
-    assert strike_by_room(nis, seen, known, 13.8, False).tolist() == [[1.0, inf], [50.0, inf], [1.0, 2.0]]
-    assert strike_by_room(nis, seen, known, 13.8, True).tolist() == [[1.0, inf], [50.0, 2.0], [1.0, 2.0]]
+    inf, kind = np.inf, np.zeros(2, np.int64)
+    costs, nearest = np.empty((3, 2)), np.empty(3)
+    strike_by_room(nis, costs, nearest, seen, np.arange(2), known, kind, 13.8, False)
+    assert costs.tolist() == [[1.0, inf], [50.0, inf], [1.0, 2.0]]
+    strike_by_room(nis, costs, nearest, seen, np.arange(2), known, kind, 13.8, True)
+    assert costs.tolist() == [[1.0, inf], [50.0, 2.0], [1.0, 2.0]]
+    assert nearest.tolist() == [1.0, 2.0, 1.0]
+
+
+def test_jambs_belong_to_both_rooms():
+    nis, costs = np.array([[1.0, 2.0]]), np.empty((1, 2))
+    kind = np.array([int(CornerKind.CROSSING), int(CornerKind.JAMB)])
+    strike_by_room(nis, costs, np.empty(1), np.array([1]), np.arange(2), np.zeros(2, np.int64), kind, 13.8, False)
+    assert costs.tolist() == [[np.inf, 2.0]]
 
 
 def test_possible_pairs_keep_the_fixed_ones_and_the_cheapest():
     costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
     free = np.array([-1, -1])
-    assert np.array(possible_pairs(costs, 13.8, free, 9)).T.tolist() == [[0, 0], [0, 1], [1, 1], [1, 2]]
-    assert np.array(possible_pairs(costs, 13.8, free, 2)).T.tolist() == [[0, 0], [1, 1]]
-    assert np.array(possible_pairs(costs, 13.8, np.array([2, -1]), 2)).T.tolist() == [[0, 2], [1, 1]]
+
+    def pairs(fixed, most):
+        corner, row = np.empty(6, np.int64), np.empty(6, np.int64)
+        count = possible_pairs(costs, 13.8, fixed, most, corner, row)
+        return np.stack((corner, row), axis=1)[:count].tolist()
+
+    assert pairs(free, 9) == [[0, 0], [0, 1], [1, 1], [1, 2]]
+    assert pairs(free, 2) == [[0, 0], [1, 1]]
+    assert pairs(np.array([2, -1]), 2) == [[0, 2], [1, 1]]
+
+
+def test_a_polygon_fixes_the_rows_of_its_corners():
+    fixed = np.empty(4, np.int64)
+    fix_rows(np.array([2, 0]), np.array([7, 9]), np.array([9, 5, 7]), fixed)
+    assert fixed.tolist() == [0, -1, 2, -1]
+
+
+def test_the_likeliest_pairings_are_tried_after_a_free_choice():
+    costs = np.array([[3.0, 1.0], [2.0, 1.0]])
+    corner, landmark = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+    assert likeliest(costs, corner, landmark, 0).tolist() == [-1]
+    assert likeliest(costs, corner, landmark, 3).tolist() == [-1, 1, 3, 2]
+    assert likeliest(costs, corner, landmark, 9).tolist() == [-1, 1, 3, 2, 0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_plausible_rings_against_every_turn_of_every_ring(seed):
+    rng = np.random.default_rng(seed)
+    landmarks = rng.permutation(8)
+    state = np.full(8, int(FeatureState.LANDMARK))
+    state[landmarks[7]] = int(FeatureState.TRACK)
+    rings = np.array([rng.permutation(8)[:4] for _ in range(5)])
+    nis, corners, gate = rng.uniform(0.0, 2.0, (6, 8)), rng.permutation(6)[:4], 1.5
+    column = {landmark: j for j, landmark in enumerate(landmarks.tolist())}
+    expected = [
+        (c, np.roll(ring, -shift).tolist())
+        for c, ring in enumerate(rings)
+        for shift in range(4)
+        if (state[ring] == int(FeatureState.LANDMARK)).all()
+        and all(nis[corner, column[i]] <= gate for corner, i in zip(corners, np.roll(ring, -shift), strict=True))
+    ]
+    found, which = np.empty((20, 4), np.int64), np.empty(20, np.int64)
+    h = plausible_rings(nis, corners, landmarks, state, rings, gate, found, which)
+    assert list(zip(which[:h].tolist(), found[:h].tolist(), strict=True)) == expected
 
 
 def test_rows_of_finds_ids_in_any_order():
