@@ -54,15 +54,13 @@ def plausible_rings(
     for j in range(landmarks.shape[0]):
         row[landmarks[j]] = j
     h = 0
-    for c in range(count):
-        if not _all_landmarks(rings[c], state):
-            continue
-        for shift in range(k):
-            if _passes(nis, corners, row, rings[c], shift, gate):
-                which[h] = c
-                for v in range(k):
-                    found[h, v] = rings[c, (v + shift) % k]
-                h += 1
+    for hypothesis in range(count * k):
+        c, shift = hypothesis // k, hypothesis % k
+        if _all_landmarks(rings[c], state) and _passes(nis, corners, row, rings[c], shift, gate):
+            which[h] = c
+            for v in range(k):
+                found[h, v] = rings[c, (v + shift) % k]
+            h += 1
     return h
 
 

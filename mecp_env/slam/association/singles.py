@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason
+from mecp_env.slam.data import UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason, RoomGraph
 from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.protocols import Filter
 
@@ -59,9 +59,14 @@ def _rooms_seen(corners: Corners, view: MapView, config: AssociationConfig) -> I
     rooms = [home if gap < 0 else UNKNOWN_ROOM for gap in corners.beyond.tolist()]
     through = view.through.tolist()
     if max(through) >= 0:
-        behind = {door.id: door.rooms[1] if door.rooms[0] == graph.current else door.rooms[0] for door in graph.doors}
-        rooms = [room if door < 0 else behind[door] for room, door in zip(rooms, through, strict=True)]
+        behind = _rooms_behind(graph)
+        rooms = [behind.get(door, room) for room, door in zip(rooms, through, strict=True)]
     return np.array(rooms, np.int64)
+
+
+def _rooms_behind(graph: RoomGraph) -> dict[int, int]:
+    """The room behind each door, by the door's id."""
+    return {door.id: door.rooms[1] if door.rooms[0] == graph.current else door.rooms[0] for door in graph.doors}
 
 
 @kernel
