@@ -26,38 +26,73 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 @kernel
+def cheapest_ways(
+    label: Bytes, row: int, column: int, limits: tuple[float, float, float, int]
+) -> tuple[Distances, Bytes, Costs, Bytes]:
+    """Clearance, cost of the cells, cost of the ways from a cell, and the step that leads to each cell; all (H,W).
+
+    `limits`: least and comfortable distance to walls, in cells; the cost at the least one; how far a robot that stands
+    too near to a wall may go to get out, in cells.
+    """
+    least, comfort, wall_cost, way_out = limits
+    distance = clearance(label, comfort)
+    cost = cell_costs(label, distance, least, comfort, wall_cost)
+    open_start(cost, label, distance, row, column, way_out)
+    total, step = distance_field(cost, row, column)
+    return distance, cost, total, step
+
+
+@kernel
 def clearance(label: Bytes, reach: float) -> Distances:
     """(H,W) distance of each cell to the nearest OCCUPIED one, centre to centre, in cells, up to `reach`."""
     height, width = label.shape
-    distance = np.full((height, width), np.float32(reach), np.float32)
     near = math.ceil(reach)
-    disc = np.empty((2 * near + 1, 2 * near + 1), np.float32)
-    for i in range(2 * near + 1):
-        for j in range(2 * near + 1):
-            disc[i, j] = math.hypot(i - near, j - near)
+    rows_away = _rows_to_wall(label, near + 1)
+    roots = np.empty(2 * (near + 1) ** 2 + 1, np.float32)  # of a sum of two squares, up to `reach`
+    for i in range(near + 2):
+        for j in range(near + 2):
+            roots[i * i + j * j] = min(math.hypot(i, j), np.float32(reach))
+    distance = np.empty((height, width), np.float32)
+    squares, least = np.empty(width + 2 * near, np.float32), np.empty(width, np.float32)
     for row in range(height):
+        for i in range(width + 2 * near):
+            squares[i] = (near + 1) ** 2
         for column in range(width):
-            if label[row, column] == OCCUPIED:
-                _stamp(distance, disc, row, column, near)
+            squares[column + near] = rows_away[row, column] * rows_away[row, column]
+            least[column] = squares[column + near]
+        for i in range(2 * near + 1):
+            aside = np.float32((i - near) ** 2)
+            for column in range(width):
+                least[column] = min(least[column], squares[column + i] + aside)
+        for column in range(width):
+            distance[row, column] = roots[int(least[column])]
     return distance
 
 
 @kernel
-def _stamp(distance: Distances, disc: Distances, row: int, column: int, near: int) -> None:
-    """Let no cell around a wall be farther from it than it is."""
-    for r in range(max(row - near, 0), min(row + near + 1, distance.shape[0])):
-        for c in range(max(column - near, 0), min(column + near + 1, distance.shape[1])):
-            distance[r, c] = min(distance[r, c], disc[r - row + near, c - column + near])
+def _rows_to_wall(label: Bytes, most: int) -> Costs:
+    """(H,W) how many rows away the nearest OCCUPIED cell of the column is, up to `most`."""
+    height, width = label.shape
+    away = np.empty((height, width), np.int32)
+    for row in range(height):
+        for column in range(width):
+            before = away[row - 1, column] + 1 if row > 0 else most
+            away[row, column] = 0 if label[row, column] == OCCUPIED else min(before, most)
+    for i in range(1, height):
+        row = height - 1 - i
+        for column in range(width):
+            away[row, column] = min(away[row, column], away[row + 1, column] + 1)
+    return away
 
 
 @kernel
-def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, wall_cost: float) -> Costs:
+def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, wall_cost: float) -> Bytes:
     """(H,W) cost of a tenth of a cell: OPEN_COST in the open, more by `wall_cost` times that at `least`; 0: barred.
 
     `distance` as from `clearance`; `least` and `comfort` in cells. Unknown cells are barred.
     """
     height, width = label.shape
-    cost = np.zeros((height, width), np.int32)
+    cost = np.zeros((height, width), np.uint8)
     for row in range(height):
         for column in range(width):
             free = label[row, column] == FREE or label[row, column] == DOOR
@@ -69,7 +104,7 @@ def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, 
 
 
 @kernel
-def open_start(cost: Costs, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
+def open_start(cost: Bytes, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
     """Let a robot that stands too near to a wall out: over cells near it, at most a cell nearer to walls than it is.
 
     That cell is for the way round: past a barred cell there is no diagonal step.
@@ -86,59 +121,72 @@ def open_start(cost: Costs, label: Bytes, distance: Distances, row: int, column:
 
 
 @kernel
-def distance_field(cost: Costs, row: int, column: int) -> tuple[Costs, Costs, Bytes]:
-    """Cheapest ways from a cell to all others: cost (H,W), length in tenths of a cell, step that led there (8: none).
+def distance_field(cost: Bytes, row: int, column: int) -> tuple[Costs, Bytes]:
+    """Cheapest ways from a cell to all others: their cost (H,W), and the step that leads to each cell (8: none).
 
     Dijkstra with one bucket a cost (every step costs less than there are buckets), 8 neighbours, no diagonal step past
     a barred cell. FAR where there is no way. The cells on the border of the grid are taken as barred. A bucket is a
-    ring of cells, linked both ways and closed by a node of its own; a cell in no bucket is a ring of one.
+    stack of notes, each of a cell and the note below; the note of a cell that was reached cheaper since is passed over.
     """
-    cells = cost.size
-    total, length = np.full(cells, FAR, np.int32), np.full(cells, FAR, np.int32)
-    step = np.full(cells, 8, np.uint8)
-    flat, steps = cost.reshape(-1), allowed_steps(cost).reshape(-1)
-    offset = DROW * cost.shape[1] + DCOL
-    onward, back = np.arange(cells + BUCKETS, dtype=np.int32), np.arange(cells + BUCKETS, dtype=np.int32)
-    start = row * cost.shape[1] + column
-    total[start], length[start] = 0, 0
-    onward[cells], back[cells], onward[start], back[start] = start, start, cells, cells
-    at, last = 0, 0
+    width, flat = cost.shape[1], within_border(cost)
+    total, step = np.full(cost.size, FAR, np.int32), np.full(cost.size, 8, np.uint8)
+    top = np.full(BUCKETS, -1, np.int32)
+    below, cell_of = np.empty(8 * cost.size, np.int32), np.empty(8 * cost.size, np.int32)
+    start = row * width + column
+    total[start], top[0], below[0], cell_of[0] = 0, 0, -1, start
+    notes, at, last = 1, 0, 0 if flat[start] else -1
     while at <= last:
-        cell = onward[cells + (at & (BUCKETS - 1))]
-        if cell >= cells:
+        note = top[at & (BUCKETS - 1)]
+        if note < 0:
             at += 1
             continue
-        onward[back[cell]], back[onward[cell]] = onward[cell], back[cell]
-        for k in range(8):
-            near = cell + offset[k]
-            far = at + HALF_LENGTH[k] * (flat[cell] + flat[near])
-            if not (steps[cell] >> k) & 1 or far >= total[near]:
+        top[at & (BUCKETS - 1)] = below[note]
+        cell = cell_of[note]
+        for k in range(8 if total[cell] == at else 0):
+            near = cell + DROW[k] * width + DCOL[k]
+            far = at + HALF_LENGTH[k] * (np.int64(flat[cell]) + flat[near])
+            if flat[near] == 0 or far >= total[near]:
                 continue
-            onward[back[near]], back[onward[near]] = onward[near], back[near]
-            node = cells + (far & (BUCKETS - 1))
-            onward[near], back[near] = onward[node], node
-            back[onward[node]], onward[node] = near, near
-            total[near], length[near], step[near] = far, length[cell] + 2 * HALF_LENGTH[k], k
+            if k >= 4 and (flat[cell + DROW[k] * width] == 0 or flat[cell + DCOL[k]] == 0):
+                continue
+            total[near], step[near] = far, k
+            below[notes], cell_of[notes] = top[far & (BUCKETS - 1)], near
+            top[far & (BUCKETS - 1)] = notes
+            notes += 1
             last = max(last, far)
-    return total.reshape(cost.shape), length.reshape(cost.shape), step.reshape(cost.shape)
+    return total.reshape(cost.shape), step.reshape(cost.shape)
 
 
 @kernel
-def allowed_steps(cost: Costs) -> Bytes:
-    """(H,W) bit k set where step k leads to a passable cell, and past none that is barred; 0 on the border."""
+def within_border(cost: Bytes) -> Bytes:
+    """(H*W,) the cost of the cells, 0 on the border of the grid."""
     height, width = cost.shape
-    steps = np.zeros((height, width), np.uint8)
+    inner = np.zeros((height, width), np.uint8)
     for row in range(1, height - 1):
         for column in range(1, width - 1):
-            if cost[row, column] == 0:
-                continue
-            bits = 0
-            for k in range(8):
-                r, c = row + DROW[k], column + DCOL[k]
-                inside = 0 < r < height - 1 and 0 < c < width - 1
-                bits |= (inside and min(cost[r, c], cost[row, c], cost[r, column]) > 0) << k
-            steps[row, column] = bits
-    return steps
+            inner[row, column] = cost[row, column]
+    return inner.reshape(-1)
+
+
+@kernel
+def way_length(step: Bytes, row: int, column: int) -> int:
+    """Length of the way to a cell that was reached, in tenths of a cell."""
+    length, k = 0, step[row, column]
+    while k != 8:
+        length += 2 * HALF_LENGTH[k]
+        row, column = row - DROW[k], column - DCOL[k]
+        k = step[row, column]
+    return length
+
+
+@kernel
+def smooth_way(step: Bytes, row: int, column: int, distance: Distances, cost: Bytes, least: float) -> Array:
+    """The way (n,2) to a cell that was reached, in cells (x, y), without the points that `shorten` leaves out."""
+    cells = trace_back(step, row, column)
+    points = np.empty(cells.shape)
+    for i in range(cells.shape[0]):
+        points[i, 0], points[i, 1] = cells[i, 1] + 0.5, cells[i, 0] + 0.5
+    return shorten(points, distance, cost, least)
 
 
 @kernel
@@ -158,18 +206,17 @@ def trace_back(step: Bytes, row: int, column: int) -> Ints:
 
 
 @kernel
-def nearest_reached(total: Costs, x: float, y: float, reach: float) -> Ints:
-    """Row and column (2,) of the reached cell nearest to (x, y), in cells, within `reach`; (-1, -1): none."""
-    best, found = math.inf, np.array([-1, -1])
+def nearest_reached(total: Costs, x: float, y: float, reach: float) -> tuple[int, int]:
+    """Row and column of the reached cell nearest to (x, y), in cells, within `reach`; (-1, -1): none."""
+    best, found_row, found_column = math.inf, -1, -1
     for row in range(max(math.floor(y - reach), 0), min(math.floor(y + reach) + 1, total.shape[0])):
         for column in range(max(math.floor(x - reach), 0), min(math.floor(x + reach) + 1, total.shape[1])):
             if total[row, column] >= FAR:
                 continue
             distance = math.hypot(column + 0.5 - x, row + 0.5 - y) + 1e-9 * total[row, column]
             if distance < min(best, reach):
-                best = distance
-                found[0], found[1] = row, column
-    return found
+                best, found_row, found_column = distance, row, column
+    return found_row, found_column
 
 
 @kernel
@@ -210,7 +257,7 @@ def _wall_within(label: Bytes, x: float, y: float, near: int, radius: float) -> 
 
 
 @kernel
-def shorten(points: Array, distance: Distances, cost: Costs, least: float) -> Array:
+def shorten(points: Array, distance: Distances, cost: Bytes, least: float) -> Array:
     """The path (n,2), in cells, without the points that a clear line over known cells jumps; the ends stay."""
     kept = np.empty_like(points)
     kept[0] = points[0]
@@ -225,7 +272,7 @@ def shorten(points: Array, distance: Distances, cost: Costs, least: float) -> Ar
 
 
 @kernel
-def _may_jump(points: Array, distance: Distances, cost: Costs, first: int, last: int, least: float) -> bool:
+def _may_jump(points: Array, distance: Distances, cost: Bytes, first: int, last: int, least: float) -> bool:
     """True when the line between two points of a path is clear and passable."""
     x0, y0, x1, y1 = points[first, 0], points[first, 1], points[last, 0], points[last, 1]
     if not clear_line(distance, x0, y0, x1, y1, least):
