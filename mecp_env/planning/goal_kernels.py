@@ -14,11 +14,33 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Rooms = NDArray[np.int16]
+Layer = tuple[Bools, Array, float]
 
 UNKNOWN, FREE = 0, 1  # as in mecp_env.slam.data.Cell
 OPEN_LABEL = 2  # as in mecp_env.slam.data.EdgeLabel
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
+
+
+@kernel
+def floor_clusters(
+    layers: tuple[Bytes, Bools, Rooms], lines: Array, clear: tuple[float, float], sizes: tuple[int, int, int]
+) -> tuple[Ints, Ints]:
+    """Clusters (c,4) of bare floor and of frontiers, as from `clusters`.
+
+    `layers`: label, polygon and room of the grid. `lines` (d,2,2): doors and candidates, in cells. `clear`: how far
+    floor keeps from a line not to be joined across it, and goals from the middle of one, in cells. `sizes`: span of
+    `bare_cells`, the least cluster of bare cells and of frontier cells.
+    """
+    label, polygon, room = layers
+    adopted = adopt_rooms(label, room, lines, clear[0])
+    middles = np.empty((lines.shape[0], 2))
+    for i in range(lines.shape[0]):
+        middles[i, 0] = (lines[i, 0, 0] + lines[i, 1, 0]) / 2.0
+        middles[i, 1] = (lines[i, 0, 1] + lines[i, 1, 1]) / 2.0
+    bare, bare_at = bare_cells((label, polygon, adopted), sizes[0], middles, clear[1])
+    frontier, frontier_at = frontier_cells(label, adopted, middles, clear[1])
+    return clusters(bare, bare_at, adopted, sizes[1]), clusters(frontier, frontier_at, adopted, sizes[2])
 
 
 @kernel
@@ -109,15 +131,23 @@ def bare_cells(grid: tuple[Bytes, Bools, Rooms], span: int, doors: Array, clear:
         for column in range(span, label.shape[1] - span):
             if polygon[row, column] or label[row, column] != FREE or room[row, column] < 0:
                 continue
-            wide = not _near_any(doors, column + 0.5, row + 0.5, clear)
-            for k in range(8):
-                r, c = row + span * DROW[k], column + span * DCOL[k]
-                wide = wide and label[r, c] == FREE and not polygon[r, c]
+            wide = _is_bare(label, polygon, span, row, column)
+            wide = wide and not _near_any(doors, column + 0.5, row + 0.5, clear)
             if wide:
                 bare[row, column] = 1
                 cells[n, 0], cells[n, 1] = row, column
                 n += 1
     return bare, cells[:n].copy()
+
+
+@kernel
+def _is_bare(label: Bytes, polygon: Bools, span: int, row: int, column: int) -> bool:
+    """True when the eight cells `span` away from a cell are FREE, and no polygon covers one."""
+    for k in range(8):
+        r, c = row + span * DROW[k], column + span * DCOL[k]
+        if label[r, c] != FREE or polygon[r, c]:
+            return False
+    return True
 
 
 @kernel
@@ -173,43 +203,43 @@ def _collect(marked: Bytes, room: Rooms, queue: Ints, row: int, column: int) -> 
 
 
 @kernel
-def open_strips(rings: Array, first: Ints, intervals: Array, owner: Ints, limits: Array) -> Array:
-    """Strips (s,8) beyond wide open intervals: three points x, y, the width, and which polygon; in metres.
+def open_strips(
+    rings: tuple[Array, Ints], intervals: tuple[Array, Ints], limits: tuple[float, float], layer: Layer
+) -> Array:
+    """Goals (s,4) beyond wide open intervals of polygons: x, y, the width, m, and which polygon.
 
-    `rings` (V,2): the vertices of all polygons, polygon p from first[p] to first[p + 1]; nan: not in the map.
-    `intervals` (m,4) of the polygons `owner` (m,): edge, start and end as share of it, EdgeLabel. `limits` (2,): least
-    width, and how far beyond the edge the strip lies.
+    Nothing lies there where polygons cover two of three points of the strip beyond the interval. `rings`: the vertices
+    (V,2) of all polygons, polygon p from row first[p] to first[p + 1], nan: not in the map. `intervals`: edge, start
+    and end as share of it, EdgeLabel (m,4), and the rows of each polygon likewise. `limits`: least width, and how far
+    beyond the edge the goal lies, m. `layer`: the polygons on the grid (H,W), its origin and resolution.
     """
-    strips = np.empty((intervals.shape[0], 8))
+    (p_map, first), (stretch, rows) = rings, intervals
+    goals = np.empty((stretch.shape[0], 4))
     n = 0
-    for i in range(intervals.shape[0]):
-        begin, end = first[owner[i]], first[owner[i] + 1]
-        a = begin + int(intervals[i, 0])
-        b = a + 1 if a + 1 < end else begin
-        dx, dy = rings[b, 0] - rings[a, 0], rings[b, 1] - rings[a, 1]
-        length = math.hypot(dx, dy)
-        width = length * (intervals[i, 2] - intervals[i, 1])
-        if intervals[i, 3] != OPEN_LABEL or not width >= limits[0]:
-            continue
-        for k in range(3):
-            share = intervals[i, 1] + (intervals[i, 2] - intervals[i, 1]) * (0.3 + 0.2 * k)
-            strips[n, 2 * k] = rings[a, 0] + share * dx + limits[1] * dy / length
-            strips[n, 2 * k + 1] = rings[a, 1] + share * dy - limits[1] * dx / length
-        strips[n, 6], strips[n, 7] = width, owner[i]
-        n += 1
-    return strips[:n].copy()
+    for owner in range(first.shape[0] - 1):
+        for i in range(rows[owner], rows[owner + 1]):
+            a = first[owner] + int(stretch[i, 0])
+            b = a + 1 if a + 1 < first[owner + 1] else first[owner]
+            dx, dy = p_map[b, 0] - p_map[a, 0], p_map[b, 1] - p_map[a, 1]
+            length = math.hypot(dx, dy)
+            width = length * (stretch[i, 2] - stretch[i, 1])
+            if stretch[i, 3] != OPEN_LABEL or not width >= limits[0]:
+                continue
+            covered = 0
+            for k in (0, 2, 1):  # the goal is the point in the middle
+                share = stretch[i, 1] + (stretch[i, 2] - stretch[i, 1]) * (0.3 + 0.2 * k)
+                goals[n, 0] = p_map[a, 0] + share * dx + limits[1] * dy / length
+                goals[n, 1] = p_map[a, 1] + share * dy - limits[1] * dx / length
+                covered += _is_covered(layer, goals[n, 0], goals[n, 1])
+            goals[n, 2], goals[n, 3] = width, owner
+            n += 1 if covered <= 1 else 0
+    return goals[:n].copy()
 
 
 @kernel
-def uncovered(polygon: Bools, strips: Array, origin: Array, resolution: float) -> Bools:
-    """(s,) True where polygons cover at most one of the three points of a strip (s,8), as from `open_strips`."""
-    free = np.empty(strips.shape[0], np.bool_)
-    for i in range(strips.shape[0]):
-        count = 0
-        for k in range(3):
-            row = math.floor((strips[i, 2 * k + 1] - origin[1]) / resolution)
-            column = math.floor((strips[i, 2 * k] - origin[0]) / resolution)
-            inside = 0 <= row < polygon.shape[0] and 0 <= column < polygon.shape[1]
-            count += 1 if inside and polygon[row, column] else 0
-        free[i] = count <= 1
-    return free
+def _is_covered(layer: Layer, x: float, y: float) -> int:
+    """1 where a polygon covers the cell at (x, y), else 0."""
+    polygon, origin, resolution = layer
+    row, column = math.floor((y - origin[1]) / resolution), math.floor((x - origin[0]) / resolution)
+    inside = 0 <= row < polygon.shape[0] and 0 <= column < polygon.shape[1]
+    return 1 if inside and polygon[row, column] else 0

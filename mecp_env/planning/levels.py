@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from mecp_env.slam.data import UNKNOWN_ROOM, Array, Ints, RoomGraph, StepReport
+from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
+
+Point = tuple[float, float]
 
 
 def levels_from(start: int, neighbours: dict[int, set[int]]) -> dict[int, int]:
@@ -28,22 +30,37 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(report: StepReport, room: int, p_entry: Array | None) -> tuple[Array, Ints]:
-    """Centres (p,2) m and levels (p,) of the known polygons of a room; neighbours share a vertex.
+def polygon_levels(report: StepReport, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
+    """Centres (m, map frame) and levels of the known polygons of a room; neighbours share a vertex.
 
     Level 0 is the polygon nearest to where the room was entered.
     """
     rings = rings_of_room(report, room)
     if not rings:
-        return np.empty((0, 2)), np.empty(0, np.int64)
-    member = np.zeros((len(rings), len(report.belief.ids)))
-    for i, rows in enumerate(rings):
-        member[i, rows] = 1.0
-    centres = (member[:, :, None] * report.belief.p_map).sum(axis=1) / member.sum(axis=1)[:, None]
-    first = 0 if p_entry is None else int(np.hypot(*(centres - p_entry).T).argmin())
-    together = np.asarray((member[:, None] * member[None]).sum(axis=2) > 0.0)
-    level = levels_from(first, {i: set(np.flatnonzero(together[i]).tolist()) for i in range(len(rings))})
-    return centres, np.array([level.get(i, len(rings)) for i in range(len(rings))], np.int64)
+        return [], []
+    p_map = report.belief.p_map.tolist()
+    centres = [centre_of([p_map[row] for row in sorted(ring)]) for ring in rings]
+    x, y = centres[0] if p_entry is None else p_entry.tolist()
+    far = [math.hypot(a - x, b - y) for a, b in centres]
+    level = levels_from(far.index(min(far)), neighbours_of(rings))
+    return centres, [level.get(i, len(rings)) for i in range(len(rings))]
+
+
+def centre_of(points: list[list[float]]) -> Point:
+    """The mean of some points."""
+    x, y = points[0]
+    for a, b in points[1:]:
+        x, y = x + a, y + b
+    return x / len(points), y / len(points)
+
+
+def neighbours_of(rings: list[list[int]]) -> dict[int, set[int]]:
+    """The rings that share a vertex with each ring."""
+    owners: dict[int, set[int]] = {}
+    for i, ring in enumerate(rings):
+        for row in ring:
+            owners.setdefault(row, set()).add(i)
+    return {i: set().union(*(owners[row] for row in ring)) for i, ring in enumerate(rings)}
 
 
 def rings_of_room(report: StepReport, room: int) -> list[list[int]]:

@@ -11,7 +11,8 @@ import numpy as np
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
-from mecp_env.planning.goals import GoalKind, Goals, door_places
+from mecp_env.planning.goal_list import GoalKind, Goals
+from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import NO_ID, Array, Cell, Door, StepReport
 
@@ -209,7 +210,8 @@ def plan(target: Target, report: StepReport, ways: WayField, config: PlanningCon
 
 def plan_through(door: Door, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
     """A path through the middle of a door along its normal; beyond it the floor need not be known."""
-    (middle,), (onward,), _ = door_places([door], report.belief)
+    place = door_place(door, landmark_places(report.belief))
+    middle, onward = np.array(place[:2]), np.array(place[2:4])
     beyond = middle + config.goals.door_beyond_m * onward
     robot = report.belief.T_map_robot[:2]
     offset = robot - middle

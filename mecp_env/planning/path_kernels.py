@@ -51,7 +51,7 @@ def clearance(label: Bytes, reach: float) -> Distances:
     roots = np.empty(2 * (near + 1) ** 2 + 1, np.float32)  # of a sum of two squares, up to `reach`
     for i in range(near + 2):
         for j in range(near + 2):
-            roots[i * i + j * j] = min(math.hypot(i, j), np.float32(reach))
+            roots[i * i + j * j] = min(math.hypot(i, j), reach)
     distance = np.empty((height, width), np.float32)
     squares, least = np.empty(width + 2 * near, np.float32), np.empty(width, np.float32)
     for row in range(height):
@@ -166,6 +166,19 @@ def within_border(cost: Bytes) -> Bytes:
         for column in range(1, width - 1):
             inner[row, column] = cost[row, column]
     return inner.reshape(-1)
+
+
+@kernel
+def way_lengths(total: Costs, step: Bytes, places: Array) -> Array:
+    """(g,) length of the way to the cell nearest to each place, in tenths of a cell; -1: there is none.
+
+    `places` (g,3): x, y and how near the way must come, in cells.
+    """
+    lengths = np.empty(places.shape[0])
+    for i in range(places.shape[0]):
+        row, column = nearest_reached(total, places[i, 0], places[i, 1], places[i, 2])
+        lengths[i] = way_length(step, row, column) if row >= 0 else -1
+    return lengths
 
 
 @kernel

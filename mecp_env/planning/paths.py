@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,6 +18,7 @@ Bytes = NDArray[np.uint8]
 Costs = NDArray[np.int32]
 
 REMEMBERED = 4  # fields: a goal that is chosen is driven to over the field it was found with
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WayField:
@@ -35,9 +37,12 @@ class WayField:
         row, column = kernels.nearest_reached(self.total, x, y, reach_m / self.grid.resolution_m)
         return None if row < 0 else (row, column)
 
-    def length_m(self, cell: tuple[int, int]) -> float:
-        """Length of the way to a reachable cell."""
-        return 0.1 * self.grid.resolution_m * float(kernels.way_length(self.step, *cell))
+    def lengths_m(self, places: Sequence[tuple[float, float, float]]) -> list[float]:
+        """Length of the way to each place (x, y, how near the way must come; m, map frame), below 0 without one."""
+        (left, low), cell = self.grid.origin.tolist(), self.grid.resolution_m
+        in_cells = [((x - left) / cell, (y - low) / cell, reach / cell) for x, y, reach in places]
+        tenths = kernels.way_lengths(self.total, self.step, np.array(in_cells, np.float64).reshape(-1, 3))
+        return [0.1 * cell * length for length in tenths.tolist()]
 
     def centre(self, cell: tuple[int, int]) -> Array:
         """(2,) m, map frame: the centre of a cell."""

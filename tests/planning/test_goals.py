@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goals import (
-    GoalBook,
-    GoalKind,
-    Goals,
+from mecp_env.planning.goal_kernels import adopt_rooms
+from mecp_env.planning.goal_sources import (
+    BARRIER_CELLS,
+    Survey,
+    barriers,
     candidate_goals,
-    complete_rooms,
     door_goals,
-    find_goals,
-    floor_of,
-    frontier_goals,
+    floor_goals,
     open_goals,
 )
+from mecp_env.planning.goals import GoalBook, GoalKind, Goals, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.data import Door, RoomGraph
+from mecp_env.slam.data import Door, RoomGraph, StepReport
 from mecp_env.slam.geometry import to_map
 from tests.toy import Toy, candidate, layer_at
 
@@ -28,8 +27,23 @@ CONFIG = PlanningConfig()
 
 
 def frontiers(toy: Toy) -> Goals:
-    report = toy.report()
-    return frontier_goals(report, floor_of(report), GoalsConfig())
+    return Goals.of(floor_goals(Survey.of(toy.report()), GoalsConfig())[1])
+
+
+def rooms_of_floor(report: StepReport) -> np.ndarray:
+    return adopt_rooms(report.grid.label, report.grid.room, barriers(Survey.of(report)), BARRIER_CELLS)
+
+
+def open_edges(report: StepReport, config: GoalsConfig) -> Goals:
+    return Goals.of(open_goals(Survey.of(report), config))
+
+
+def candidates(report: StepReport) -> Goals:
+    return Goals.of(candidate_goals(Survey.of(report), GoalsConfig()))
+
+
+def unexplored_doors(report: StepReport) -> Goals:
+    return Goals.of(door_goals(Survey.of(report), GoalsConfig()))
 
 
 def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
@@ -45,7 +59,7 @@ def toy(request: pytest.FixtureRequest) -> Toy:
 def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))  # a polygon of half the room
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
-    goals = open_goals(toy.report(), GoalsConfig())
+    goals = open_edges(toy.report(), GoalsConfig())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[3.4, 2.0]]))
     assert goals.size_m == pytest.approx([4.0])
 
@@ -54,12 +68,12 @@ def test_only_a_polygon_closes_an_open_edge(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
     report = toy.report()
-    target = Target.of(open_goals(report, GoalsConfig()), 0)
+    target = Target.of(open_edges(report, GoalsConfig()), 0)
     assert not settled(target, report)  # though the floor there is seen
     toy.p_map[8] = to_map(toy.T_map_world, np.array([[5.9, 2.0]]))[0]
     toy.add_polygon([1, 8, 2], 0)
     report = toy.report()
-    assert len(open_goals(report, GoalsConfig())) == 0
+    assert len(open_edges(report, GoalsConfig())) == 0
     assert settled(target, report)
 
 
@@ -67,14 +81,14 @@ def test_near_open_edges_are_one_goal_and_narrow_ones_none(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
     toy.add_polygon([0, 1, 2], 0, open_edges=(1,))
-    assert len(open_goals(toy.report(), GoalsConfig())) == 1
-    assert len(open_goals(toy.report(), GoalsConfig(open_width_m=4.5))) == 0
+    assert len(open_edges(toy.report(), GoalsConfig())) == 1
+    assert len(open_edges(toy.report(), GoalsConfig(open_width_m=4.5))) == 0
 
 
 def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     toy.confirmed = False
     report = toy.report()
-    goals = candidate_goals(report, GoalsConfig())
+    goals = candidates(report)
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 1.95]]))
     target = Target.of(goals, 0)
     assert not settled(target, report)
@@ -83,11 +97,11 @@ def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
 
 
 def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
-    goals = door_goals(toy.report(), GoalsConfig())
+    goals = unexplored_doors(toy.report())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[6.96, 1.95]]))
     assert goals.size_m == pytest.approx([0.9])
     toy.T_world_robot[0] = 7.0
-    assert len(door_goals(toy.report(), GoalsConfig())) == 0
+    assert len(unexplored_doors(toy.report())) == 0
 
 
 def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
@@ -103,7 +117,7 @@ def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) 
     toy.T_world_robot = np.array([4.0, 1.95, 0.0])
     report = toy.report()
     beyond = to_map(toy.T_map_world, np.array([[8.0, 1.95]]))
-    assert layer_at(report.grid, floor_of(report).room, beyond) == [-1]
+    assert layer_at(report.grid, rooms_of_floor(report), beyond) == [-1]
     toy.T_world_robot = np.array([7.0, 3.6, 0.0])
     report = toy.report()
     room = np.full_like(report.grid.room, -1)  # as if only a patch of room B had its room
@@ -114,7 +128,7 @@ def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) 
     )
     object.__setattr__(report, "grid", patchy)
     places = to_map(toy.T_map_world, np.array([[8.0, 1.95], [12.0, 3.0], [5.0, 1.95], [1.0, 1.0]]))
-    assert layer_at(patchy, floor_of(report).room, places).tolist() == [1, 1, -1, -1]
+    assert layer_at(patchy, rooms_of_floor(report), places).tolist() == [1, 1, -1, -1]
 
 
 def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
@@ -213,7 +227,7 @@ def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
     toy.add_polygon([9, 10, 11], 1)
     centres, levels = polygon_levels(toy.report(), 0, to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0])
     assert len(centres) == 3
-    assert levels.tolist() == [0, 1, 2]
+    assert levels == [0, 1, 2]
 
 
 def test_goals_of_other_rooms_come_last() -> None:
@@ -232,4 +246,4 @@ def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) ->
     report = toy.report()
     gap = candidate(toy.p_map[[4, 5]], 4)
     object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
-    assert candidate_goals(report, GoalsConfig()).room.tolist() == [0]
+    assert candidates(report).room.tolist() == [0]

@@ -1,0 +1,80 @@
+"""A goal while it is sought, and the list of goals that is handed on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from mecp_env.slam.data import NO_ID, Array, Ints
+
+
+class GoalKind(IntEnum):
+    """What there is to see, in the order of the list."""
+
+    OPEN = 0  # the floor beyond an open edge of a polygon
+    CANDIDATE = 1  # a gap that may be a door
+    FRONTIER = 2  # unknown cells beside the known floor of a room
+    DOOR = 3  # a door nobody has gone through
+
+
+OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind  # a name is found much faster than a member of an enumeration
+LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
+
+
+@dataclass(slots=True, eq=False)
+class Goal:
+    """One thing left to see; visits, way and level are filled in as they become known."""
+
+    kind: GoalKind
+    x: float  # m, map frame
+    y: float
+    size_m: float  # width of the opening
+    room: int  # on this side
+    door: int = NO_ID  # id, for a door
+    visits: int = 0  # drives that ended there or were refused
+    path_m: float = 0.0  # length of the way there
+    level: int = 0  # of the polygon; door: of the room
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Goals:
+    """What is left to see: the current room first, in the order of kinds; then doors; then what other rooms hold."""
+
+    p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
+    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind
+    size_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) width of the opening
+    room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) on this side
+    level: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) of the polygon; door: of the room
+    path_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) length of the way there
+    visits: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) drives that ended there or were refused
+    door: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) door id, NO_ID for the other kinds
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @classmethod
+    def of(cls, goals: Sequence[Goal]) -> Goals:
+        """The list of some goals, in their order."""
+        return cls(
+            np.array([(goal.x, goal.y) for goal in goals], np.float64).reshape(-1, 2),
+            integers(goals, "kind"),
+            reals(goals, "size_m"),
+            integers(goals, "room"),
+            integers(goals, "level"),
+            reals(goals, "path_m"),
+            integers(goals, "visits"),
+            integers(goals, "door"),
+        )
+
+
+def integers(goals: Sequence[Goal], name: str) -> Ints:
+    """(g,) one attribute of the goals."""
+    return np.array([getattr(goal, name) for goal in goals], np.int64)
+
+
+def reals(goals: Sequence[Goal], name: str) -> Array:
+    """(g,) one attribute of the goals."""
+    return np.array([getattr(goal, name) for goal in goals], np.float64)

@@ -1,0 +1,218 @@
+"""Where goals come from (design 4.12): open edges, bare floor, rooms without a polygon, candidates, frontiers, doors.
+
+They are few, so they are plain lists; only the cells of the grid are searched by a kernel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+
+from mecp_env.planning import goal_kernels as kernels
+from mecp_env.planning.config import GoalsConfig
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
+from mecp_env.slam.data import (
+    UNKNOWN_ROOM,
+    Array,
+    Belief,
+    Door,
+    Ints,
+    StepReport,
+)
+
+Point = tuple[float, float]
+Places = dict[int, list[float]]  # id -> x, y in m, map frame
+
+BARRIER_CELLS = 1.5  # floor does not join floor so near to the line of a door
+NOWHERE = [math.nan, math.nan]
+
+
+class DoorPlace(NamedTuple):
+    """Where a door is in the map; nan without its jambs."""
+
+    x: float  # m: its middle
+    y: float
+    onward_x: float  # unit normal from its first room on
+    onward_y: float
+    width: float  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """What the search for goals needs again and again."""
+
+    report: StepReport
+    places: Places  # of the landmarks
+    doors: list[DoorPlace]  # of the graph's doors
+
+    @classmethod
+    def of(cls, report: StepReport) -> Survey:
+        """The survey of a step."""
+        places = landmark_places(report.belief)
+        return cls(report, places, [door_place(door, places) for door in report.graph.doors])
+
+
+def landmark_places(belief: Belief) -> Places:
+    """Where the landmarks lie."""
+    return dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
+
+
+def door_place(door: Door, places: Places) -> DoorPlace:
+    """Where a door is: the middle of its jambs, its width and direction from those of its first face."""
+    jambs = door.jambs + (door.other_face or door.jambs)
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = (places.get(i, NOWHERE) for i in jambs)
+    width = max(length_of(bx - ax, by - ay), 1e-9)
+    return DoorPlace((ax + bx + cx + dx) / 4.0, (ay + by + cy + dy) / 4.0, (by - ay) / width, -(bx - ax) / width, width)
+
+
+def length_of(dx: float, dy: float) -> float:
+    """Length of a vector, with the last bit as kernels and arrays have it."""
+    return float(np.hypot(dx, dy))
+
+
+def find_everything(survey: Survey, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
+    """All goals, reachable or not; `entry` tells where each room was entered, (2,) m, map frame.
+
+    Where no polygon lies: beyond open edges; in rooms without one on bare floor; without either further in.
+    """
+    bare, frontiers = floor_goals(survey, config)
+    uncovered = open_goals(survey, config)
+    uncovered += without_rooms(bare, uncovered)
+    uncovered += without_rooms(empty_room_goals(survey, entry, config), uncovered)
+    return [*uncovered, *candidate_goals(survey, config), *frontiers, *door_goals(survey, config)]
+
+
+def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:
+    """The goals in rooms that hold none of the others."""
+    rooms = {goal.room for goal in others}
+    return [goal for goal in goals if goal.room not in rooms]
+
+
+def open_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+    """A goal beyond each wide open interval of a known polygon, unless another polygon covers the strip there.
+
+    Differs from the design: FREE cells do not close an open edge, or every edge would be closed by the scan that saw
+    it; the paper asks for rooms divided into polygons, so that only a polygon does (front-end notes, section 3).
+    Of those as near to each other as `apart_m` the widest.
+    """
+    found = strips_beyond(survey, config)
+    kept: list[Goal] = []
+    for goal in sorted(found, key=lambda goal: -goal.size_m):
+        if all(math.hypot(goal.x - other.x, goal.y - other.y) > config.apart_m for other in kept):
+            kept.append(goal)
+    return kept
+
+
+def strips_beyond(survey: Survey, config: GoalsConfig) -> list[Goal]:
+    """A goal beyond each wide open interval, however near to each other."""
+    report, grid = survey.report, survey.report.grid
+    polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
+    if not polygons:
+        return []
+    p_map = [survey.places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
+    first = starts([len(polygon.ids) for polygon in polygons])
+    rows = starts([len(polygon.intervals) for polygon in polygons])
+    strips = kernels.open_strips(
+        (np.array(p_map, np.float64), first),
+        (np.concatenate([polygon.intervals for polygon in polygons]), rows),
+        (config.open_width_m, config.open_beyond_m),
+        (grid.polygon, grid.origin, grid.resolution_m),
+    )
+    rooms = [report.graph.resolve(polygon.room) for polygon in polygons]
+    return [Goal(OPEN, x, y, width, rooms[int(owner)]) for x, y, width, owner in strips.tolist()]
+
+
+def starts(lengths: list[int]) -> Ints:
+    """(n+1,) where each of some stretches begins that lie one after the other, and the end of the last."""
+    return np.array([0, *accumulate(lengths)], np.int64)
+
+
+def floor_goals(survey: Survey, config: GoalsConfig) -> tuple[list[Goal], list[Goal]]:
+    """The middle of each wide piece of floor that no polygon covers, and of each frontier to unknown cells.
+
+    "There is no region of the room that is not occupied by at least one polygon" (III-B): a room just entered has no
+    polygon yet, and none with an open edge. Frontiers lie between the floor of a room and unknown cells, away from
+    doors and candidates.
+    """
+    grid = survey.report.grid
+    span = max(round(config.bare_m / 2 / grid.resolution_m), 1)
+    sizes = (span, config.bare_cells, config.frontier_cells)
+    clear = (BARRIER_CELLS, config.door_clear_m / grid.resolution_m)
+    layers = (grid.label, grid.polygon, grid.room)
+    bare, frontiers = kernels.floor_clusters(layers, barriers(survey), clear, sizes)
+    return cluster_goals(OPEN, survey, bare), cluster_goals(FRONTIER, survey, frontiers)
+
+
+def barriers(survey: Survey) -> Array:
+    """(d,2,2) the lines across the doors and the candidates, in cells: floor does not join floor there."""
+    report, lines = survey.report, list[tuple[Point, Point]]()
+    for door in survey.doors:
+        half_x, half_y = 0.5 * door.width * -door.onward_y, 0.5 * door.width * door.onward_x
+        lines.append(((door.x - half_x, door.y - half_y), (door.x + half_x, door.y + half_y)))
+    p_map = np.array([*lines, *(candidate.ends for candidate in report.graph.candidates)], np.float64)
+    in_cells: Array = (p_map.reshape(-1, 2, 2) - report.grid.origin) / report.grid.resolution_m
+    return in_cells
+
+
+def cluster_goals(kind: GoalKind, survey: Survey, clusters: Ints) -> list[Goal]:
+    """A goal in the middle of each cluster (c,4) of cells: row, column, size, room."""
+    grid, graph = survey.report.grid, survey.report.graph
+    (left, low), cell = grid.origin.tolist(), grid.resolution_m
+    return [
+        Goal(kind, left + (column + 0.5) * cell, low + (row + 0.5) * cell, size * cell, graph.resolve(room))
+        for row, column, size, room in clusters.tolist()
+    ]
+
+
+def empty_room_goals(survey: Survey, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
+    """A place further into each room that was entered and has no polygon yet.
+
+    Its floor may be covered all the same: when it is a known room, entered by another door, which a polygon will tell.
+    """
+    graph = survey.report.graph
+    known = {graph.resolve(polygon.room) for polygon in survey.report.known_polygons}
+    empty = sorted({room for room in entry if graph.resolve(room) == room} - known)
+    places = [(room, further_in(entry[room], survey.doors, config.further_m)) for room in empty]
+    return [Goal(OPEN, x, y, config.bare_m, room) for room, (x, y) in places]
+
+
+def further_in(p_entry: Array, doors: list[DoorPlace], further_m: float) -> Point:
+    """A place so far from the nearest door beyond the one where a room was entered (2,) m."""
+    if doors:
+        middles = np.array([(door.x, door.y) for door in doors])
+        onward = p_entry - middles[np.hypot(*(middles - p_entry).T).argmin()]
+        p_entry = p_entry + further_m * onward / max(float(np.hypot(*onward)), 1e-9)
+    return float(p_entry[0]), float(p_entry[1])
+
+
+def candidate_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+    """A place in front of each gap that may be a door."""
+    goals = []
+    for candidate in survey.report.graph.candidates:
+        (ax, ay), (bx, by) = candidate.ends.tolist()  # right and left as seen from the room
+        width = length_of(bx - ax, by - ay)
+        back_x, back_y = -(by - ay) / max(width, 1e-9), (bx - ax) / max(width, 1e-9)
+        x, y = (ax + bx) / 2.0 + config.candidate_m * back_x, (ay + by) / 2.0 + config.candidate_m * back_y
+        goals.append(Goal(CANDIDATE, x, y, width, survey.report.graph.resolve(candidate.room)))
+    return goals
+
+
+def door_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+    """A place beyond each door behind which nobody has been."""
+    graph, beyond = survey.report.graph, config.door_beyond_m
+    return [
+        Goal(
+            DOOR,
+            place.x + beyond * place.onward_x,
+            place.y + beyond * place.onward_y,
+            place.width,
+            graph.resolve(door.rooms[0]),
+            door.id,
+        )
+        for door, place in zip(graph.doors, survey.doors, strict=True)
+        if door.rooms[1] == UNKNOWN_ROOM
+    ]
