@@ -42,7 +42,7 @@ def cluster_beams(beams: Beams, config: ClusteringConfig, sensor: SensorModel) -
     """
     size = len(beams.ranges)
     step = (beams.bearings[-1] - beams.bearings[0]) / (size - 1) if size > 1 else 0.0
-    threshold = _threshold(config, noise_of(sensor).range_m, step)
+    threshold = _threshold(config, noise_of(sensor)[0], step)
     joined = join_beams(beams.ranges, beams.bearings, beams.hit, beams.count, threshold)
     roll = find_gap(beams.ranges, joined)
     wall = Wall(config.wall_beams, config.wall_extent_m)

@@ -30,7 +30,7 @@ def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sens
     (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
-    noise = noise_of(sensor)
+    noise = Noise(*noise_of(sensor))
     sight = Sight(
         roll_beams(beams.ranges, beams.bearings, beams.count, segments.roll),
         roll_hits(beams.hit, segments.roll),
@@ -66,7 +66,7 @@ def find_corners(
     sight: Sight, walls: Walls, rules: Rules, doors: DoorRules, noise: Noise
 ) -> tuple[tuple[Array, Array, Ints, Bools, Array, Ints, Bools], tuple[Ints, Array, Bools]]:
     """The fields of `Corners`, doorways apart, and those of `Doorways`."""
-    size, beams = walls.line.shape[0], sight.polar.shape[0]
+    size, beams = walls.line.shape[0], sight.polar.shape[1]
     raw = empty_found(2 * size + 2)
     n = 0
     for segment in range(size):

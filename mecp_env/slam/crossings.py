@@ -35,7 +35,7 @@ class Rules(NamedTuple):
 class Sight(NamedTuple):
     """The beams of a scan, rolled to a gap, and the raw beams behind them."""
 
-    polar: Array  # (B,3) m, rad, number of raw beams
+    polar: Array  # (3,B) m, rad, number of raw beams
     hit: Bools  # (B,)
     raw_ranges: Array  # (K*B,) m
     raw_bearings: Array  # (K*B,) rad
@@ -144,9 +144,9 @@ def write_crossing(found: Found, n: int, walls: Walls, pair: tuple[int, int], p:
 def gap_to_break(sight: Sight, walls: Walls, segment: int, position: int, p: tuple[float, float]) -> float:
     """Metres along the wall from p to the segment's end at `position`, less what beam spacing explains."""
     alpha, rho = walls.line[segment]
-    bearing = sight.polar[position, 1] - alpha
+    bearing = sight.polar[1, position] - alpha
     along = p[1] * math.cos(alpha) - p[0] * math.sin(alpha)
-    step = 2.0 * math.pi / sight.polar.shape[0]
+    step = 2.0 * math.pi / sight.polar.shape[1]
     spacing = rho * step / math.cos(bearing) ** 2
     return float(abs(along - rho * math.tan(bearing)) - NEAR_BEAMS * spacing)
 

@@ -90,13 +90,13 @@ def off_line(line: Array, p: tuple[float, float]) -> float:
 def passes_through(found: Found, sight: Sight, walls: Walls, gap: tuple[int, int]) -> bool:
     """True when most beams between the two walls beside the gap pass well beyond the line through its jambs."""
     a, b = point_of(found, gap[0]), point_of(found, gap[1])
-    size = sight.polar.shape[0]
+    size = sight.polar.shape[1]
     last, first = walls.last[found.border[gap[0], 0]], walls.first[found.border[gap[1], 1]]
     turn = wrap_angle(found.z[gap[1], 1] - found.z[gap[0], 1])
     between, beyond = 0, 0
     for k in range(1, (first - last) % size):
         q = (last + k) % size
-        r, bearing = sight.polar[q, 0], sight.polar[q, 1]
+        r, bearing = sight.polar[0, q], sight.polar[1, q]
         ahead = wrap_angle(bearing - found.z[gap[0], 1])
         if ahead <= 0.0 or ahead >= turn:
             continue

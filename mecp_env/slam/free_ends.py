@@ -62,7 +62,7 @@ def add_end(
     what = end_of(sight, walls, end, rules_and_noise)
     if what.follows != FAR and what.rest < FACE_BEAMS:
         return n
-    tangent = side * math.tan(sight.polar[what.position, 1] - what.alpha)
+    tangent = side * math.tan(sight.polar[1, what.position] - what.alpha)
     if tangent >= 0.0 and what.follows == FAR and what.rest <= PLAIN_REST:
         ray = counted_ray(sight, what, rules_and_noise)
     elif tangent >= 0.0 or not comes_nearer(sight, what, noise):
@@ -95,12 +95,12 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
     alpha, rho = walls.line[segment, 0], walls.line[segment, 1]
     position = walls.last[segment] if side > 0 else walls.first[segment]
     inner = min(REACH, walls.last[segment] - walls.first[segment] - 2)
-    end_range = rho / math.cos(sight.polar[position, 1] - alpha)
+    end_range = rho / math.cos(sight.polar[1, position] - alpha)
     previous, far = end_range, 0
     for k in range(1, REACH + FAR_BEAMS + 1):
-        q = (position + side * k) % sight.polar.shape[0]
-        r = sight.polar[q, 0]
-        behind = r - end_range > rules.jump and not collinear(walls, segment, r, sight.polar[q, 1], noise)
+        q = (position + side * k) % sight.polar.shape[1]
+        r = sight.polar[0, q]
+        behind = r - end_range > rules.jump and not collinear(walls, segment, r, sight.polar[1, q], noise)
         if behind or not sight.hit[q]:
             far += 1
             if far == FAR_BEAMS:
@@ -116,8 +116,8 @@ def end_of(sight: Sight, walls: Walls, end: tuple[int, int], rules_and_noise: tu
 def comes_nearer(sight: Sight, end: End, noise: Noise) -> bool:
     """True when a beam after the end hits something in front of the wall: it may hide the end."""
     for k in range(1, end.rest + 1):
-        q = (end.position + end.side * k) % sight.polar.shape[0]
-        if sight.polar[q, 0] * math.cos(sight.polar[q, 1] - end.alpha) - end.rho < -SIGMAS * noise.range_m:
+        q = (end.position + end.side * k) % sight.polar.shape[1]
+        if sight.polar[0, q] * math.cos(sight.polar[1, q] - end.alpha) - end.rho < -SIGMAS * noise.range_m:
             return True
     return False
 
@@ -159,7 +159,7 @@ def counted_ray(sight: Sight, end: End, rules_and_noise: tuple[Rules, Noise]) ->
     smear plus spacing^2 / 12.
     """
     rules, noise = rules_and_noise
-    total, size = sight.raw_ranges.shape[0], sight.polar.shape[0]
+    total, size = sight.raw_ranges.shape[0], sight.polar.shape[1]
     sweeps = total // size
     spacing = (sight.raw_bearings[total - 1] - sight.raw_bearings[0]) / (total - 1)
     beam = (end.position - end.side * COUNT_BEAMS + sight.roll) % size
@@ -184,7 +184,7 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     Its beams lie so near the wall's extension that no single one can be told apart; the mean and variance over all
     places of the corner (half a beam apart), weighted by their likelihood, can.
     """
-    step, zero = 2.0 * math.pi / sight.polar.shape[0], sight.polar[end.position, 1]
+    step, zero = 2.0 * math.pi / sight.polar.shape[1], sight.polar[1, end.position]
     table = beam_table(sight, end, end.rest + (FAR_BEAMS if end.follows == FAR else 0), noise)
     costs, best = place_costs(table, end, (zero - end.alpha, step), noise)
     weight, first, second = 0.0, 0.0, 0.0
@@ -193,7 +193,7 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
         offset = place_of(k, end, step)
         weight, first, second = weight + likelihood, first + likelihood * offset, second + likelihood * offset * offset
     mean = first / weight
-    spacing = step * sight.polar.shape[0] / sight.raw_ranges.shape[0]
+    spacing = step * sight.polar.shape[1] / sight.raw_ranges.shape[0]
     variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
     offset = place_of(best, end, step)
     turn = zero + end.side * offset - end.alpha
@@ -257,22 +257,22 @@ def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
     Columns: offset from the end's last beam (rad), cost on the line, sine, cotangent, range, count, and the cost of
     passing the face: little, since it ends; but what hits the wall cannot have passed a face that comes nearer.
     """
-    size = sight.polar.shape[0]
+    size = sight.polar.shape[1]
     table = np.empty((end.inner + after + 1, 7))
-    recedes = end.side * math.tan(sight.polar[end.position, 1] - end.alpha) < 0.0
+    recedes = end.side * math.tan(sight.polar[1, end.position] - end.alpha) < 0.0
     for m in range(table.shape[0]):
         q = (end.position + end.side * (m - end.inner)) % size
-        turn, r = sight.polar[q, 1] - end.alpha, sight.polar[q, 0]
+        turn, r = sight.polar[1, q] - end.alpha, sight.polar[0, q]
         cosine, sine = math.cos(turn), math.sin(turn)
         cost = COST_CAP
         if cosine > STEEPEST and sight.hit[q]:
             expected = end.rho / cosine
             variance = noise.range_m**2 + (expected * sine / cosine * noise.bearing) ** 2
-            cost = min(cost, (r - expected) ** 2 / variance * sight.polar[q, 2])
-        table[m, 0] = wrap_angle(sight.polar[q, 1] - sight.polar[end.position, 1]) * end.side
+            cost = min(cost, (r - expected) ** 2 / variance * sight.polar[2, q])
+        table[m, 0] = wrap_angle(sight.polar[1, q] - sight.polar[1, end.position]) * end.side
         table[m, 1], table[m, 2] = cost, sine
         table[m, 3] = cosine / sine if abs(sine) > 1e-6 else 0.0
-        table[m, 4], table[m, 5] = r if sight.hit[q] else math.inf, sight.polar[q, 2]
+        table[m, 4], table[m, 5] = r if sight.hit[q] else math.inf, sight.polar[2, q]
         table[m, 6] = COST_FAR if recedes or cost >= COST_CAP else COST_CAP
     return table
 

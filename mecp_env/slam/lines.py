@@ -58,7 +58,7 @@ def without_end_face(points: Array, sums: Array, span: tuple[int, int], min_beam
 @kernel
 def along_wall(points: Array, i: int, alpha: float) -> float:
     """Coordinate (m) of point i along a wall with normal alpha, from the foot of the perpendicular on."""
-    return float(points[i, 1] * math.cos(alpha) - points[i, 0] * math.sin(alpha))
+    return float(points[1, i] * math.cos(alpha) - points[0, i] * math.sin(alpha))
 
 
 @kernel
@@ -67,36 +67,32 @@ def face_spread(points: Array, span: tuple[int, int], alpha: float) -> float:
     ca, sa = math.cos(alpha), math.sin(alpha)
     weight, first, second = 0.0, 0.0, 0.0
     for i in range(span[0], span[1] + 1):
-        along = points[i, 1] * ca - points[i, 0] * sa
-        steep = along * along / (points[i, 0] ** 2 + points[i, 1] ** 2)
-        w = 1.0 / (points[i, 2] * steep + points[i, 3] * (1.0 - steep))
+        along = points[1, i] * ca - points[0, i] * sa
+        steep = along * along / (points[0, i] ** 2 + points[1, i] ** 2)
+        w = 1.0 / (points[2, i] * steep + points[3, i] * (1.0 - steep))
         weight, first, second = weight + w, first + w * along, second + w * along * along
     return max(second - first * first / weight, 0.0)
 
 
 @kernel
 def fit_line(
-    polar: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float]
+    ranges: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float], terms: Array
 ) -> tuple[float, float, float, float, float, float]:
     """alpha, rho, their variances and covariance (aa, ar, rr) and the chi-square: Gauss-Newton from `start`.
 
     The residual r cos(theta - alpha) - rho has the variance sigma_r^2 cos^2 + (r sin sigma_theta)^2. The coordinate
     along the wall is taken from the line, not from the noisy range: with the measured one short oblique faces
-    come out centimetres too long. aa is inf when the beams do not carry a line.
+    come out centimetres too long. aa is inf when the beams do not carry a line. `terms` (3,B) is room to work in.
     """
     alpha, rho = start
     haa, har, hrr, cost = 1.0, 0.0, 1.0, 0.0
     for _ in range(ITERATIONS):
-        ca, sa = math.cos(alpha), math.sin(alpha)
+        weigh_beams(ranges, points, stretch, (alpha, rho), terms)
         haa, har, hrr, ga, gr, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(stretch[0], stretch[1] + 1):
-            ahead, r2 = points[i, 0] * ca + points[i, 1] * sa, polar[i, 0] * polar[i, 0]
-            if ahead < STEEPEST * polar[i, 0]:
+        for i in range(stretch[1] + 1 - stretch[0]):
+            along, residual, weight = terms[0, i], terms[1, i], terms[2, i]
+            if weight < 0.0:
                 continue
-            along = rho * (points[i, 1] * ca - points[i, 0] * sa) / ahead  # rho tan(theta - alpha)
-            residual = ahead - rho
-            variance_r2 = points[i, 2] * ahead * ahead + points[i, 3] * along * along
-            weight = r2 / max(variance_r2, r2 * residual * residual / OUTLIER2)
             haa, har, hrr = haa + weight * along * along, har - weight * along, hrr + weight
             cost += weight * residual * residual
             ga, gr = ga + weight * along * residual, gr - weight * residual
@@ -107,3 +103,25 @@ def fit_line(
         rho -= (haa * gr - har * ga) / determinant
     determinant = haa * hrr - har * har
     return alpha, rho, hrr / determinant, -har / determinant, haa / determinant, cost
+
+
+@kernel
+def weigh_beams(
+    ranges: Array, points: Array, stretch: tuple[int, int], line: tuple[float, float], terms: Array
+) -> None:
+    """Fills `terms` (3,n): coordinate along the line, residual, and weight; -1 for a beam too steep to meet the line.
+
+    Each beam by itself, so that the compiler can take several at once.
+    """
+    (first, last), (alpha, rho) = stretch, line
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    r, x, y = ranges[first : last + 1], points[0, first : last + 1], points[1, first : last + 1]
+    along_ray, across_ray = points[2, first : last + 1], points[3, first : last + 1]
+    along, residual, weight = terms[0], terms[1], terms[2]
+    for i in range(r.shape[0]):
+        ahead, r2 = x[i] * ca + y[i] * sa, r[i] * r[i]
+        t = rho * (y[i] * ca - x[i] * sa) / ahead  # rho tan(theta - alpha)
+        e = ahead - rho
+        variance_r2 = along_ray[i] * ahead * ahead + across_ray[i] * t * t
+        w = r2 / max(variance_r2, r2 * e * e / OUTLIER2)
+        along[i], residual[i], weight[i] = t, e, -1.0 if ahead < STEEPEST * r[i] else w

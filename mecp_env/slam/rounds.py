@@ -22,7 +22,7 @@ COST_CAP = 16.0
 def is_round(points: Array, sums: Array, first: int, ends: Ints, size: int) -> bool:
     """True when a circle in front of the robot explains the cluster better than its `size` straight stretches."""
     last = ends[size - 1]
-    if last - first < 4 or extent_of(points, first, last) > WIDEST_M:
+    if last - first < 4 or is_wider(points, first, last, WIDEST_M):
         return False
     straight = 0.0
     for k in range(size):
@@ -32,13 +32,15 @@ def is_round(points: Array, sums: Array, first: int, ends: Ints, size: int) -> b
 
 
 @kernel
-def extent_of(points: Array, first: int, last: int) -> float:
-    """Diagonal (m) of the box around positions first to last."""
-    x0, x1, y0, y1 = points[first, 0], points[first, 0], points[first, 1], points[first, 1]
+def is_wider(points: Array, first: int, last: int, limit: float) -> bool:
+    """True when the box around positions first to last has a diagonal longer than `limit` (m)."""
+    x0, x1, y0, y1 = points[0, first], points[0, first], points[1, first], points[1, first]
     for i in range(first + 1, last + 1):
-        x0, x1 = min(x0, points[i, 0]), max(x1, points[i, 0])
-        y0, y1 = min(y0, points[i, 1]), max(y1, points[i, 1])
-    return math.hypot(x1 - x0, y1 - y0)
+        x0, x1 = min(x0, points[0, i]), max(x1, points[0, i])
+        y0, y1 = min(y0, points[1, i]), max(y1, points[1, i])
+        if x1 - x0 > limit or y1 - y0 > limit:
+            return True
+    return math.hypot(x1 - x0, y1 - y0) > limit
 
 
 @kernel
@@ -47,8 +49,8 @@ def circle_cost(points: Array, first: int, last: int) -> float:
 
     Gauss-Newton on centre and radius; every beam counts by its variance along the radius.
     """
-    mx, my = 0.5 * (points[first, 0] + points[last, 0]), 0.5 * (points[first, 1] + points[last, 1])
-    radius = 0.5 * math.hypot(points[last, 0] - points[first, 0], points[last, 1] - points[first, 1])
+    mx, my = 0.5 * (points[0, first] + points[0, last]), 0.5 * (points[1, first] + points[1, last])
+    radius = 0.5 * math.hypot(points[0, last] - points[0, first], points[1, last] - points[1, first])
     x, y, cost = mx, my, math.inf
     for _ in range(ITERATIONS):
         A, g = np.zeros((3, 3)), np.zeros(3)
@@ -68,17 +70,18 @@ def add_normal_equations(
     cost = 0.0
     row = np.empty(3)
     for i in range(span[0], span[1] + 1):
-        dx, dy = points[i, 0] - circle[0], points[i, 1] - circle[1]
+        dx, dy = points[0, i] - circle[0], points[1, i] - circle[1]
         distance = math.hypot(dx, dy) + 1e-12
-        steep = (dx * points[i, 0] + dy * points[i, 1]) ** 2 / (distance**2 * (points[i, 0] ** 2 + points[i, 1] ** 2))
-        variance = points[i, 2] * steep + points[i, 3] * (1.0 - steep)
+        steep = (dx * points[0, i] + dy * points[1, i]) ** 2 / (distance**2 * (points[0, i] ** 2 + points[1, i] ** 2))
+        variance = points[2, i] * steep + points[3, i] * (1.0 - steep)
         residual = distance - circle[2]
         row[0], row[1], row[2] = dx / distance, dy / distance, 1.0
         cost += min(residual * residual / variance, COST_CAP)  # rays that graze the rim are far off at times
         for a in range(3):
             g[a] += row[a] * residual / variance
-            for b in range(3):
+            for b in range(a + 1):
                 A[a, b] += row[a] * row[b] / variance
+    A[0, 1], A[0, 2], A[1, 2] = A[1, 0], A[2, 0], A[2, 1]
     return cost
 
 

@@ -41,7 +41,7 @@ def extract_segments(beams: Beams, clusters: Clusters, config: SegmentConfig, se
     Differs from the paper: Ramer-Douglas-Peucker alone keeps breaks that are noise and puts the others a few beams off;
     breaks are moved to where two lines fit best and dropped when they do not pay, by chi-square.
     """
-    rules = Rules(
+    rules = (
         config.split_sigmas,
         config.merge_gain,
         config.min_beams,
@@ -49,25 +49,38 @@ def extract_segments(beams: Beams, clusters: Clusters, config: SegmentConfig, se
         math.radians(config.max_alpha_sigma_deg) ** 2,
         config.trim_beams,
     )
-    polar = roll_beams(beams.ranges, beams.bearings, beams.count, clusters.roll)
-    options = (rules, noise_of(sensor))
-    points, line, cov, span = find_segments(polar, clusters.first, clusters.last, clusters.kind, options)
-    cluster, first, last = np.ascontiguousarray(span.T)
+    points, line, cov, (cluster, first, last) = find_segments(
+        (beams.ranges, beams.bearings, beams.count),
+        (clusters.first, clusters.last, clusters.kind),
+        clusters.roll,
+        rules,
+        noise_of(sensor),
+    )
     return Segments(points, line, cov, cluster, first, last, clusters.roll)
 
 
 @kernel
 def find_segments(
-    polar: Array, cluster_first: Ints, cluster_last: Ints, kind: Ints, rules_and_noise: tuple[Rules, Noise]
+    beams: tuple[Array, Array, Ints],
+    clusters: tuple[Ints, Ints, Ints],
+    roll: int,
+    options: tuple[float, float, int, float, float, int],
+    sigmas: tuple[float, float],
 ) -> tuple[Array, Array, Array, Ints]:
-    """End points (L,2,2), lines (L,2), covariances (L,2,2) and cluster, first, last (L,3) of all segments."""
-    rules, noise = rules_and_noise
-    points, sums = beam_points(polar, noise)
-    spans = np.empty((polar.shape[0], 3), np.int64)
+    """End points (L,2,2), lines (L,2), covariances (L,2,2) and cluster, first, last (3,L) of all segments.
+
+    Given are range, bearing and count of the beams, first, last and kind of the clusters, and the fields of `Rules` and
+    of `Noise`.
+    """
+    rules = Rules(options[0], options[1], options[2], options[3], options[4], options[5])
+    first, last, kind = clusters
+    polar = roll_beams(beams[0], beams[1], beams[2], roll)
+    points, sums = beam_points(polar, Noise(sigmas[0], sigmas[1]))
+    spans = np.empty((polar.shape[1], 3), np.int64)
     found = 0
-    for c in range(cluster_first.shape[0]):
+    for c in range(first.shape[0]):
         if kind[c] == LINES:
-            found = cut_cluster((points, sums), (c, cluster_first[c], cluster_last[c]), rules, spans, found)
+            found = cut_cluster((points, sums), (c, first[c], last[c]), rules, spans, found)
     return fit_segments(polar, (points, sums), spans[:found], rules)
 
 
@@ -96,33 +109,47 @@ def cut_cluster(
 def fit_segments(
     polar: Array, points_and_sums: tuple[Array, Array], spans: Ints, rules: Rules
 ) -> tuple[Array, Array, Array, Ints]:
-    """End points (L,2,2), lines (L,2), covariances (L,2,2) and spans (L,3) of the stretches that are segments."""
+    """End points (L,2,2), lines (L,2), covariances (L,2,2) and spans (3,L) of the stretches that are segments."""
     size = spans.shape[0]
     ends, line, cov = np.empty((size, 2, 2)), np.empty((size, 2)), np.empty((size, 2, 2))
-    kept, found = np.empty((size, 3), np.int64), 0
-    points, sums = points_and_sums
+    found, terms = 0, np.empty((3, polar.shape[1]))
     for k in range(size):
-        first, last = without_end_face(points, sums, (spans[k, 1], spans[k, 2]), rules.min_beams)
-        trim = min(rules.trim_beams, (last - first + 1 - rules.min_beams) // 2)
-        inner = (first + trim, last - trim)
-        alpha, rho, aa, ar, rr, cost = fit_line(polar, points, inner, rough_line(sums, inner[0], inner[1]))
-        freedom = max(inner[1] - inner[0] - 1, 1)
-        excess = cost / (freedom + MISFIT_SIGMAS * math.sqrt(2.0 * freedom))
-        usable = aa <= rules.max_alpha_variance and rho > 0.0 and (excess <= 1.0 or freedom >= LONG)
-        usable = usable and math.cos(polar[first, 1] - alpha) > STEEPEST and math.cos(polar[last, 1] - alpha) > STEEPEST
-        if not usable:
-            continue
-        for end in range(2):
-            bearing = polar[first if end == 0 else last, 1]
-            r = rho / math.cos(bearing - alpha)
-            ends[found, end, 0], ends[found, end, 1] = r * math.cos(bearing), r * math.sin(bearing)
-        length2 = (ends[found, 1, 0] - ends[found, 0, 0]) ** 2 + (ends[found, 1, 1] - ends[found, 0, 1]) ** 2
-        if length2 < rules.min_length * rules.min_length:
-            continue
-        line[found, 0], line[found, 1] = wrap_angle(alpha), rho
-        inflate = max(excess, 1.0)
-        cov[found, 0, 0], cov[found, 1, 1] = inflate * aa, inflate * rr
-        cov[found, 0, 1] = cov[found, 1, 0] = inflate * ar
-        kept[found, 0], kept[found, 1], kept[found, 2] = spans[k, 0], first, last
-        found += 1
-    return ends[:found].copy(), line[:found].copy(), cov[:found].copy(), kept[:found].copy()
+        first, last = without_end_face(*points_and_sums, (spans[k, 1], spans[k, 2]), rules.min_beams)
+        if fit_segment(polar, points_and_sums, (first, last), rules, (ends[found], line[found], cov[found], terms)):
+            spans[found, 0], spans[found, 1], spans[found, 2] = spans[k, 0], first, last
+            found += 1
+    kept = np.empty((3, found), np.int64)
+    for k in range(found):
+        kept[0, k], kept[1, k], kept[2, k] = spans[k, 0], spans[k, 1], spans[k, 2]
+    return ends[:found], line[:found], cov[:found], kept
+
+
+@kernel
+def fit_segment(
+    polar: Array,
+    points_and_sums: tuple[Array, Array],
+    span: tuple[int, int],
+    rules: Rules,
+    rows: tuple[Array, Array, Array, Array],
+) -> bool:
+    """True when the stretch is a segment: its ends (2,2), line (2,) and covariance (2,2) then stand in `rows`."""
+    (points, sums), (first, last), (ends, line, cov, terms) = points_and_sums, span, rows
+    trim = min(rules.trim_beams, (last - first + 1 - rules.min_beams) // 2)
+    inner = (first + trim, last - trim)
+    alpha, rho, aa, ar, rr, cost = fit_line(polar[0], points, inner, rough_line(sums, inner[0], inner[1]), terms)
+    freedom = max(inner[1] - inner[0] - 1, 1)
+    excess = cost / (freedom + MISFIT_SIGMAS * math.sqrt(2.0 * freedom))
+    usable = aa <= rules.max_alpha_variance and rho > 0.0 and (excess <= 1.0 or freedom >= LONG)
+    usable = usable and math.cos(polar[1, first] - alpha) > STEEPEST and math.cos(polar[1, last] - alpha) > STEEPEST
+    if not usable:
+        return False
+    for end in range(2):
+        bearing = polar[1, first if end == 0 else last]
+        r = rho / math.cos(bearing - alpha)
+        ends[end, 0], ends[end, 1] = r * math.cos(bearing), r * math.sin(bearing)
+    line[0], line[1] = wrap_angle(alpha), rho
+    inflate = max(excess, 1.0)
+    cov[0, 0], cov[1, 1] = inflate * aa, inflate * rr
+    cov[0, 1] = cov[1, 0] = inflate * ar
+    length2 = (ends[1, 0] - ends[0, 0]) ** 2 + (ends[1, 1] - ends[0, 1]) ** 2
+    return not length2 < rules.min_length * rules.min_length

@@ -1,7 +1,8 @@
 """Kernels that cut a cluster into straight stretches: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
 
 A stretch is a run of positions; `ends` holds the last position of each stretch of a cluster, in order. Prefix sums of
-moments and of the points' own covariance give the chi-square of any stretch in constant time.
+moments and of the points' own covariance give the chi-square of any stretch in constant time. What is known of each
+beam stands in rows of an array, so that the compiler can take several beams at once.
 """
 
 from __future__ import annotations
@@ -18,22 +19,31 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
 SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
+ROUNDING = 1000  # units in the last place: far more than rounding errors make
 SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
 
 
 @kernel
 def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
-    """Points (B,4): x, y, variances along and across the ray; prefix sums (B+1,8) of x, y, xx, xy, yy, covariance."""
-    size = polar.shape[0]
-    points, sums = np.empty((size, 4)), np.zeros((size + 1, 8))
-    c, s, bearing = 1.0, 0.0, math.inf
+    """Points (5,B): x, y, variances along and across the ray, and a row to work in; prefix sums (B+1,8).
+
+    The sums are those of x, y, xx, xy, yy and of the points' covariance: xx, xy, yy.
+    """
+    size = polar.shape[1]
+    points, sums = np.empty((5, size)), np.empty((size + 1, 8))
+    write_turns(polar[1], points[0], points[1])
+    write_variances(polar[0], polar[2], noise, points[2], points[3])
+    for k in range(8):
+        sums[0, k] = 0.0
+    c, s = 1.0, 0.0
     for i in range(size):
-        c, s = turned_by(c, s, bearing, polar[i, 1])
-        r, bearing = polar[i, 0], polar[i, 1]
-        along = noise.range_m**2 / polar[i, 2]
-        across = (r * noise.bearing) ** 2 / polar[i, 2]
+        r, along, across = polar[0, i], points[2, i], points[3, i]
+        if i > 0 and abs(polar[1, i] - polar[1, i - 1]) < SMALL_TURN:
+            c, s = c * points[0, i] - s * points[1, i], s * points[0, i] + c * points[1, i]
+        else:
+            c, s = math.cos(polar[1, i]), math.sin(polar[1, i])
         x, y = r * c, r * s
-        points[i, 0], points[i, 1], points[i, 2], points[i, 3] = x, y, along, across
+        points[0, i], points[1, i] = x, y
         sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + x, sums[i, 1] + y
         sums[i + 1, 2], sums[i + 1, 3], sums[i + 1, 4] = sums[i, 2] + x * x, sums[i, 3] + x * y, sums[i, 4] + y * y
         sums[i + 1, 5] = sums[i, 5] + along * c * c + across * s * s
@@ -43,14 +53,21 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
 
 
 @kernel
-def turned_by(c: float, s: float, bearing: float, following: float) -> tuple[float, float]:
-    """Cosine and sine of `following`, from those of the bearing before it: a small turn needs no trigonometry."""
-    turn = following - bearing
-    if not abs(turn) < SMALL_TURN:
-        return math.cos(following), math.sin(following)
-    q = turn * turn
-    ct, st = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0)), turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
-    return c * ct - s * st, s * ct + c * st
+def write_turns(bearings: Array, cosine: Array, sine: Array) -> None:
+    """Cosine and sine of the turn from the beam before, where it is small: that needs no trigonometry."""
+    for i in range(1, bearings.shape[0]):
+        turn = bearings[i] - bearings[i - 1]
+        q = turn * turn
+        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
+
+
+@kernel
+def write_variances(ranges: Array, count: Array, noise: Noise, along: Array, across: Array) -> None:
+    """Variances of each point along and across the ray."""
+    for i in range(ranges.shape[0]):
+        along[i] = noise.range_m**2 / count[i]
+        across[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
 
 
 @kernel
@@ -103,18 +120,54 @@ def break_cluster(points: Array, first: int, last: int, sigmas: float, ends: Int
 
 @kernel
 def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
-    """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far."""
-    dx, dy = points[high, 0] - points[low, 0], points[high, 1] - points[low, 1]
-    length2 = dx * dx + dy * dy
-    closed = length2 < 1e-12  # a ring starts where it ends: no chord
+    """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far.
+
+    Branches that nobody can foresee cost more than arithmetic: the squared distances of all come first (row 4, several
+    at once), and only those that equal the largest but for rounding are looked at one by one.
+    """
+    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
+    if dx * dx + dy * dy < 1e-12:
+        return farthest_on_ring(points, low, high, sigmas)
+    chord = (points[0, low], points[1, low], dx, dy)
+    x, y = points[0, low + 1 : high], points[1, low + 1 : high]
+    along, across = points[2, low + 1 : high], points[3, low + 1 : high]
+    sigmas2 = points[4, low + 1 : high]
+    for i in range(x.shape[0]):
+        distance2, variance = off_chord(x[i], y[i], (along[i], across[i]), chord)
+        sigmas2[i] = distance2 / variance
+    bits, largest = sigmas2.view(np.int64), 0  # numbers >= 0 are ordered as their bits are
+    for i in range(x.shape[0]):
+        largest = max(largest, bits[i])
+    farthest, worst = -1, sigmas * sigmas
+    for i in range(x.shape[0]):
+        if bits[i] < largest - ROUNDING:
+            continue
+        distance2, variance = off_chord(x[i], y[i], (along[i], across[i]), chord)
+        if distance2 > worst * variance:
+            farthest, worst = low + 1 + i, distance2 / variance
+    return farthest
+
+
+@kernel
+def off_chord(
+    x: float, y: float, variances: tuple[float, float], chord: tuple[float, float, float, float]
+) -> tuple[float, float]:
+    """Squared distance of a point from a chord (start x, y, and vector) and its variance, times the squared length."""
+    x0, y0, dx, dy = chord
+    cross, ahead = dx * (y - y0) - dy * (x - x0), dx * y - dy * x
+    steep = ahead * ahead / (x * x + y * y)
+    return cross * cross, variances[0] * steep + variances[1] * (dx * dx + dy * dy - steep)
+
+
+@kernel
+def farthest_on_ring(points: Array, low: int, high: int, sigmas: float) -> int:
+    """The same where the stretch ends where it starts, so that there is no chord: the farthest from there."""
+    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
     farthest, worst = -1, sigmas * sigmas
     for i in range(low + 1, high):
-        x, y = points[i, 0], points[i, 1]
-        px, py = x - points[low, 0], y - points[low, 1]
-        cross, ahead = dx * py - dy * px, dx * y - dy * x
-        distance2 = px * px + py * py if closed else cross * cross  # all times length2, to save divisions
-        steep = 1.0 if closed else ahead * ahead / (x * x + y * y)
-        variance = points[i, 2] * steep + points[i, 3] * (length2 - steep)
+        px, py = points[0, i] - points[0, low], points[1, i] - points[1, low]
+        distance2 = px * px + py * py
+        variance = points[2, i] + points[3, i] * (dx * dx + dy * dy - 1.0)
         if distance2 > worst * variance:
             farthest, worst = i, distance2 / variance
     return farthest

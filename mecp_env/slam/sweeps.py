@@ -39,7 +39,7 @@ def merge_sweeps(scan: Scan, sensor: SensorModel) -> Beams:
     if len(scan.ranges) == 1:
         count = np.ones(len(raw_ranges), np.int64)
         return Beams(raw_ranges, raw_bearings, raw_hit, count, scan.max_range_m, raw_ranges, raw_bearings)
-    group = Group(len(scan.ranges), scan.max_range_m, noise_of(sensor))
+    group = Group(len(scan.ranges), scan.max_range_m, Noise(*noise_of(sensor)))
     averaged = average_beams(raw_ranges, raw_bearings, raw_hit, group)
     return Beams(*averaged, scan.max_range_m, raw_ranges, raw_bearings)
 

@@ -119,13 +119,14 @@ def random_beams(seed):
     for r, theta, count in polar:
         u, v = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
         cov.append((noise.range_m**2 * np.outer(u, u) + (r * noise.bearing) ** 2 * np.outer(v, v)) / count)
-    return beam_points(polar, noise), np.array(cov)
+    points, sums = beam_points(np.ascontiguousarray(polar.T), noise)
+    return points, sums, np.array(cov)
 
 
 def test_chi_square_of_a_stretch_against_a_plain_twin():
-    (points, sums), cov = random_beams(0)
+    points, sums, cov = random_beams(0)
     for first, last in ((0, 79), (3, 10), (40, 42), (20, 60)):
-        assert stretch_cost(sums, first, last) == pytest.approx(plain_cost(points, cov, first, last))
+        assert stretch_cost(sums, first, last) == pytest.approx(plain_cost(points.T, cov, first, last))
     assert stretch_cost(sums, 5, 6) == 0.0
 
 
@@ -143,23 +144,23 @@ def plain_breaks(points, cov, low, high, sigmas):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_ramer_douglas_peucker_against_a_plain_twin(seed):
-    (points, _), cov = random_beams(seed)
+    points, _, cov = random_beams(seed)
     ends = np.empty(80, np.int64)
     size = break_cluster(points, 0, 79, 3.0, ends)
-    assert ends[:size].tolist() == plain_breaks(points, cov, 0, 79, 3.0)
+    assert ends[:size].tolist() == plain_breaks(points.T, cov, 0, 79, 3.0)
 
 
 def test_a_ring_of_points_has_no_chord_and_is_broken_all_the_same():
     bearing = np.linspace(0.0, 2.0 * math.pi, 60)
-    points, _ = beam_points(np.column_stack([np.full(60, 2.0), bearing, np.ones(60)]), Noise(0.01, 0.0))
-    points[59] = points[0]
+    points, _ = beam_points(np.stack([np.full(60, 2.0), bearing, np.ones(60)]), Noise(0.01, 0.0))
+    points[:, 59] = points[:, 0]
     assert break_cluster(points, 0, 59, 3.0, np.empty(60, np.int64)) > 4
 
 
 def test_circle_through_points_of_a_circle_costs_nothing():
     bearing = np.linspace(-0.09, 0.09, 20)
     r = 2.0 * np.cos(bearing) - np.sqrt(0.2**2 - (2.0 * np.sin(bearing)) ** 2)
-    points, _ = beam_points(np.column_stack([r, bearing, np.ones(20)]), Noise(0.01, 0.001))
+    points, _ = beam_points(np.stack([r, bearing, np.ones(20)]), Noise(0.01, 0.001))
     assert circle_cost(points, 0, 19) < 0.1
-    straight, _ = beam_points(np.column_stack([2.0 / np.cos(bearing), bearing, np.ones(20)]), Noise(0.01, 0.001))
+    straight, _ = beam_points(np.stack([2.0 / np.cos(bearing), bearing, np.ones(20)]), Noise(0.01, 0.001))
     assert circle_cost(straight, 0, 19) == math.inf
