@@ -1,0 +1,159 @@
+"""Generated buildings: what was declared is what comes out, for every seed."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Polygon
+
+from mecp_env.errors import ConfigError
+from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
+from mecp_env.world.layout import check_geometry, load_layout
+from mecp_env.world.outline import build_outline
+from mecp_env.world.schema import Box, Layout
+
+CORNERS_APART_M = 0.25
+VERTICES = {"L": 6, "U": 8, "T": 8}
+
+
+def check(spec: GeneratorSpec, layout: Layout) -> None:
+    """All that a specification promises. `check_geometry` proves that every room, door and start is in reach."""
+    check_geometry(layout)
+    names = Counter(room.name.split()[0] for room in layout.rooms)
+    assert (names["corridor"], names.total()) == (spec.corridors, spec.rooms)
+    assert len(layout.doors) == spec.rooms - 1 + spec.loops
+    pairs = [frozenset(door.rooms) for door in layout.doors]
+    assert len(set(pairs)) == len(pairs)
+    doors_of = Counter(name for door in layout.doors for name in door.rooms if name.startswith("room"))
+    assert max(doors_of.values()) <= spec.max_doors
+    assert all(spec.door_width_m[0] <= door.width_m <= spec.door_width_m[1] for door in layout.doors)
+    assert len({wall.thickness_m for wall in layout.walls}) == 1
+    assert all(Polygon(room.polygon).exterior.is_ccw for room in layout.rooms)
+    shaped = [room for room in layout.rooms if len(room.polygon) >= 6]
+    assert len(shaped) == spec.shaped_rooms
+    assert sum(len(room.polygon) == 5 for room in layout.rooms) <= spec.slanted_corners
+    check_corners(layout)
+
+
+def check_corners(layout: Layout) -> None:
+    """No two corners of a room nearer to each other than stated, but those of the end of a wall."""
+    corners = build_outline(layout).corners
+    apart = np.linalg.norm(corners.p_world[:, None] - corners.p_world[None], axis=2)
+    same = (corners.room[:, None] == corners.room[None]) & ~(corners.jamb[:, None] & corners.jamb[None])
+    np.fill_diagonal(same, False)
+    assert apart[same].min() > CORNERS_APART_M
+    assert np.linalg.norm(np.diff(build_outline(layout).segments, axis=1)[:, 0], axis=1).min() > 0.02  # no sliver
+
+
+@pytest.mark.parametrize("difficulty", DIFFICULTIES)
+def test_what_is_declared_is_what_comes_out(difficulty: str) -> None:
+    spec = GeneratorSpec.preset(difficulty)
+    for seed in range(4 if difficulty == "huge" else 25):
+        check(spec, generate(spec, seed))
+
+
+@pytest.mark.slow
+def test_ten_thousand_seeds_are_what_was_declared() -> None:
+    for difficulty, seeds in (("easy", 4000), ("medium", 4000), ("hard", 1900), ("huge", 100)):
+        spec = GeneratorSpec.preset(difficulty)
+        for seed in range(seeds):
+            check(spec, generate(spec, seed))
+
+
+def test_random_specifications_are_kept() -> None:
+    rng = np.random.default_rng(3)
+    for seed in range(30):
+        rooms = int(rng.integers(2, 20))
+        corridors = int(rng.integers(0, rooms // 8 + 1))
+        spec = GeneratorSpec(
+            rooms=rooms,
+            corridors=corridors,
+            shaped_rooms=int(rng.integers(0, (rooms - corridors) // 3 + 1)),
+            loops=int(rng.integers(0, rooms // 5 + 1)),
+            slanted_corners=int(rng.integers(0, 3)),
+            turned_deg=(-180.0, 180.0),
+            furniture=float(rng.uniform(0.0, 2.0)),
+            wall_thickness_m=(0.05, 0.3),
+        )
+        layout = generate(spec, seed)
+        check_geometry(layout)
+        assert (len(layout.rooms), len(layout.doors)) == (rooms, rooms - 1 + spec.loops)
+
+
+@pytest.mark.parametrize("shape", VERTICES)
+def test_a_shape_that_is_asked_for_is_there(shape: str) -> None:
+    spec = GeneratorSpec(rooms=6, shaped_rooms=1, shapes=(shape,))
+    for seed in range(5):
+        rings = [Polygon(room.polygon) for room in generate(spec, seed).rooms]
+        shaped = [ring for ring in rings if len(ring.exterior.coords) - 1 >= 6]
+        notches = shapely.get_parts(shaped[0].convex_hull.difference(shaped[0]).buffer(-0.01))
+        assert len(shaped[0].exterior.coords) - 1 == VERTICES[shape]
+        assert len(notches) == (2 if shape == "T" else 1)
+
+
+def test_a_seed_is_a_building() -> None:
+    assert generate(seed=5).to_json() == generate(GeneratorSpec(), 5).to_json() == generate({"rooms": 8}, 5).to_json()
+    assert generate(seed=5).to_json() != generate(seed=6).to_json()
+
+
+def test_a_generated_layout_survives_its_file(tmp_path) -> None:
+    layout = generate(GeneratorSpec.preset("hard"), 3)
+    path = tmp_path / "hard.json"
+    path.write_text(layout.to_json())
+    assert load_layout(path) == layout
+
+
+def test_furniture_is_as_dense_as_asked_and_stands_clear_of_doors() -> None:
+    spec = GeneratorSpec(rooms=8, furniture=1.0, room_side_m=(5.0, 7.0))
+    pieces = [piece for seed in range(10) for piece in generate(spec, seed).obstacles]
+    assert 100 < len(pieces) < 600
+    for seed in range(10):
+        layout = generate(spec, seed)
+        far = [np.hypot(*np.subtract(p.centre, d.centre)) for p in layout.obstacles for d in layout.doors]
+        assert min(far) > 1.2
+    assert {isinstance(piece, Box) for piece in pieces} == {True, False}
+
+
+def test_presets_take_fields_over_theirs() -> None:
+    assert GeneratorSpec.preset("easy", rooms=3).rooms == 3
+    assert GeneratorSpec.preset("hard", corridors=0).loops == DIFFICULTIES["hard"]["loops"]
+
+
+def test_the_splits_share_no_building() -> None:
+    seeds = [set(SPLITS[split]) for split in ("train", "validation", "test")]
+    assert len(set.union(*seeds)) == sum(map(len, seeds))
+    assert split_seed("test", 0) == 2_000_000
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"rooms": 1}, "rooms"),
+        ({"rooms": 61}, "rooms"),
+        ({"rooms": 3, "shaped_rooms": 2}, "shaped_rooms"),
+        ({"rooms": 4, "corridors": 2}, "corridors"),
+        ({"turned_deg": (10.0, -10.0)}, "turned_deg"),
+        ({"door_width_m": (0.9, 1.9)}, "door_width_m"),
+        ({"furniture": float("nan")}, "furniture"),
+        ({"shapes": ("X",)}, "shapes"),
+        ({"pieces": ()}, "pieces"),
+        ({"lamps": 3}, "lamps"),
+    ],
+)
+def test_a_wrong_field_is_named(fields: dict, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        generate(fields)
+
+
+def test_what_no_building_can_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match="30 loops"):
+        generate({"rooms": 3, "loops": 30})
+    with pytest.raises(ConfigError, match="difficulty"):
+        GeneratorSpec.preset("brutal")
+    with pytest.raises(ConfigError, match="split"):
+        split_seed("dev", 0)
+    with pytest.raises(ConfigError, match="1000 buildings"):
+        split_seed("test", 1000)
