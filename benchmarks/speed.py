@@ -106,7 +106,8 @@ def rays(poses: int) -> Figures:
     laser = Laser(outline, LaserConfig(preset="paper", sweeps=1, beams=BEAMS))
     space = pymunk_space(outline)
     few = places[:10]
-    faces, table, spacing = laser._segments, laser._table, laser._spacing
+    faces, table = laser._segments, laser._table
+    spacing = 2.0 * math.pi / table.shape[1]
     return {
         "faces": len(outline.segments),
         "kernel_us": median_us(lambda pose: _cast(faces, pose, table, spacing, 0.0), places),

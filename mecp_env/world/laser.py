@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from functools import cache
 from statistics import NormalDist
 
@@ -37,23 +38,22 @@ class Laser:
         self.config = config
         self._segments = np.ascontiguousarray(outline.segments)
         rays = config.sweeps * config.beams
-        self._spacing = 2.0 * math.pi / rays
-        ring = -math.pi + self._spacing * np.arange(1, rays + 1)
+        ring = -math.pi + 2.0 * math.pi / rays * np.arange(1, rays + 1)
         ring[-1] = math.pi
         self._table = np.stack([np.cos(ring), np.sin(ring)])
         self._bearings = np.ascontiguousarray(ring.reshape(config.beams, config.sweeps).T)  # shared by all scans
         self._normals = _normal_quantiles()
+        self._noiseless = config.range_sigma_m == 0.0 and config.bearing_sigma_rad == 0.0
+        self._whole_words = sys.byteorder == "little" and rays % 2 == 0  # the draws fill words of 64 bits
+        self._optics = np.array(
+            [config.bearing_sigma_rad, config.range_sigma_m, config.max_range_m, float(config.sweeps)]
+        )
 
     def scan(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
         """A burst taken at the true pose (3,); the noise comes from `rng`."""
-        config = self.config
         draws = self._draw(rng)
-        directions = _turn_rays(self._table, draws[0], self._normals, config.bearing_sigma_rad)
-        margin = CUT_SIGMAS * config.bearing_sigma_rad
-        inverse = _cast(self._segments, T_world_robot, directions, self._spacing, margin)
-        sigma, sweeps = config.range_sigma_m, config.sweeps
-        ranges, hit = _measure(inverse, draws[1], self._normals, sigma, config.max_range_m, sweeps)
-        return Scan(ranges, self._bearings, hit, config.max_range_m)
+        ranges, hit = _burst(self._segments, T_world_robot, self._table, draws, self._normals, self._optics)
+        return Scan(ranges, self._bearings, hit, self.config.max_range_m)
 
     def visible(self, p_world: Array, T_world_robot: Array) -> Bools:
         """Which points (n,2) have a free line of sight to the robot at (3,): noise and range play no part."""
@@ -62,9 +62,11 @@ class Laser:
 
     def _draw(self, rng: np.random.Generator) -> Draws:
         """Quantiles (2,N) of the noise of bearings and ranges in the order of the ring; none drawn without noise."""
-        shape = self._table.shape
-        if self.config.range_sigma_m == 0.0 and self.config.bearing_sigma_rad == 0.0:
+        shape, bits = self._table.shape, rng.bit_generator
+        if self._noiseless:
             return np.zeros(shape, dtype=np.uint16)
+        if self._whole_words and isinstance(bits, np.random.PCG64):  # as below, but three times as fast
+            return bits.random_raw(self._table.size // 4).view(np.uint16).reshape(shape)
         return rng.integers(QUANTILES, size=shape, dtype=np.uint16)
 
 
@@ -96,6 +98,21 @@ def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
     with np.errstate(divide="ignore"):
         ranges: Array = 1.0 / inverse
     return ranges
+
+
+@kernel
+def _burst(
+    segments: Array, T_world_robot: Array, table: Array, draws: Draws, normals: Normals, optics: Array
+) -> tuple[Array, Bools]:
+    """Ranges and hits (K,B) of a burst with the noise drawn (2,N) along the nominal directions (2,N).
+
+    `optics` (4,) holds the sigmas of bearings and ranges, the largest range and K.
+    """
+    bearing_sigma, range_sigma, max_range, sweeps = optics[0], optics[1], optics[2], int(optics[3])
+    directions = _turn_rays(table, draws[0], normals, bearing_sigma)
+    spacing = 2.0 * math.pi / table.shape[1]
+    inverse = _cast(segments, T_world_robot, directions, spacing, CUT_SIGMAS * bearing_sigma)
+    return _measure(inverse, draws[1], normals, range_sigma, max_range, sweeps)
 
 
 @kernel
@@ -159,10 +176,19 @@ def _meet(inverse: Array, directions: Array, face: Array, first: int, last: int)
     n = inverse.shape[0]
     begin = first % n
     stop = begin + min(last - first + 1, n)
-    for i in range(begin, min(stop, n)):
-        inverse[i] = max(inverse[i], face[4] * directions[0, i] + face[5] * directions[1, i])
-    for i in range(stop - n):
-        inverse[i] = max(inverse[i], face[4] * directions[0, i] + face[5] * directions[1, i])
+    _look(inverse[begin : min(stop, n)], directions[0, begin:], directions[1, begin:], face[4], face[5])
+    if stop > n:
+        _look(inverse[: stop - n], directions[0], directions[1], face[4], face[5])
+
+
+@kernel
+def _look(inverse: Array, dx: Array, dy: Array, u: float, v: float) -> None:
+    """Raise the inverse ranges (n,) to those of the face u, v along the first of the directions dx, dy.
+
+    On parts of the arrays, counted from 0: so the compiler takes four rays at a time.
+    """
+    for i in range(inverse.shape[0]):
+        inverse[i] = max(inverse[i], u * dx[i] + v * dy[i])
 
 
 @kernel

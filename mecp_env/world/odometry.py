@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,9 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
 
     The noise grows with the true motion; the covariance that goes with the reading is made from the reading alone.
     """
-    sigmas = np.sqrt(variances(motion.increments, config))  # none at rest
-    measured = motion.increments + sigmas * rng.standard_normal(sigmas.shape)
-    return Odometry(measured, _covariances(measured, *_rules(config)), motion.contact)
+    noise = rng.standard_normal(motion.increments.shape)
+    measured, cov = _measure(motion.increments, noise, *_rules(config))
+    return Odometry(measured, cov, motion.contact)
 
 
 def variances(increments: Array, config: OdometryConfig) -> Array:
@@ -36,10 +37,23 @@ def variances(increments: Array, config: OdometryConfig) -> Array:
     return _variances(increments, *_rules(config))
 
 
+@lru_cache
 def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
     """Reading, sigma of distance and of turn, metres a radian."""
     distance, turn = config.scale * config.distance_sigma_m, config.scale * config.turn_sigma_rad
     return READINGS.index(config.reading), distance, turn, config.turn_m / QUARTER_TURN
+
+
+@kernel
+def _measure(
+    increments: Array, noise: Array, reading: int, distance: float, turn: float, turn_m: float
+) -> tuple[Array, Array]:
+    """The increments (M,2) with their noise, given in sigmas (M,2), and what they say of it (M,2,2)."""
+    measured, variance = np.empty_like(increments), _variances(increments, reading, distance, turn, turn_m)
+    for m in range(increments.shape[0]):  # no noise at rest
+        measured[m, 0] = increments[m, 0] + math.sqrt(variance[m, 0]) * noise[m, 0]
+        measured[m, 1] = increments[m, 1] + math.sqrt(variance[m, 1]) * noise[m, 1]
+    return measured, _covariances(measured, reading, distance, turn, turn_m)
 
 
 @kernel

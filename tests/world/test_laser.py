@@ -65,9 +65,9 @@ def test_rays_agree_with_pymunk(outline: Outline) -> None:
 
 def test_noisy_rays_are_cast_where_they_point(outline: Outline, monkeypatch: pytest.MonkeyPatch) -> None:
     """With large bearing noise every beam has the range of its true direction: no face is missed at its ends."""
-    laser = Laser(outline, LaserConfig(preset="paper", sweeps=2))
     monkeypatch.setattr(LaserConfig, "bearing_sigma_rad", property(lambda _: 0.03))
     monkeypatch.setattr(LaserConfig, "range_sigma_m", property(lambda _: 0.0))
+    laser = Laser(outline, LaserConfig(preset="paper", sweeps=2))
     normals = module._normal_quantiles()
     for seed, pose in enumerate(poses(outline, 20, seed=2)):
         scan = laser.scan(pose, np.random.default_rng(seed))
@@ -194,6 +194,18 @@ def test_the_same_seed_gives_the_same_bits(paper: Outline) -> None:
     other = laser.scan(pose, np.random.default_rng(6))
     assert np.array_equal(one.ranges, two.ranges)
     assert not np.array_equal(one.ranges, other.ranges)
+
+
+@pytest.mark.parametrize(("sweeps", "beams"), [(1, 720), (4, 720), (1, 721), (3, 9)])
+def test_the_draws_are_those_of_the_generators_integers(two_rooms: Outline, sweeps: int, beams: int) -> None:
+    """However they are taken from the bits, so that what is drawn from the generator next stays the same too."""
+    laser = Laser(two_rooms, LaserConfig(sweeps=sweeps, beams=beams))
+    for kind in (np.random.PCG64, np.random.MT19937):
+        one, two = np.random.Generator(kind(4)), np.random.Generator(kind(4))
+        for _ in range(3):
+            expected = two.integers(module.QUANTILES, size=(2, sweeps * beams), dtype=np.uint16)
+            assert np.array_equal(laser._draw(one), expected)
+            assert one.standard_normal() == two.standard_normal()
 
 
 def test_an_ideal_laser_draws_nothing(paper: Outline) -> None:
