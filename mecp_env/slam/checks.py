@@ -39,6 +39,30 @@ def check_scan(scan: Scan) -> None:
 @kernel
 def find_fault(ranges: Array, bearings: Array, max_range: float) -> int:
     """What is wrong with ranges and bearings (K,B), or SOUND."""
+    unsound = 0
+    for k in range(ranges.shape[0]):
+        unsound += count_unsound(ranges[k], bearings[k, :-1], bearings[k, 1:], max_range)
+        unsound += not (bearings[k, 0] >= -math.pi and bearings[k, -1] <= math.pi)
+    return SOUND if unsound == 0 and max_range < math.inf else name_fault(ranges, bearings, max_range)
+
+
+@kernel
+def count_unsound(ranges: Array, bearings: Array, next_bearings: Array, max_range: float) -> int:
+    """How many ranges (B,) are out of range, and bearings (B-1,) not below the next; nan is.
+
+    Without a branch, so that the compiler takes several at a time.
+    """
+    unsound = 0
+    for b in range(ranges.shape[0]):
+        unsound += not ((ranges[b] >= 0.0) & (ranges[b] <= max_range))
+    for b in range(bearings.shape[0]):
+        unsound += not bearings[b] < next_bearings[b]
+    return unsound
+
+
+@kernel
+def name_fault(ranges: Array, bearings: Array, max_range: float) -> int:
+    """The first fault in the order of the beams, or SOUND."""
     for k in range(ranges.shape[0]):
         last = -math.inf
         for b in range(ranges.shape[1]):
@@ -60,8 +84,19 @@ def check_odometry(odometry: Odometry) -> None:
         raise SensorError(f"odometry.increments: shape {shape} is not (M, 2)")
     if np.shape(odometry.cov) != (shape[0], 2, 2):
         raise SensorError(f"odometry.cov: shape {np.shape(odometry.cov)} is not {(shape[0], 2, 2)}")
-    if not (np.isfinite(odometry.increments).all() and np.isfinite(odometry.cov).all()):
+    finite, least = look_over(np.asarray(odometry.increments, float), np.asarray(odometry.cov, float))
+    if not finite:
         raise SensorError("odometry.increments, odometry.cov: every value must be finite")
-    least = odometry.cov.diagonal(axis1=1, axis2=2).min(initial=0.0)
     if least < 0.0:
-        raise SensorError(f"odometry.cov: variance {float(least):g} is below 0")
+        raise SensorError(f"odometry.cov: variance {least:g} is below 0")
+
+
+@kernel
+def look_over(increments: Array, cov: Array) -> tuple[bool, float]:
+    """Whether increments (M,2) and covariances (M,2,2) are finite, and the least variance, at most 0."""
+    finite, least = True, 0.0
+    for m in range(cov.shape[0]):
+        for i in range(2):
+            finite &= math.isfinite(increments[m, i]) & math.isfinite(cov[m, i, 0]) & math.isfinite(cov[m, i, 1])
+            least = min(least, cov[m, i, i])
+    return finite, least
