@@ -13,7 +13,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.linalg import diagonal_blocks, find_rows, pick_measurements, softened
+from mecp_env.slam.linalg import diagonal_blocks, pick_measurements, softened
+from mecp_env.slam.lookup import find_equal, find_rows
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,6 +54,9 @@ class Decision(IntEnum):
     PROVISIONAL = 1
     NEW = 2
     IGNORED = 3
+
+
+LANDMARK = int(Decision.LANDMARK)
 
 
 class Reason(IntEnum):
@@ -169,6 +173,11 @@ class Corners:
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
 
+    def with_sites(self, sites: Bools) -> Corners:
+        """The same corners, of which other ones may be vertices of a polygon."""
+        marks = self.kind, self.convex, self.normals, self.beyond, sites
+        return Corners(self.z, self.cov, *marks, self.doorways)
+
     def measurements(self, index: Ints) -> tuple[Array, Array]:
         """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""
         k = len(index)
@@ -243,6 +252,11 @@ class Match:
     polygon: int  # index of the matched polygon of the scan, or -1
     known: int  # index of the KnownPolygon matched (in the store at the time), or -1
     closure: bool  # a place not updated for a while was recognised: the update is iterated
+
+    def recognised(self) -> Ints:
+        """The corners (c,) that are landmarks."""
+        corners = np.empty(len(self.decision), np.int64)
+        return corners[: find_equal(self.decision, LANDMARK, corners)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

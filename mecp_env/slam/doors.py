@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.data import UNKNOWN_ROOM, Belief, Candidate, CornerKind, Door, FeatureState, FeatureTable, Sighting
-from mecp_env.slam.geometry import polar_to_points, to_map
+from mecp_env.slam.geometry import place
+from mecp_env.slam.lookup import row_of
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MOST_SIGHTINGS = 50  # the configuration asks for no more
+BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
 SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
 
 
@@ -45,7 +47,7 @@ class DoorBook:
 
         The middle is that of the wall where both faces are known, of the one face otherwise.
         """
-        return _frames(belief.p_map, belief.rows(self.jambs)) if self.doors else np.empty((0, 5))
+        return door_frames(belief.p_map, belief.ids, self.jambs)
 
 
 def door_jambs(doors: list[Door]) -> Ints:
@@ -55,13 +57,25 @@ def door_jambs(doors: list[Door]) -> Ints:
 
 
 @kernel
-def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float) -> Ints:
-    """(n,) row of the door through which each point of `p_map` (n,2) is seen from `p_robot` (2,), or -1.
+def seen_through(T_map_robot: Array, z: Array, p_map: Array, ids: Ints, jambs: Ints, row: Ints) -> None:
+    """Write the row (n,) of the door through which each corner z (n,2) is seen, or -1.
+
+    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`.
+    """
+    points = np.empty_like(z)
+    place(T_map_robot, z, points)
+    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, row)
+
+
+@kernel
+def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float, row: Ints) -> None:
+    """Write the row (n,) of the door through which each point of `p_map` (n,2) is seen from `p_robot` (2,), or -1.
 
     `doors` (D,5): middle x, y, unit normal x, y, half width. A point counts when the line of sight crosses the gap and
     ends more than `margin` behind the middle of the wall.
     """
-    row = np.full(p_map.shape[0], -1)
+    for i in range(p_map.shape[0]):
+        row[i] = -1
     for d in range(doors.shape[0]):
         mx, my, nx, ny, half = doors[d]
         s0 = (p_robot[0] - mx) * nx + (p_robot[1] - my) * ny
@@ -75,18 +89,20 @@ def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float) -> I
             t = t0 + (t1 - t0) * s0 / (s0 - s1)
             if abs(t) < half:
                 row[i] = d
-    return row
 
 
 @kernel
-def _frames(p_map: Array, rows: Ints) -> Array:
-    """(D,5) door frames from rows (D,4): right and left jamb of the first face, then of the second."""
-    frames = np.empty((rows.shape[0], 5))
-    for d in range(rows.shape[0]):
-        right, left = (p_map[rows[d, 0]] + p_map[rows[d, 2]]) / 2.0, (p_map[rows[d, 1]] + p_map[rows[d, 3]]) / 2.0
-        x, y = left[0] - right[0], left[1] - right[1]
+def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
+    """(D,5) as `DoorBook.frames` of the doors with `jambs` (D,4), from the landmarks `p_map` (N,2) with `ids` (N,)."""
+    frames = np.empty((jambs.shape[0], 5))
+    for d in range(jambs.shape[0]):
+        right, left = row_of(ids, jambs[d, 0]), row_of(ids, jambs[d, 1])
+        right_too, left_too = row_of(ids, jambs[d, 2]), row_of(ids, jambs[d, 3])
+        rx, ry = (p_map[right, 0] + p_map[right_too, 0]) / 2.0, (p_map[right, 1] + p_map[right_too, 1]) / 2.0
+        lx, ly = (p_map[left, 0] + p_map[left_too, 0]) / 2.0, (p_map[left, 1] + p_map[left_too, 1]) / 2.0
+        x, y = lx - rx, ly - ry
         width = math.hypot(x, y)
-        frames[d, 0], frames[d, 1] = (right[0] + left[0]) / 2.0, (right[1] + left[1]) / 2.0
+        frames[d, 0], frames[d, 1] = (rx + lx) / 2.0, (ry + ly) / 2.0
         frames[d, 2], frames[d, 3], frames[d, 4] = -y / width, x / width, width / 2.0
     return frames
 
@@ -96,11 +112,10 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
     corners, belief = seen.corners, seen.belief
     if not len(corners.doorways.jambs):
         return
-    p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-    other_side = np.maximum(seen.through, corners.beyond) >= 0
-    for pair, confirmable in zip(corners.doorways.jambs, corners.doorways.confirmable.tolist(), strict=True):
-        ids = (int(seen.match.ids[pair[0]]), int(seen.match.ids[pair[1]]))
-        if other_side[pair[0]] or other_side[pair[1]]:
+    id_of, through, beyond = seen.match.ids.tolist(), seen.through.tolist(), corners.beyond.tolist()
+    for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
+        ids = (id_of[pair[0]], id_of[pair[1]])
+        if max(through[pair[0]], through[pair[1]], beyond[pair[0]], beyond[pair[1]]) >= 0:
             continue
         if ids in book.row:
             _see_again(book, ids, confirmable)
@@ -108,7 +123,9 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(p_map[pair], ids, room, 1, seen.period), belief)
+        ends = np.empty((2, 2))
+        place(belief.T_map_robot, corners.z[pair], ends)
+        _note_candidate(book, Candidate(ends, ids, room, 1, seen.period), belief)
 
 
 def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool) -> None:
@@ -126,7 +143,7 @@ def _confirm(
         return
     features.kind[list(ids)] = int(CornerKind.JAMB)
     new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
-    frame = _frames(belief.p_map, belief.rows(door_jambs([new])))[0]
+    frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
     for d, other in enumerate(book.frames(belief)):
         joined = _joined(book.doors[d], other, new, frame, room, config)
         if joined is not None:
@@ -173,14 +190,6 @@ def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
 def _middle_distance(a: Candidate, b: Candidate) -> float:
     offset = (a.ends[0] + a.ends[1] - b.ends[0] - b.ends[1]) / 2.0
     return math.hypot(offset[0], offset[1])
-
-
-def candidate_frame(candidate: Candidate) -> Array:
-    """(5,) as a row of `door_frames`: middle, unit normal towards the candidate's room, half width."""
-    across = candidate.ends[1] - candidate.ends[0]
-    width = math.hypot(across[0], across[1])
-    middle = (candidate.ends[0] + candidate.ends[1]) / 2.0
-    return np.array([middle[0], middle[1], -across[1] / width, across[0] / width, width / 2.0])
 
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:

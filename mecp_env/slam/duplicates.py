@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import TrackConfig
-from mecp_env.slam.data import Belief, Decision, FeatureTable, Match
+from mecp_env.slam.data import LANDMARK, Belief, FeatureTable, Match
 from mecp_env.slam.geometry import wrap_angle
+from mecp_env.slam.lookup import row_of
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,40 +26,68 @@ def find_duplicate(features: FeatureTable, belief: Belief, match: Match, config:
     The same signature, not both seen in this scan, nearer than `config.fuse_m` and within the 95 % gate of the sum of
     their covariances: correlated errors only make the true gate narrower, so nothing apart is fused by it.
     """
-    matched = match.ids[match.decision == int(Decision.LANDMARK)]
-    if not len(matched):
-        return None
-    seen = np.zeros(len(belief.ids), np.bool_)
-    seen[belief.rows(matched)] = True
-    tolerance = math.radians(config.signature_deg)
-    a, b = _same_corner(
-        seen,
+    older, younger = _same_corner(
+        match.ids,
+        match.decision,
+        belief.ids,
         belief.p_map,
         belief.covs,
-        features.convex[belief.ids],
-        features.normals[belief.ids],
+        features.convex,
+        features.normals,
         config.fuse_m,
-        tolerance,
+        math.radians(config.signature_deg),
     )
-    return None if a < 0 else (int(min(belief.ids[a], belief.ids[b])), int(max(belief.ids[a], belief.ids[b])))
+    return None if older < 0 else (older, younger)
 
 
 @kernel
 def _same_corner(
-    seen: Bools, p_map: Array, covs: Array, convex: Bools, normals: Array, near: float, tolerance: float
+    matched: Ints,
+    decision: Ints,
+    ids: Ints,
+    p_map: Array,
+    covs: Array,
+    convex: Bools,
+    normals: Array,
+    near: float,
+    tolerance: float,
 ) -> tuple[int, int]:
-    """Rows of the first landmark seen and another not seen that are one corner, or (-1, -1)."""
+    """Ids, in order, of the first landmark seen and another not seen that are one corner, or (-1, -1).
+
+    `convex` and `normals` are those of all features, by id.
+    """
+    seen = landmarks_seen(matched, decision, ids)
     for i in range(seen.shape[0]):
+        if not seen[i]:
+            continue
         for j in range(seen.shape[0]):
-            if not seen[i] or seen[j] or convex[i] != convex[j]:
+            one, two = ids[i], ids[j]
+            if seen[j] or convex[one] != convex[two] or not _near(p_map, covs, i, j, near):
                 continue
-            x, y = p_map[i, 0] - p_map[j, 0], p_map[i, 1] - p_map[j, 1]
-            if math.hypot(x, y) > near or not _faces_agree(normals[i], normals[j], tolerance):
-                continue
-            a, b, c = covs[i, 0, 0] + covs[j, 0, 0], covs[i, 0, 1] + covs[j, 0, 1], covs[i, 1, 1] + covs[j, 1, 1]
-            if (c * x * x - 2.0 * b * x * y + a * y * y) < FUSE_NIS * (a * c - b * b):
-                return i, j
+            if _faces_agree(normals[one], normals[two], tolerance):
+                return min(one, two), max(one, two)
     return -1, -1
+
+
+@kernel
+def landmarks_seen(matched: Ints, decision: Ints, ids: Ints) -> Bools:
+    """(N,) which of the landmarks `ids` (N,) were recognised: `matched` (n,) by a corner with that decision (n,)."""
+    seen = np.zeros(ids.shape[0], np.bool_)
+    for c in range(matched.shape[0]):
+        row = row_of(ids, matched[c]) if decision[c] == LANDMARK else -1
+        if row >= 0:
+            seen[row] = True
+    return seen
+
+
+@kernel
+def _near(p_map: Array, covs: Array, i: int, j: int, near: float) -> bool:
+    """True when two landmarks are nearer than `near` (m) and within the gate of the sum of their covariances."""
+    x, y = p_map[i, 0] - p_map[j, 0], p_map[i, 1] - p_map[j, 1]
+    if abs(x) > 2.0 * near or abs(y) > 2.0 * near or math.hypot(x, y) > near:
+        return False
+    a, b, c = covs[i, 0, 0] + covs[j, 0, 0], covs[i, 0, 1] + covs[j, 0, 1], covs[i, 1, 1] + covs[j, 1, 1]
+    return bool((c * x * x - 2.0 * b * x * y + a * y * y) < FUSE_NIS * (a * c - b * b))
 
 
 @kernel

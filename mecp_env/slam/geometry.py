@@ -75,6 +75,16 @@ def polar_to_points(z: Array) -> Array:
 
 
 @kernel
+def place(T_map_robot: Array, z: Array, p_map: Array) -> None:
+    """Write the points (n,2), in the map frame, of ranges and bearings z (n,2) measured by the robot."""
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    for i in range(z.shape[0]):
+        x, y = z[i, 0] * math.cos(z[i, 1]), z[i, 0] * math.sin(z[i, 1])
+        p_map[i, 0] = T_map_robot[0] + c * x - s * y
+        p_map[i, 1] = T_map_robot[1] + s * x + c * y
+
+
+@kernel
 def inside_polygon(x: float, y: float, ring: Array) -> bool:
     """True when (x, y) lies inside the simple polygon `ring` (k,2) (even-odd rule)."""
     inside = False

@@ -149,17 +149,6 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 
 @kernel
-def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> None:
-    """Write the row in `ids` (N,) of each of `wanted` (m,), -1 where it is missing."""
-    for k in range(wanted.shape[0]):
-        rows[k] = -1
-        for i in range(ids.shape[0]):
-            if ids[i] == wanted[k]:
-                rows[k] = i
-                break
-
-
-@kernel
 def softened(cov: Array, z: Array, sigma: float) -> Array:
     """cov (2n,2n) of ranges and bearings z (n,2) with an independent position error of `sigma` m added to each."""
     softer = cov.copy()

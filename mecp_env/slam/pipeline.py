@@ -131,7 +131,7 @@ class SlamPipeline:
         match = self._localise(corners, polygons, predicted, through)  # III-B
         match, belief = self._grow_map(corners, polygons, match, through)
         graph = self.rooms.graph()
-        matched = match.ids[match.decision == int(Decision.LANDMARK)]
+        matched = match.ids[match.recognised()]
         grid = self.grid.paint(belief, beams, segments, matched, self.polygons.polygons, graph)
         return StepReport(
             self.period,
@@ -165,12 +165,13 @@ class SlamPipeline:
 
     def _correct(self, corners: Corners, match: Match) -> Match:
         """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""
-        index = np.flatnonzero(match.decision == int(Decision.LANDMARK))
+        index = match.recognised()
         if not len(index):
             return match
-        match = with_closure(match, self._is_closure(match.ids[index]))
+        ids = match.ids[index]
+        match = with_closure(match, self._is_closure(ids))
         z, R = corners.measurements(index)
-        self.filter.update(z, R, match.ids[index], iterate=match.closure)
+        self.filter.update(z, R, ids, iterate=match.closure)
         return match
 
     def _is_closure(self, ids: Ints) -> bool:
@@ -189,7 +190,7 @@ class SlamPipeline:
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
         self._remember_births(match)
         self._adopt(corners, match, ripe)
-        mark_seen(self.features, match.ids[match.ids >= 0], self.period)
+        mark_seen(self.features, match.ids, self.period)
         belief = self.filter.belief() if len(ripe) else belief
         seen = Sighting(corners, match, through, belief, self.period)
         moved = self.rooms.update(seen, self.features, self.polygons.polygons)
@@ -197,7 +198,7 @@ class SlamPipeline:
         crowded = self.polygons.remember(polygons, match, self.features, graph, self.period)
         pair = self._duplicate(match, belief)
         match = self._fuse(match, pair)
-        if len(dead) or moved or pair or crowded:
+        if dead or moved or pair or crowded:
             self.polygons.prune(self.features, graph)
         return match, self.filter.belief() if pair else belief
 

@@ -13,6 +13,8 @@ from mecp_env.slam.data import FeatureState, FeatureTable, KnownPolygon, Match, 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+DEAD = int(FeatureState.DEAD)
+
 
 @dataclass(slots=True, eq=False)
 class PolygonStore:
@@ -37,19 +39,17 @@ class PolygonStore:
         """
         added = len(self.polygons)
         for polygon in () if graph.in_doorway else polygons:
-            ids = match.ids[polygon.corners]
+            ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty_like(polygon.intervals)
             # Fig. 6: polygons of different rooms share no vertex
-            if ids.min() >= 0 and (features.room[ids] == graph.current).all() and len(set(ids.tolist())) == len(ids):
-                self._note(ids, polygon.intervals, graph.current, period)
+            if link(polygon.corners, match.ids, features.room, graph.current, ring):
+                roll_to_least(ring, polygon.intervals, intervals)
+                self._note(ring, intervals, graph.current, period)
         return len(self.polygons) > added and self._above_cap(graph.current)
 
     def _above_cap(self, room: int) -> bool:
         return sum(polygon.room == room for polygon in self.polygons) > self.most_per_room
 
-    def _note(self, ids: Ints, intervals: Array, room: int, period: int) -> None:
-        shift = int(ids.argmin())
-        ring = np.concatenate((ids[shift:], ids[:shift]))
-        intervals = _rolled(intervals, shift, len(ids))
+    def _note(self, ring: Ints, intervals: Array, room: int, period: int) -> None:
         key = tuple(ring.tolist())
         if key not in self.row:
             self.row[key] = len(self.polygons)
@@ -58,7 +58,7 @@ class PolygonStore:
             return
         i = self.row[key]
         known = self.polygons[i]
-        self.polygons[i] = replace(known, intervals=intervals, seen=known.seen + 1, last_period=period)
+        self.polygons[i] = KnownPolygon(known.ids, intervals, known.room, known.seen + 1, period)
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
         """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
@@ -71,10 +71,10 @@ class PolygonStore:
         """Two ids are one corner: polygons that named `drop` now name `keep`."""
         for i, polygon in enumerate(self.polygons):
             if (polygon.ids == drop).any():
-                ids = np.where(polygon.ids == drop, keep, polygon.ids)
-                shift = int(ids.argmin())
-                ring = np.concatenate((ids[shift:], ids[:shift]))
-                self.polygons[i] = replace(polygon, ids=ring, intervals=_rolled(polygon.intervals, shift, len(ids)))
+                ring = np.where(polygon.ids == drop, keep, polygon.ids)
+                intervals = np.empty_like(polygon.intervals)
+                roll_to_least(ring, polygon.intervals, intervals)
+                self.polygons[i] = replace(polygon, ids=ring, intervals=intervals)
 
     def _index(self) -> None:
         self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
@@ -88,16 +88,36 @@ class PolygonStore:
 
 
 @kernel
-def _rolled(intervals: Array, shift: int, k: int) -> Array:
-    """Intervals (m,4) with edge numbers counted from vertex `shift`, in order."""
-    rolled = np.empty_like(intervals)
-    m, split = intervals.shape[0], 0
+def link(corners: Ints, ids: Ints, room: Ints, current: int, ring: Ints) -> bool:
+    """Write the feature ids (k,) of a scan's polygon; False unless they differ and lie in the room `current`.
+
+    `corners` (k,) are its vertices, `ids` (n,) those of the scan's corners, `room` (F,) that of each feature.
+    """
+    sound = True
+    for v in range(corners.shape[0]):
+        ring[v] = ids[corners[v]]
+        sound = sound and ring[v] >= 0 and room[ring[v]] == current
+        for u in range(v):
+            sound = sound and ring[u] != ring[v]
+    return sound
+
+
+@kernel
+def roll_to_least(ring: Ints, intervals: Array, rolled: Array) -> None:
+    """Turn `ring` (k,) so that its least id is first, and write the intervals (m,4) with the edges counted from it."""
+    k, m, shift, split = ring.shape[0], intervals.shape[0], 0, 0
+    before = ring.copy()
+    for v in range(1, k):
+        if before[v] < before[shift]:
+            shift = v
+    for v in range(k):
+        ring[v] = before[(v + shift) % k]
     while split < m and intervals[split, 0] < shift:
         split += 1
     for i in range(m):
-        rolled[i] = intervals[(i + split) % m]
+        for column in range(4):
+            rolled[i, column] = intervals[(i + split) % m, column]
         rolled[i, 0] = (rolled[i, 0] - shift) % k
-    return rolled
 
 
 def _seen_most(polygons: list[KnownPolygon], most: int) -> list[KnownPolygon]:
@@ -110,7 +130,15 @@ def _seen_most(polygons: list[KnownPolygon], most: int) -> list[KnownPolygon]:
 
 
 def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> bool:
-    room = graph.resolve(polygon.room)
-    alive = (features.state[polygon.ids] != int(FeatureState.DEAD)).all()
-    at_home = (features.room[polygon.ids] == room).all()
-    return bool(alive and at_home and len(set(polygon.ids.tolist())) == len(polygon.ids))
+    return is_whole(polygon.ids, features.state, features.room, graph.resolve(polygon.room))
+
+
+@kernel
+def is_whole(ids: Ints, state: Ints, room_of: Ints, room: int) -> bool:
+    """True when the vertices `ids` (k,) differ, live and lie in `room`; `state` and `room_of` (F,) are of features."""
+    whole = True
+    for v in range(ids.shape[0]):
+        whole = whole and state[ids[v]] != DEAD and room_of[ids[v]] == room
+        for u in range(v):
+            whole = whole and ids[u] != ids[v]
+    return whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,21 +22,12 @@ from mecp_env.slam.data import (
     RoomGraph,
     Sighting,
 )
-from mecp_env.slam.doors import (
-    DoorBook,
-    anchored,
-    beyond_doors,
-    candidate_frame,
-    pass_through,
-    record_doorways,
-)
-from mecp_env.slam.geometry import polar_to_points, to_map
+from mecp_env.slam.doors import DoorBook, anchored, door_frames, pass_through, record_doorways, seen_through
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
-BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
 
 
 @dataclass(slots=True, eq=False)
@@ -67,13 +59,13 @@ class RoomKeeper:
         """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
         if not self.book.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
-        p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-        row = beyond_doors(belief.T_map_robot[:2], p_map, self.book.frames(belief), BEHIND_WALL_M)
-        seen_through = row >= 0
-        if not seen_through.any():
-            return corners, row
-        ids = np.array([door.id for door in self.book.doors] + [-1], np.int64)
-        return replace(corners, sites=corners.sites & ~seen_through), ids[row]
+        through = np.empty(len(corners), np.int64)
+        seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, self.book.jambs, through)
+        rows = through.tolist()
+        if max(rows) < 0:
+            return corners, through
+        ids = [self.book.doors[row].id if row >= 0 else -1 for row in rows]
+        return corners.with_sites(corners.sites & (through < 0)), np.array(ids, np.int64)
 
     def update(self, seen: Sighting, features: FeatureTable, known: list[KnownPolygon]) -> bool:
         """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
@@ -92,14 +84,17 @@ class RoomKeeper:
         self.in_doorway = False
         if not self.book.doors:
             return
-        frames = self.book.frames(belief)
-        for d, ahead, aside in _doors_near(belief.T_map_robot[:2], frames, self.config.hysteresis_m):
-            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < frames[int(d), 4]
-            door = self.book.doors[int(d)]
-            if self.current == door.rooms[0] and ahead < -self.config.hysteresis_m:
-                self._enter(int(d), door.rooms[1])
-            elif self.current == door.rooms[1] and ahead > self.config.hysteresis_m:
-                self._enter(int(d), door.rooms[0])
+        book, hysteresis = self.book, self.config.hysteresis_m
+        near = np.empty((len(book.doors), 4))
+        count = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, book.jambs, hysteresis, near)
+        for row, ahead, aside, half in near[:count].tolist():
+            d = int(row)
+            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < half
+            door = book.doors[d]
+            if self.current == door.rooms[0] and ahead < -hysteresis:
+                self._enter(d, door.rooms[1])
+            elif self.current == door.rooms[1] and ahead > hysteresis:
+                self._enter(d, door.rooms[0])
 
     def _enter(self, d: int, room: int) -> None:
         self.elsewhere.clear()
@@ -113,9 +108,7 @@ class RoomKeeper:
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
         for candidate in self.book.candidates:
-            frame = candidate_frame(candidate)
-            ahead, aside = _door_coordinates(belief.T_map_robot[:2], frame)
-            passed = abs(aside) < frame[4] and -1.0 < ahead < -self.config.hysteresis_m
+            passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
             if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
                 self.elsewhere.clear()
                 room = self._open()
@@ -136,8 +129,7 @@ class RoomKeeper:
             return False
         if polygon_room not in (UNKNOWN_ROOM, self.current):
             return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
-        # landmarks on this side of all doors, jambs left out
-        ids = _on_this_side(seen.match.ids, seen.match.decision, seen.through, seen.corners.beyond, features.kind)
+        ids = _here(seen, features)
         rooms = features.room[ids].tolist()
         if set(rooms) <= {self.current}:
             return False
@@ -209,25 +201,46 @@ def _door_coordinates(p_map: Array, frame: Array) -> tuple[float, float]:
 
 
 @kernel
-def _doors_near(p_map: Array, frames: Array, margin: float) -> Array:
-    """(c,3) row, distance ahead and aside of each door within 1 m and not farther aside than its posts and `margin`."""
-    near = np.empty((frames.shape[0], 3))
+def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: float, near: Array) -> int:
+    """Write the doors within 1 m and not farther aside than their posts and `margin`; returns how many there are.
+
+    Of each (c,4): row in `jambs` (D,4), distance ahead, aside, half width; `p_map` (N,2), `ids` (N,) are the landmarks.
+    """
+    frames = door_frames(p_map, ids, jambs)
     count = 0
     for d in range(frames.shape[0]):
-        ahead, aside = _door_coordinates(p_map, frames[d])
+        ahead, aside = _door_coordinates(p_robot, frames[d])
         if abs(ahead) <= 1.0 and abs(aside) <= frames[d, 4] + margin:
-            near[count, 0], near[count, 1], near[count, 2] = d, ahead, aside
+            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = d, ahead, aside, frames[d, 4]
             count += 1
-    return near[:count]
+    return count
 
 
 @kernel
-def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints) -> Ints:
+def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
+    """True when the robot is between `margin` and 1 m behind the gap with the ends (2,2): right and left in front."""
+    x, y = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    width = math.hypot(x, y)
+    frame = np.empty(4)
+    frame[0], frame[1] = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
+    frame[2], frame[3] = -y / width, x / width
+    ahead, aside = _door_coordinates(p_robot, frame)
+    return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
+
+
+def _here(seen: Sighting, features: FeatureTable) -> Ints:
     """Ids of the landmarks recognised in this scan that are no jambs and not seen through a door."""
-    kept = np.empty(ids.shape[0], np.int64)
+    match = seen.match
+    kept = np.empty(len(match.ids), np.int64)
+    return kept[: _on_this_side(match.ids, match.decision, seen.through, seen.corners.beyond, features.kind, kept)]
+
+
+@kernel
+def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints, kept: Ints) -> int:
+    """Write the ids of landmarks on this side of all doors, jambs left out; returns how many there are."""
     count = 0
     for i in range(ids.shape[0]):
         if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and kind[ids[i]] != JAMB:
             kept[count] = ids[i]
             count += 1
-    return kept[:count]
+    return count

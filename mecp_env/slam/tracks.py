@@ -20,14 +20,15 @@ from mecp_env.slam.data import (
     Match,
     Reason,
 )
-from mecp_env.slam.geometry import polar_to_points, to_map, wrap_angle
+from mecp_env.slam.geometry import place, wrap_angle
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
-JAMB = int(CornerKind.JAMB)
+JAMB, NEW, PROVISIONAL = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.PROVISIONAL)
+ON_TRACK = int(Reason.TRACK)
 
 
 def record_sightings(
@@ -38,64 +39,73 @@ def record_sightings(
     `features` is written to: sightings are counted, new tracks are born in `room`; tracks not seen for
     `config.window_periods` were dropped by `forget` before.
     """
-    p_map = to_map(belief.T_map_robot, polar_to_points(corners.z))
-    if (match.decision == int(Decision.NEW)).any():
-        match = _follow_tracks(features, corners, match, belief, p_map, config)
-        match = _start_tracks(features, corners, match, p_map, room)
-    needed = (config.sightings, config.jamb_sightings)
-    known = (features.state, features.seen, features.p_map, features.normals)
-    return match, _count(match.ids, corners.kind, corners.normals, p_map, belief.T_map_robot[2], needed, known)
+    p_map, heading = np.empty_like(corners.z), belief.T_map_robot[2]
+    place(belief.T_map_robot, corners.z, p_map)
+    if NEW in match.decision.tolist():
+        _follow_tracks(features, corners, match, heading, p_map, config)
+        _start_tracks(features, corners, match, p_map, room)
+    ripe = np.empty(len(corners), np.int64)
+    count = _count(
+        match.ids,
+        corners.kind,
+        corners.normals,
+        p_map,
+        heading,
+        config.sightings,
+        config.jamb_sightings,
+        features.state,
+        features.seen,
+        features.p_map,
+        features.normals,
+        ripe,
+    )
+    return match, ripe[:count]
 
 
-def forget(features: FeatureTable, period: int, config: TrackConfig) -> Ints:
-    """Ids (d,) of the tracks that die now because they were not seen lately."""
+def forget(features: FeatureTable, period: int, config: TrackConfig) -> int:
+    """How many tracks die now because they were not seen lately."""
     return _let_die(features.state, features.last_period, period - config.window_periods)
 
 
 @kernel
-def _let_die(state: Ints, last_period: Ints, oldest: int) -> Ints:
-    """Ids of the tracks last seen before the period `oldest`, which are set dead."""
-    dead = np.empty(state.shape[0], np.int64)
+def _let_die(state: Ints, last_period: Ints, oldest: int) -> int:
+    """Set the tracks dead that were last seen before the period `oldest`; returns how many."""
     count = 0
     for i in range(state.shape[0]):
         if state[i] == TRACK and last_period[i] < oldest:
             state[i] = DEAD
-            dead[count] = i
             count += 1
-    return dead[:count]
+    return count
 
 
 def _follow_tracks(
-    features: FeatureTable, corners: Corners, match: Match, belief: Belief, p_map: Array, config: TrackConfig
-) -> Match:
-    """Corners still NEW that fall on a track of the same signature become PROVISIONAL, nearest first."""
-    new = np.flatnonzero(match.decision == int(Decision.NEW))
-    tracks = np.flatnonzero(features.state == int(FeatureState.TRACK))
-    if not len(new) or not len(tracks):
-        return match
-    row = _nearest_tracks(
-        p_map[new],
-        config.gate_m + config.gate_sigmas * position_sigma(corners)[new],
-        corners.convex[new],
-        corners.normals[new] + belief.T_map_robot[2],
-        features.p_map[tracks],
-        features.convex[tracks],
-        features.normals[tracks],
+    features: FeatureTable, corners: Corners, match: Match, heading: float, p_map: Array, config: TrackConfig
+) -> None:
+    """Corners still NEW that fall on a track of the same signature become PROVISIONAL, in their order; in place."""
+    gate = np.empty(len(corners))
+    position_gates(corners.z, corners.cov, config.gate_m, config.gate_sigmas, gate)
+    _join_tracks(
+        match.ids,
+        match.decision,
+        match.reason,
+        p_map,
+        gate,
+        corners.convex,
+        corners.normals,
+        heading,
+        features.state,
+        features.p_map,
+        features.convex,
+        features.normals,
         math.radians(config.signature_deg),
     )
-    found = row >= 0
-    match.ids[new[found]] = tracks[row[found]]
-    match.decision[new[found]] = int(Decision.PROVISIONAL)
-    match.reason[new[found]] = int(Reason.TRACK)
-    return match
 
 
-def _start_tracks(features: FeatureTable, corners: Corners, match: Match, p_map: Array, room: int) -> Match:
-    new = np.flatnonzero(match.decision == int(Decision.NEW))
+def _start_tracks(features: FeatureTable, corners: Corners, match: Match, p_map: Array, room: int) -> None:
+    new = np.flatnonzero(match.decision == NEW)
     if len(new):
         match.ids[new] = len(features.state) + np.arange(len(new))
         _extend(features, len(new), room, corners.kind[new], corners.convex[new], p_map[new])
-    return match
 
 
 def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: Bools, p_map: Array) -> None:
@@ -120,16 +130,18 @@ def _count(
     normals: Array,
     p_map: Array,
     heading: float,
-    needed: tuple[int, int],
-    known: tuple[Ints, Ints, Array, Array],
-) -> Ints:
-    """Write one sighting of each feature (ids < 0 left out), where, and faces not seen before.
+    needed: int,
+    needed_of_jamb: int,
+    state: Ints,
+    seen: Ints,
+    known_p_map: Array,
+    known_normals: Array,
+    ripe: Ints,
+) -> int:
+    """Write one sighting of each feature (ids < 0 left out), where, and faces not seen before, into the table.
 
-    Returns the corners whose track has now been seen often enough (`needed`, of jambs the second); `known` are the
-    columns state, seen, p_map and normals of the table.
+    Writes to `ripe` the corners whose track has now been seen often enough; returns how many there are.
     """
-    state, seen, known_p_map, known_normals = known
-    ripe = np.empty(ids.shape[0], np.int64)
     count = 0
     for i in range(ids.shape[0]):
         f = ids[i]
@@ -140,54 +152,74 @@ def _count(
             known_p_map[f, k] = p_map[i, k]
             if math.isnan(known_normals[f, k]):
                 known_normals[f, k] = normals[i, k] + heading
-        if state[f] == TRACK and seen[f] >= needed[1 if kind[i] == JAMB else 0]:
+        if state[f] == TRACK and seen[f] >= (needed_of_jamb if kind[i] == JAMB else needed):
             ripe[count] = i
             count += 1
-    return ripe[:count]
+    return count
 
 
 def mark_seen(features: FeatureTable, ids: Ints, period: int) -> None:
-    """Note that the features `ids` were seen in `period`."""
-    features.last_period[ids] = period
-
-
-def position_sigma(corners: Corners) -> Array:
-    """(n,) m, an upper bound of each corner's position error: the larger of range sigma and arc of bearing sigma."""
-    variance = corners.cov.diagonal()
-    along, across = variance[0::2], variance[1::2] * corners.z[:, 0] ** 2
-    return np.sqrt(np.maximum(along, across))
+    """Note that the features `ids` (n,) were seen in `period`; those < 0 are none."""
+    _mark(features.last_period, ids, period)
 
 
 @kernel
-def _nearest_tracks(
+def _mark(last_period: Ints, ids: Ints, period: int) -> None:
+    for i in range(ids.shape[0]):
+        if ids[i] >= 0:
+            last_period[ids[i]] = period
+
+
+@kernel
+def position_gates(z: Array, cov: Array, least: float, sigmas: float, gate: Array) -> None:
+    """Write how far (m) from each corner (n,) its track may lie: `least` and `sigmas` of the corner's position error.
+
+    Its upper bound is the larger of range sigma and arc of bearing sigma.
+    """
+    for i in range(z.shape[0]):
+        along, across = cov[2 * i, 2 * i], cov[2 * i + 1, 2 * i + 1] * (z[i, 0] * z[i, 0])
+        gate[i] = least + sigmas * math.sqrt(max(along, across))
+
+
+@kernel
+def _join_tracks(
+    ids: Ints,
+    decision: Ints,
+    reason: Ints,
     p_map: Array,
     gate: Array,
     convex: Bools,
     normals: Array,
-    track_p_map: Array,
-    track_convex: Bools,
-    track_normals: Array,
+    heading: float,
+    state: Ints,
+    known_p_map: Array,
+    known_convex: Bools,
+    known_normals: Array,
     tolerance: float,
-) -> Ints:
-    """(n,) track of each corner or -1: the nearest of the same signature inside `gate` (n,), each track once."""
-    n, m = p_map.shape[0], track_p_map.shape[0]
-    row = np.full(n, -1)
-    taken = np.zeros(m, np.bool_)
-    for i in range(n):
-        best = gate[i]
-        for j in range(m):
-            distance = math.hypot(p_map[i, 0] - track_p_map[j, 0], p_map[i, 1] - track_p_map[j, 1])
-            if taken[j] or distance > best or convex[i] != track_convex[j]:
+) -> None:
+    """Write the nearest track of the same signature inside `gate` (n,) to each NEW corner; each track once."""
+    free = np.empty(state.shape[0], np.bool_)
+    for f in range(state.shape[0]):
+        free[f] = state[f] == TRACK
+    for i in range(p_map.shape[0]):
+        best, chosen = gate[i], -1
+        for f in range(state.shape[0]):
+            if decision[i] != NEW or not free[f] or convex[i] != known_convex[f]:
                 continue
-            turned = False
-            for side in range(2):
-                turned |= abs(wrap_angle(normals[i, side] - track_normals[j, side])) > tolerance
-            if not turned:
-                best = distance
-                row[i] = j
-        if row[i] >= 0:
-            taken[row[i]] = True
-    return row
+            distance = math.hypot(p_map[i, 0] - known_p_map[f, 0], p_map[i, 1] - known_p_map[f, 1])
+            if distance <= best and not _turned(normals[i], heading, known_normals[f], tolerance):
+                best, chosen = distance, f
+        if chosen >= 0:
+            ids[i], decision[i], reason[i], free[chosen] = chosen, PROVISIONAL, ON_TRACK, False
+
+
+@kernel
+def _turned(normals: Array, heading: float, known: Array, tolerance: float) -> bool:
+    """True when a face (of two) seen in both is turned by more than `tolerance`."""
+    turned = False
+    for side in range(2):
+        turned |= abs(wrap_angle(normals[side] + heading - known[side])) > tolerance
+    return turned
 
 
 @kernel
@@ -206,4 +238,4 @@ def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, old
 
 def with_closure(match: Match, closure: bool) -> Match:
     """The match with its closure flag set."""
-    return replace(match, closure=closure)
+    return match if match.closure == closure else replace(match, closure=closure)
