@@ -89,6 +89,8 @@ def strike_by_signature(
     for i in range(nis.shape[0]):
         for j in range(nis.shape[1]):
             f = ids[j]
+            if nis[i, j] == math.inf:
+                continue
             if convex[i] != known_convex[f] or not _faces_fit(normals[i], heading, known_normals[f], tolerance):
                 nis[i, j] = math.inf
 

@@ -42,8 +42,11 @@ def pairwise_nis(
     for j in range(m):
         s_rr, s_rb, s_bb = predicted_cov(cov, 3 + 2 * slots[j], A[j], a_heading[j])
         for i in range(n):
-            u, v = z[i, 0] - h[j, 0], wrap_angle(z[i, 1] - h[j, 1])
-            nis[i, j] = nis_2x2(u, v, s_rr + R[i, 0, 0], s_rb + R[i, 1, 0], s_bb + R[i, 1, 1])
+            u, s_uu = z[i, 0] - h[j, 0], s_rr + R[i, 0, 0]
+            nis[i, j] = math.inf
+            if u * u < FAR * s_uu:  # most pairs fail by their range alone
+                v = wrap_angle(z[i, 1] - h[j, 1])
+                nis[i, j] = nis_2x2(u, v, s_uu, s_rb + R[i, 1, 0], s_bb + R[i, 1, 1])
     return True
 
 
