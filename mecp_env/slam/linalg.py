@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 TILE = 16
+WIDE = 8  # doubles in the widest registers
 
 
 @kernel
@@ -84,19 +85,29 @@ def forward_rows(L: Array, B: Array) -> None:
 
 @kernel
 def downdate(P: Array, n: int, W: Array) -> None:
-    """P -= W^T W on the leading n x n block of a symmetric P, for W (m,n): lower half first, then mirrored."""
+    """P -= W^T W on the leading n x n block of a symmetric P: lower half first, then mirrored.
+
+    W (m,w) has at least n columns, those behind the n-th are 0: rows that end at whole WIDEs leave no rest to the
+    compiler's wide loop. What that writes beyond the diagonal is mirrored over.
+    """
     if n % 2 == 1:
         for k in range(W.shape[0]):
             P[0, 0] -= W[k, 0] * W[k, 0]
     for i in range(n % 2, n, 2):
-        downdate_two_rows(P, W, i)
+        downdate_two_rows(P, W, i, min(wide(i + 2), W.shape[1], P.shape[1]))
     mirror_lower(P, n)
 
 
 @kernel
-def downdate_two_rows(P: Array, W: Array, i: int) -> None:
-    """Rows i and i + 1 of `downdate`, up to the diagonal; four rows of W a pass, which the compiler makes wide."""
-    upper, lower = P[i, : i + 2], P[i + 1, : i + 2]
+def wide(n: int) -> int:
+    """n, rounded up to a multiple of WIDE."""
+    return (n + WIDE - 1) // WIDE * WIDE
+
+
+@kernel
+def downdate_two_rows(P: Array, W: Array, i: int, end: int) -> None:
+    """Rows i and i + 1 of `downdate`, up to column `end`; four rows of W a pass, which the compiler makes wide."""
+    upper, lower = P[i, :end], P[i + 1, :end]
     paired = W.shape[0] - W.shape[0] % 4
     for k in range(0, paired, 4):
         a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]

@@ -9,6 +9,7 @@ from mecp_env.kernel import kernel
 from mecp_env.slam.filters.error_state import linearise
 from mecp_env.slam.filters.landmarks import find_slots
 from mecp_env.slam.geometry import wrap_angle
+from mecp_env.slam.linalg import wide
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,14 +28,14 @@ def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Ar
 
 @kernel
 def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Array:
-    """H P (2m,n) from rows of the symmetric P."""
+    """H P (2m,w) from rows of the symmetric P: n columns, and zeros up to the width that `downdate` likes."""
     m = slots.shape[0]
-    HP = np.empty((2 * m, n))
+    HP = np.zeros((2 * m, wide(n)))
     turn, px, py = cov[0, :n], cov[1, :n], cov[2, :n]
     for k in range(m):
         lx, ly = cov[3 + 2 * slots[k], :n], cov[4 + 2 * slots[k], :n]
         for r in range(2):
-            row, ax, ay, at = HP[2 * k + r], A[k, r, 0], A[k, r, 1], a_heading[k, r]
+            row, ax, ay, at = HP[2 * k + r, :n], A[k, r, 0], A[k, r, 1], a_heading[k, r]
             for j in range(row.shape[0]):
                 row[j] = ax * (lx[j] - px[j]) + ay * (ly[j] - py[j]) + at * turn[j]
     return HP
