@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from mecp_env import observation_kernels as kernels
 from mecp_env.planning.goals import Goals
-from mecp_env.slam.data import Belief, FeatureTable, RoomGraph, SemanticGrid, StepReport
-from mecp_env.slam.geometry import to_robot
+from mecp_env.slam.data import FeatureTable, RoomGraph, SemanticGrid, StepReport
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LANDMARKS, GOALS = 128, 32  # rows
 GRID = (96, 0.2)  # cells along a side, m a cell
@@ -24,7 +24,7 @@ EXTENT_M = 200.0  # bound of every position and length
 COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
 LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
 TRAIL_STEP_M = 0.1
-UPPER = np.triu_indices(3)
+NOTHING_MERGED = np.empty(0, np.int64)
 
 
 @dataclass(slots=True, eq=False)
@@ -92,96 +92,81 @@ class Observer:
 
     def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:
         self.space = make_space(with_map, beams, max_range_m)
-        self._bounds = {name: box_bounds(box) for name, box in self.space.items() if box.dtype == np.float32}
+        self._limits = column_limits(self.space, ("pose", "pose_cov", "landmarks", "goals"))
+        self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
         self._goals, self._goal_rows = Goals(), goal_rows(Goals())
+        self._became, self._merges = NOTHING_MERGED, 0
         self._key = (-1, -1)
-        self._cache: dict[int, NDArray[np.uint8]] = {}  # pool width -> codes
+        self._cache: dict[int, tuple[NDArray[np.uint8], Array]] = {}  # pool width -> codes, their corner
 
     def observe(
         self, report: StepReport, features: FeatureTable, goals: Goals, trail: Trail
     ) -> tuple[dict[str, NDArray[Any]], int]:
         """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
-        belief = report.belief
-        pose = np.ascontiguousarray(belief.T_map_robot)
-        observation: dict[str, NDArray[Any]] = {
-            "pose": pose_row(pose),
-            "pose_cov": belief.pose_cov[UPPER].astype(np.float32),
-            "landmarks": landmark_table(belief, features, report.graph),
-            "goals": self._goal_table(pose, goals),
-            "grid": self._window(report, trail, GRID),
-        }
+        observation, outside = self._tables(report, features, goals)
+        observation["grid"] = self._window(report, trail, GRID)
         if "map" in self.space.spaces:
             observation["map"] = self._window(report, trail, MAP)
         if "scan" in self.space.spaces:
-            observation["scan"] = report.beams.ranges.astype(np.float32)
-        left_out = max(0, len(belief.ids) - LANDMARKS) + max(0, len(goals.p_map) - GOALS)
-        return observation, left_out + self._saturate(observation)
+            observation["scan"] = scan = report.beams.ranges.astype(np.float32)
+            outside += kernels.saturate(scan.reshape(1, -1), self._scan_limits, 0)
+        left_out = max(0, len(report.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
+        return observation, left_out + outside
+
+    def _tables(self, report: StepReport, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
+        """The parts that are tables, and how many of their values were cut."""
+        belief = report.belief
+        pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
+        landmarks, goal_table = np.zeros((LANDMARKS, 8), np.float32), self._goal_columns(goals).copy()
+        T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
+        outside: int = kernels.fill_tables(
+            (pose, pose_cov, landmarks, goal_table),
+            (T_map_robot, cov, belief.p_map, belief.covs),
+            (belief.ids, features.room, features.kind, self._rooms(report.graph)),
+            goals.p_map,
+            self._limits,
+        )
+        return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goal_table}, outside
 
     def _window(self, report: StepReport, trail: Trail, size: tuple[int, float]) -> NDArray[np.uint8]:
         grid, pose = report.grid, np.ascontiguousarray(report.belief.T_map_robot)
-        width = max(1, round(size[1] / grid.resolution_m))
-        corner = grid.origin - 0.5 * (width - 1) * grid.resolution_m
-        pooled = self._pooled(grid, report.graph.current, width)
+        pooled, corner = self._pooled(grid, report.graph.current, max(1, round(size[1] / grid.resolution_m)))
         path = trail.points[: trail.count]
         layers: NDArray[np.uint8] = kernels.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
         return layers
 
-    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> NDArray[np.uint8]:
+    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[NDArray[np.uint8], Array]:
         if self._key != (grid.version, room):
             self._key = (grid.version, room)
             self._cache = {}
         if width not in self._cache:
-            codes = kernels.cell_codes(grid.label, grid.polygon, grid.room, room)
-            self._cache[width] = kernels.pool_codes(codes, width)
+            codes = kernels.pool_codes(kernels.cell_codes(grid.label, grid.polygon, grid.room, room), width)
+            self._cache[width] = codes, grid.origin - 0.5 * (width - 1) * grid.resolution_m
         return self._cache[width]
 
-    def _goal_table(self, T_map_robot: Array, goals: Goals) -> NDArray[np.float32]:
-        """(32,9) the first goals of the list; but for their place they change only when they are looked for."""
+    def _goal_columns(self, goals: Goals) -> NDArray[np.float32]:
+        """(32,9) the first goals of the list without their place; they change only when goals are looked for."""
         if goals is not self._goals:
             self._goals, self._goal_rows = goals, goal_rows(goals)
-        rows = self._goal_rows.copy()
-        rows[: len(goals), :2] = to_robot(T_map_robot, goals.p_map)[:GOALS]
-        return rows
+        return self._goal_rows
 
-    def _saturate(self, observation: dict[str, NDArray[Any]]) -> int:
-        outside = 0
-        for name, (low, high) in self._bounds.items():
-            part = observation[name]
-            outside += kernels.saturate(part if part.ndim == 2 else part[None], low, high)
-        return outside
+    def _rooms(self, graph: RoomGraph) -> Ints:
+        """(M,) what each room became after all merges; a room beyond the table is itself."""
+        if len(graph.merged) != self._merges:
+            self._merges, self._became = len(graph.merged), rooms_after_merges(graph)
+        return self._became
 
 
-def box_bounds(box: spaces.Space[Any]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lower and upper bounds of a box as tables (n,k)."""
-    assert isinstance(box, spaces.Box)
-    low, high = np.atleast_2d(box.low), np.atleast_2d(box.high)
-    return np.ascontiguousarray(low, np.float32), np.ascontiguousarray(high, np.float32)
+def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.float32]:
+    """(2,k) lower and upper bound of the columns of some tables, one table after the other."""
+    boxes = [space.spaces[name] for name in names]
+    rows = [[np.atleast_2d(bound)[0] for bound in (box.low, box.high)] for box in boxes if isinstance(box, spaces.Box)]
+    return np.concatenate([np.empty((2, 0), np.float32), *(np.array(row, np.float32) for row in rows)], axis=1)
 
 
-def pose_row(T_map_robot: Array) -> NDArray[np.float32]:
-    """(4,) x, y, cos and sin of the heading."""
-    x, y, heading = T_map_robot
-    return np.array([x, y, math.cos(heading), math.sin(heading)], np.float32)
-
-
-def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> NDArray[np.float32]:
-    """(128,8) the landmarks nearest to the robot, the nearest first."""
-    rows = np.zeros((LANDMARKS, 8), np.float32)
-    pose = np.ascontiguousarray(belief.T_map_robot)
-    apart = belief.p_map - pose[:2]
-    order = np.argsort(apart[:, 0] ** 2 + apart[:, 1] ** 2, kind="stable")
-    labels = np.empty((len(belief.ids), 2), np.int64)
-    labels[:, 0] = resolved(features.room[belief.ids], graph)
-    labels[:, 1] = features.kind[belief.ids]
-    kernels.landmark_rows(pose, belief.p_map, belief.covs, labels, order, rows)
-    return rows
-
-
-def resolved(rooms: NDArray[np.int64], graph: RoomGraph) -> NDArray[np.int64]:
-    """The rooms (N,) that `rooms` stand for after all merges."""
-    for room in graph.merged:
-        rooms[rooms == room] = graph.resolve(room)
-    return rooms
+def rooms_after_merges(graph: RoomGraph) -> Ints:
+    """(M,) the room that each room up to the last merged one stands for."""
+    return np.array([graph.resolve(room) for room in range(1 + max(graph.merged, default=-1))], np.int64)
 
 
 def goal_rows(goals: Goals) -> NDArray[np.float32]:

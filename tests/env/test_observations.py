@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env import observation_kernels as kernels
-from mecp_env.observations import COV_MAX, EXTENT_M, GOALS, GRID, LANDMARKS, Trail, landmark_table, make_space
+from mecp_env.observations import COV_MAX, EXTENT_M, GOALS, GRID, LANDMARKS, Trail, make_space, rooms_after_merges
 from mecp_env.slam.data import Belief, Cell, FeatureTable, RoomGraph
 from tests.env.helpers import drive, make
 
@@ -101,6 +101,13 @@ def features_of(n: int) -> FeatureTable:
 GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
 
 
+def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> np.ndarray:
+    rows = np.zeros((LANDMARKS, 8), np.float32)
+    labels = (belief.ids, features.room, features.kind, rooms_after_merges(graph))
+    kernels.landmark_rows(belief.T_map_robot, belief.p_map, belief.covs, labels, rows)
+    return rows
+
+
 def test_landmark_rows_against_a_plain_twin():
     belief = belief_of(60, np.random.default_rng(2))
     rows = landmark_table(belief, features_of(60), GRAPH)
@@ -127,12 +134,12 @@ def test_the_nearest_landmarks_are_kept_when_there_are_too_many():
 
 
 def test_saturation_is_cut_and_counted():
-    low, high = np.full((1, 3), -1, np.float32), np.full((1, 3), 2, np.float32)
+    limits = np.array([[9, -1, -1, -1], [9, 2, 2, 2]], np.float32)
     rows = np.array([[0.5, 3.0, -np.inf]], np.float32)
-    assert kernels.saturate(rows, low, high) == 2
+    assert kernels.saturate(rows, limits, 1) == 2
     assert rows.tolist() == [[0.5, 2.0, -1.0]]
     rows = np.array([[np.nan, np.inf, -1.0]], np.float32)
-    assert kernels.saturate(rows, low, high) == 2
+    assert kernels.saturate(rows, limits, 1) == 2
     assert rows.tolist() == [[0.0, 2.0, -1.0]]
 
 
