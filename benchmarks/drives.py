@@ -53,20 +53,20 @@ class RecordingEnv(MecpEnv):
         super().__init__(config, **keywords)
         self.drive = Drive(self._truth, self._slam, [], [], [])
 
-    def _look(self) -> Scan:
-        scan = super()._look()
-        self._keep(None, scan)
+    def _look(self, T_world_robot: Array) -> Scan:
+        scan = super()._look(T_world_robot)
+        self._keep(None, scan, T_world_robot)
         return scan
 
-    def _sense(self, motion: Motion) -> tuple[Odometry, Scan]:
-        odometry, scan = super()._sense(motion)
-        self._keep(odometry, scan)
+    def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
+        odometry, scan = super()._sense(motion, T_world_robot)
+        self._keep(odometry, scan, T_world_robot)
         return odometry, scan
 
-    def _keep(self, odometry: Odometry | None, scan: Scan) -> None:
+    def _keep(self, odometry: Odometry | None, scan: Scan, T_world_robot: Array) -> None:
         self.drive.odometry.append(odometry)
         self.drive.scans.append(scan)
-        self.drive.T_world_robot.append(self._simulation.T_world_robot)
+        self.drive.T_world_robot.append(T_world_robot)
 
 
 def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:

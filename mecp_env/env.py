@@ -147,7 +147,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         episode = self._begin()
         observation = self._observe(episode)
         self._show()
-        return observation, self._info(episode, dict.fromkeys(TERMS, 0.0))
+        return observation, self._info(episode, self._simulation.T_world_robot, dict.fromkeys(TERMS, 0.0))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control period: observation, reward, terminated, truncated, info.
@@ -157,14 +157,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         shares = self._actions.shares(action)
         episode = self._running()
         motion = self._act(shares)
-        episode.report = self._estimate(episode, motion)
+        pose = self._simulation.T_world_robot
+        episode.report = self._estimate(episode, motion, pose)
         self._find_goals(episode)
-        self._compare(episode, motion)
+        self._compare(episode, motion, pose)
         terminated, truncated = self._ends(episode)
         terms = self._rewards(episode, terminated)
         observation = self._observe(episode)
         self._show()
-        return observation, sum(terms.values()), terminated, truncated, self._info(episode, terms)
+        return observation, sum(terms.values()), terminated, truncated, self._info(episode, pose, terms)
 
     def render(self) -> Any:
         """A frame (H,W,3) uint8 in "rgb_array" mode, else None; the "human" window draws itself."""
@@ -305,33 +306,33 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         pose = self._simulation.T_world_robot
         pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose)
         for _ in range(SCANS_AT_REST):
-            report = pipeline.start(self._look(), identities=self._identities(pose))
+            report = pipeline.start(self._look(pose), identities=self._identities(pose))
             metrics.look(self._truth, pose, report)
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
         remember(episode.memory, report.belief, report.grid, self._true_area(episode))
-        self._follow(episode)
+        self._follow(episode, pose)
         return episode
 
     def _act(self, shares: tuple[float, float]) -> Motion:
         robot = self.config.robot
         return self._simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
 
-    def _estimate(self, episode: Episode, motion: Motion) -> StepReport:
+    def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> StepReport:
         """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
-        pose = self._simulation.T_world_robot
-        odometry, scan = self._sense(motion)
-        exact = episode.metrics.in_map(pose) if self.config.estimator == "truth" else None
-        return episode.pipeline.step(odometry, scan, identities=self._identities(pose), T_map_robot=exact)
+        odometry, scan = self._sense(motion, T_world_robot)
+        exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
+        identities = self._identities(T_world_robot)
+        return episode.pipeline.step(odometry, scan, identities=identities, T_map_robot=exact)
 
-    def _look(self) -> Scan:
+    def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
-        return self._laser.scan(self._simulation.T_world_robot, self.np_random)
+        return self._laser.scan(T_world_robot, self.np_random)
 
-    def _sense(self, motion: Motion) -> tuple[Odometry, Scan]:
+    def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
         """What odometry and laser measure of a period."""
         odometry = measure(motion, self.config.odometry, self.np_random)
-        return odometry, self._laser.scan(self._simulation.T_world_robot, self.np_random)
+        return odometry, self._laser.scan(T_world_robot, self.np_random)
 
     def _identities(self, T_world_robot: Array) -> Callable[[Corners], Ints] | None:
         """How to identify corners, where the estimator is told."""
@@ -353,16 +354,16 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         episode.pipeline.grid.complete(complete_rooms(episode.goals, episode.book, episode.report.graph))
         episode.goals_period, episode.goals_key = episode.report.period, goals_key(episode.report)
 
-    def _compare(self, episode: Episode, motion: Motion) -> None:
+    def _compare(self, episode: Episode, motion: Motion, T_world_robot: Array) -> None:
         """Hold the belief against the truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
-        episode.metrics.look(self._truth, self._simulation.T_world_robot, episode.report)
-        self._follow(episode)
+        episode.metrics.look(self._truth, T_world_robot, episode.report)
+        self._follow(episode, T_world_robot)
 
-    def _follow(self, episode: Episode) -> None:
+    def _follow(self, episode: Episode, T_world_robot: Array) -> None:
         episode.path_map.add(episode.report.belief.T_map_robot)
-        episode.path_world.add(self._simulation.T_world_robot)
+        episode.path_world.add(T_world_robot)
 
     def _ends(self, episode: Episode) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
@@ -392,14 +393,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         )
         return observation
 
-    def _info(self, episode: Episode, terms: dict[str, float]) -> dict[str, Any]:
+    def _info(self, episode: Episode, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
         """Truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
-        pose = self._simulation.T_world_robot
         return {
             "period": episode.metrics.periods,
             "event": "",
             "truth_pose": episode.metrics.T_map_robot.copy(),
-            "truth_room": self._truth.room_at(pose[:2]),
+            "truth_room": self._truth.room_at(T_world_robot[:2]),
             "goals": len(episode.goals),
             "contact": episode.contact,
             "diverged": episode.report.diverged,

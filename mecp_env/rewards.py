@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mecp_env.config import RewardConfig
 from mecp_env.kernel import kernel
-from mecp_env.slam.data import Belief, Cell, SemanticGrid
-from mecp_env.slam.linalg import cholesky
+from mecp_env.slam.data import Belief, SemanticGrid
+from mecp_env.slam.linalg import factor_lower
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,16 +31,21 @@ class RewardMemory:
     grid_version: int = -1
 
 
-def remember(memory: RewardMemory, belief: Belief, grid: SemanticGrid, area_m2: float | None) -> None:
-    """Bring `memory` up to this period; `area_m2` is the truth's area, None where the belief's counts."""
+def remember(memory: RewardMemory, belief: Belief, grid: SemanticGrid, area_m2: float | None) -> float:
+    """Bring `memory` up to this period; how much surer the landmarks known before are now, m^2.
+
+    `area_m2` is the truth's area, None where the belief's counts.
+    """
     if area_m2 is not None:
         memory.area_m2 = area_m2
     elif grid.version != memory.grid_version:
         memory.area_m2 = mapped_area(grid)
     memory.grid_version = grid.version
-    memory.half_log_det = half_log_det(belief.pose_cov)
-    memory.ids = belief.ids
-    memory.traces = belief.covs[:, 0, 0] + belief.covs[:, 1, 1]
+    traces = np.empty(len(belief.ids))
+    cov = np.ascontiguousarray(belief.pose_cov)
+    memory.half_log_det, drop = information(cov, belief.covs, memory.ids, memory.traces, belief.ids, traces)
+    memory.ids, memory.traces = belief.ids, traces
+    return drop
 
 
 def quantities(
@@ -54,12 +59,12 @@ def quantities(
     - `landmark_information`: m^2, the drop of trace(P) summed over the landmarks that were known before; a new landmark
       counts from the period after its birth.
     """
-    area, half, ids, traces = memory.area_m2, memory.half_log_det, memory.ids, memory.traces
-    remember(memory, belief, grid, area_m2)
+    area, half = memory.area_m2, memory.half_log_det
+    drop = remember(memory, belief, grid, area_m2)
     return {
         "area": memory.area_m2 - area,
         "pose_information": half - memory.half_log_det,
-        "landmark_information": trace_drop(ids, traces, memory.ids, memory.traces),
+        "landmark_information": drop,
     }
 
 
@@ -73,18 +78,31 @@ def weigh(config: RewardConfig, measured: dict[str, float]) -> dict[str, float]:
 
 
 def mapped_area(grid: SemanticGrid) -> float:
-    """m^2 of the cells that are not UNKNOWN."""
-    return float(np.count_nonzero(grid.label != int(Cell.UNKNOWN)) * grid.resolution_m**2)
+    """m^2 of the cells that are not UNKNOWN, which is 0."""
+    return float(np.count_nonzero(grid.label) * grid.resolution_m**2)
 
 
+@kernel
+def information(
+    pose_cov: Array, covs: Array, ids_before: Ints, traces_before: Array, ids: Ints, traces: Array
+) -> tuple[float, float]:
+    """0.5 log det of the pose covariance (3,3), and the `trace_drop` of the landmarks since before.
+
+    Writes the traces (N,) of the covariances (N,2,2) of the landmarks `ids` (N,).
+    """
+    for i in range(covs.shape[0]):
+        traces[i] = covs[i, 0, 0] + covs[i, 1, 1]
+    return half_log_det(pose_cov), trace_drop(ids_before, traces_before, ids, traces)
+
+
+@kernel
 def half_log_det(cov: Array) -> float:
-    """0.5 log det of a covariance (n,n), kept within [-60, 60]."""
-    try:
-        factor = cholesky(np.ascontiguousarray(cov))
-    except ValueError:  # not positive: the filter diverged
+    """0.5 log det of a covariance (n,n), kept within [-60, 60]; 60 where it is not positive: the filter diverged."""
+    factor = cov.copy()
+    if not factor_lower(factor):
         return MOST_LOG_DET
     total = 0.0
-    for i in range(len(factor)):
+    for i in range(factor.shape[0]):
         total += math.log(factor[i, i])
     return max(LEAST_LOG_DET, min(MOST_LOG_DET, total))
 

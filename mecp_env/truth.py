@@ -83,7 +83,8 @@ class Truth:
 
     def room_at(self, p_world: Array) -> int:
         """Index of the room at `p_world` (2,), or -1."""
-        x, y = (p_world - self.corner).tolist()
+        (left, low), (p_x, p_y) = self.corner.tolist(), p_world.tolist()
+        x, y = p_x - left, p_y - low
         row, col = int(y / CELL_M), int(x / CELL_M)
         inside = y >= 0.0 and x >= 0.0 and row < self.room.shape[0] and col < self.room.shape[1]
         return int(self.room[row, col]) if inside else -1
