@@ -41,6 +41,7 @@ Observation = dict[str, NDArray[Any]]
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
 PAPER_LAYOUT = "paper"
+REWARD_KEYS = {name: f"reward_{name}" for name in TERMS}
 
 
 class MecpEnv(gymnasium.Env[Observation, Any]):
@@ -406,7 +407,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that found no room in a full filter
             **figures(episode.metrics, self._truth, episode.report),
-            **{f"reward_{name}": value for name, value in terms.items()},
+            **{REWARD_KEYS[name]: value for name, value in terms.items()},
         }
 
     def _paint(self) -> NDArray[np.uint8]:

@@ -21,6 +21,7 @@ from mecp_env.slam.data import (
     Belief,
     Door,
     Ints,
+    KnownPolygon,
     StepReport,
 )
 
@@ -113,17 +114,20 @@ def strips_beyond(survey: Survey, config: GoalsConfig) -> list[Goal]:
     polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
     if not polygons:
         return []
-    p_map = [survey.places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
-    first = starts([len(polygon.ids) for polygon in polygons])
-    rows = starts([len(polygon.intervals) for polygon in polygons])
     strips = kernels.open_strips(
-        (np.array(p_map, np.float64), first),
-        (np.concatenate([polygon.intervals for polygon in polygons]), rows),
+        rings_of(polygons, survey.places),
+        (np.concatenate([polygon.intervals for polygon in polygons]), starts([len(p.intervals) for p in polygons])),
         (config.open_width_m, config.open_beyond_m),
         (grid.polygon, grid.origin, grid.resolution_m),
     )
     rooms = [report.graph.resolve(polygon.room) for polygon in polygons]
     return [Goal(OPEN, x, y, width, rooms[int(owner)]) for x, y, width, owner in strips.tolist()]
+
+
+def rings_of(polygons: list[KnownPolygon], places: Places) -> tuple[Array, Ints]:
+    """The vertices (V,2) m, map frame, of all polygons, and where those of each begin (P+1,)."""
+    p_map = [places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
+    return np.array(p_map, np.float64), starts([len(polygon.ids) for polygon in polygons])
 
 
 def starts(lengths: list[int]) -> Ints:
