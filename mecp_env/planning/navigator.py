@@ -209,14 +209,17 @@ def plan(target: Target, report: StepReport, ways: WayField, config: PlanningCon
 
 
 def plan_through(door: Door, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
-    """A path through the middle of a door along its normal; beyond it the floor need not be known."""
+    """A path through the middle of a door along its normal; beyond it the floor need not be known.
+
+    A robot that stands in the door, or just before or behind it, goes straight on.
+    """
     place = door_place(door, landmark_places(report.belief))
     middle, onward = np.array(place[:2]), np.array(place[2:4])
     beyond = middle + config.goals.door_beyond_m * onward
     robot = report.belief.T_map_robot[:2]
     offset = robot - middle
     along, aside = float(offset @ onward), abs(float(offset[0] * onward[1] - offset[1] * onward[0]))
-    if along > -APPROACH_M - 0.1 and aside < 0.2:
+    if -APPROACH_M - 0.1 < along < config.goals.door_beyond_m and aside < 0.2:
         return np.array([robot, middle, beyond] if along < 0.0 else [robot, beyond])
     cell = ways.nearest(middle - APPROACH_M * onward, config.goals.reach_m)
     return np.empty((0, 2)) if cell is None else np.concatenate([ways.path(cell), [middle, beyond]])

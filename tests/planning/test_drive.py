@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,8 +21,11 @@ from mecp_env.planning.controller import (
     seen_points,
     stop_path,
 )
+from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.goals import GoalBook, GoalKind, find_goals
-from mecp_env.planning.navigator import Navigator, Outcome, Target
+from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
+from mecp_env.planning.paths import way_field
+from mecp_env.slam.data import Door
 from mecp_env.slam.geometry import to_map
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
@@ -70,6 +74,22 @@ def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
     assert toy.current == 1
     assert not toy.contact
     assert toy.nearest > BODY.radius_m
+
+
+def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_between() -> None:
+    """Seen in a building of 14 rooms: in line with a door two rooms away, it drove against the wall between."""
+    toy = Toy(np.array([14.0, 1.95, 0.0]))  # in line with the door, a pillar between them
+    toy.report()
+    report = toy.report()
+    door = report.graph.doors[0]
+    towards_b = Door(door.id, door.jambs[::-1], None, (1, -1), door.sightings)
+    into_a = door if door_place(door, landmark_places(report.belief))[2] < 0.0 else towards_b
+    into_b = towards_b if into_a is door else door
+    ways = way_field(report.grid, report.belief.T_map_robot, BODY)
+    for way_of in (into_a, into_b):
+        path = plan_through(way_of, report, ways, PlanningConfig())
+        walls = [wall_distance(p) for a, b in pairwise(path) for p in np.linspace(a, b, 50)]
+        assert not walls or min(walls) > 0.9 * BODY.radius_m
 
 
 def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
