@@ -30,82 +30,98 @@ def extract_corners(beams: Beams, segments: Segments, config: CornerConfig, sens
     (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
-    noise = Noise(*noise_of(sensor))
-    sight = Sight(
-        roll_beams(beams.ranges, beams.bearings, beams.count, segments.roll),
-        roll_hits(beams.hit, segments.roll),
-        beams.raw_ranges,
-        beams.raw_bearings,
+    noise = noise_of(sensor)
+    z, cov, kind, convex, normals, beyond, sites, jambs, width, good = find_corners(
+        (beams.ranges, beams.bearings, beams.count, beams.hit, beams.raw_ranges, beams.raw_bearings),
+        (segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last),
         segments.roll,
-    )
-    walls = Walls(segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last)
-    (z, cov, kind, convex, normals, beyond, sites), (jambs, width, good) = find_corners(
-        sight, walls, _rules(config, noise), _doors(config), noise
+        _rules(config, noise[0]),
+        _doors(config),
+        noise,
     )
     if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
-        cov = np.diag(np.tile([noise.range_m**2, noise.bearing**2], len(z)))
+        cov = np.diag(np.tile([noise[0] ** 2, noise[1] ** 2], len(z)))
     return Corners(z, cov, kind, convex, normals, beyond, sites, Doorways(jambs, width, good))
 
 
-def _rules(config: CornerConfig, noise: Noise) -> Rules:
-    return Rules(
+def _rules(config: CornerConfig, range_sigma_m: float) -> tuple[float, float, float, float, float]:
+    """The fields of `Rules`."""
+    return (
         math.radians(config.min_angle_deg),
-        config.end_jump_m + config.end_jump_sigmas * noise.range_m,
+        config.end_jump_m + config.end_jump_sigmas * range_sigma_m,
         config.max_sigma_m**2,
-        config.floor_share * noise.range_m,
+        config.floor_share * range_sigma_m,
         FACE_EVIDENCE if config.short_faces else math.inf,
     )
 
 
-def _doors(config: CornerConfig) -> DoorRules:
-    return DoorRules(*config.door_width_m, config.door_range_m, math.cos(math.radians(config.door_incidence_deg)))
+def _doors(config: CornerConfig) -> tuple[float, float, float, float]:
+    """The fields of `DoorRules`."""
+    return (*config.door_width_m, config.door_range_m, math.cos(math.radians(config.door_incidence_deg)))
 
 
 @kernel
 def find_corners(
-    sight: Sight, walls: Walls, rules: Rules, doors: DoorRules, noise: Noise
-) -> tuple[tuple[Array, Array, Ints, Bools, Array, Ints, Bools], tuple[Ints, Array, Bools]]:
-    """The fields of `Corners`, doorways apart, and those of `Doorways`."""
-    size, beams = walls.line.shape[0], sight.polar.shape[1]
-    raw = empty_found(2 * size + 2)
-    n = 0
+    beams: tuple[Array, Array, Ints, Bools, Array, Array],
+    segments: tuple[Array, Array, Array, Ints, Ints, Ints],
+    roll: int,
+    options: tuple[float, float, float, float, float],
+    doors: tuple[float, float, float, float],
+    sigmas: tuple[float, float],
+) -> tuple[Array, Array, Ints, Bools, Array, Ints, Bools, Ints, Array, Bools]:
+    """The fields of `Corners` and, in place of the doorways, those of `Doorways`.
+
+    Given are range, bearing, count, hit, raw range and raw bearing of the beams, the fields of `Walls`, the beam at
+    position 0, and the fields of `Rules`, `DoorRules` and `Noise`.
+    """
+    ranges, bearings, count, hit, raw_ranges, raw_bearings = beams
+    polar, hits = roll_beams(ranges, bearings, count, roll), roll_hits(hit, roll)
+    sight, walls = Sight(polar, hits, raw_ranges, raw_bearings, roll), Walls(*segments)
+    raw = empty_found(2 * walls.line.shape[0] + 2)
+    n = add_corners(raw, sight, walls, (Rules(*options), Noise(*sigmas)))
+    found = in_order(raw, one_each(raw, n, walls))
+    jambs, width, good = find_doorways(found, found.z.shape[0], sight, walls, DoorRules(*doors))
+    beyond = mark_beyond(found, found.z.shape[0], jambs)
+    for gap in range(jambs.shape[0]):
+        found.kind[jambs[gap, 0]] = found.kind[jambs[gap, 1]] = JAMB
+    sites = np.empty(found.z.shape[0], np.bool_)
+    for k in range(sites.shape[0]):
+        sites[k] = found.kind[k] != JAMB and beyond[k] < 0
+    cov = joint_covariance(found, walls.cov)
+    return found.z, cov, found.kind, found.convex, found.normals, beyond, sites, jambs, width, good
+
+
+@kernel
+def add_corners(raw: Found, sight: Sight, walls: Walls, rules_and_noise: tuple[Rules, Noise]) -> int:
+    """Fills `raw` with what stands at each end of each segment; returns how many corners that is."""
+    n, size, beams = 0, walls.line.shape[0], sight.polar.shape[1]
     for segment in range(size):
         following = (segment + 1) % size
         rest = (walls.first[following] - walls.last[segment] - 1) % beams
         known = n
         if size > 1 and rest <= MAX_REST and walls.cluster[segment] == walls.cluster[following]:
-            n = add_crossing(raw, n, sight, walls, (segment, following), rules)
+            n = add_crossing(raw, n, sight, walls, (segment, following), rules_and_noise[0])
         if n == known:
-            n = add_end(raw, n, sight, walls, (segment, 1), (rules, noise))
-            n = add_end(raw, n, sight, walls, (following, -1), (rules, noise))
-    found = sorted_by_bearing(raw, drop_twins(raw, n, walls))
-    n = found.z.shape[0]
-    doorways = find_doorways(found, n, sight, walls, doors)
-    beyond = mark_beyond(found, n, doorways[0])
-    sites = np.ones(n, np.bool_)
-    for jamb in doorways[0].ravel():
-        found.kind[jamb] = JAMB
-    for k in range(n):
-        sites[k] = found.kind[k] != JAMB and beyond[k] < 0
-    cov = joint_covariance(found, walls.cov)
-    return (found.z, cov, found.kind, found.convex, found.normals, beyond, sites), doorways
+            n = add_end(raw, n, sight, walls, (segment, 1), rules_and_noise)
+            n = add_end(raw, n, sight, walls, (following, -1), rules_and_noise)
+    return n
 
 
 @kernel
-def drop_twins(raw: Found, n: int, walls: Walls) -> int:
-    """Number of corners left, moved to the front, when a corner found from both its faces counts once."""
-    kept = 0
+def one_each(raw: Found, n: int, walls: Walls) -> Ints:
+    """The rows of the first n that are left when a corner found from both its faces counts once."""
+    chosen, kept = np.empty(n, np.int64), 0
     for i in range(n):
         twin = -1
         for j in range(kept):
-            if is_twin(raw, i, j):
+            if is_twin(raw, i, chosen[j]):
                 twin = j
         if twin < 0:
-            copy_row(raw, i, raw, kept)
+            chosen[kept] = i
             kept += 1
-        elif spread_of(raw, i, walls) < spread_of(raw, twin, walls):
-            copy_row(raw, i, raw, twin)
-    return kept
+        elif spread_of(raw, i, walls) < spread_of(raw, chosen[twin], walls):
+            chosen[twin] = i
+    return chosen[:kept]
 
 
 @kernel
@@ -121,46 +137,58 @@ def is_twin(found: Found, i: int, j: int) -> bool:
 
 
 @kernel
-def copy_row(source: Found, i: int, target: Found, k: int) -> None:
-    """Row i of `source` becomes row k of `target`."""
-    target.z[k], target.own[k], target.lines[k] = source.z[i], source.own[i], source.lines[i]
-    target.jacobian[k], target.normals[k], target.border[k] = source.jacobian[i], source.normals[i], source.border[i]
-    target.kind[k], target.convex[k] = source.kind[i], source.convex[i]
+def in_order(raw: Found, chosen: Ints) -> Found:
+    """The rows `chosen` of `raw`, by bearing."""
+    for n in range(1, chosen.shape[0]):
+        row, at = chosen[n], n
+        while at > 0 and raw.z[chosen[at - 1], 1] > raw.z[row, 1]:
+            chosen[at] = chosen[at - 1]
+            at -= 1
+        chosen[at] = row
+    found = empty_found(chosen.shape[0])
+    for k in range(chosen.shape[0]):
+        copy_row(raw, chosen[k], found, k)
+    return found
 
 
 @kernel
-def sorted_by_bearing(raw: Found, n: int) -> Found:
-    """The first n rows of `raw` in order of bearing."""
-    found = empty_found(n)
-    order = np.argsort(raw.z[:n, 1])
-    for k in range(n):
-        copy_row(raw, order[k], found, k)
-    return found
+def copy_row(source: Found, i: int, target: Found, k: int) -> None:
+    """Row i of `source` becomes row k of `target`."""
+    target.kind[k], target.convex[k] = source.kind[i], source.convex[i]
+    for a in range(2):
+        target.z[k, a], target.normals[k, a] = source.z[i, a], source.normals[i, a]
+        target.lines[k, a], target.border[k, a] = source.lines[i, a], source.border[i, a]
+        for b in range(2):
+            target.own[k, a, b] = source.own[i, a, b]
+            for c in range(2):
+                target.jacobian[k, a, b, c] = source.jacobian[i, a, b, c]
 
 
 @kernel
 def joint_covariance(found: Found, line_cov: Array) -> Array:
     """(2n,2n) covariance of all z: each corner's own part, and J C J^T of the lines two corners share."""
-    size = 2 * found.z.shape[0]
-    cov = np.empty((size, size))
+    size = found.z.shape[0]
+    cov = np.zeros((2 * size, 2 * size))
     for a in range(size):
         for b in range(a + 1):
-            total = shared_covariance(found, a, b, line_cov)
-            if a // 2 == b // 2:
-                total += found.own[a // 2, a % 2, b % 2]
-            cov[a, b] = cov[b, a] = total
+            for k in range(4):
+                line = found.lines[a, k // 2]
+                if line >= 0 and line == found.lines[b, k % 2]:
+                    add_shared(cov, (a, b), found.jacobian[a, k // 2], found.jacobian[b, k % 2], line_cov[line])
+        for u in range(2):
+            for v in range(u + 1):
+                cov[2 * a + u, 2 * a + v] += found.own[a, u, v]
+    for a in range(2 * size):
+        for b in range(a):
+            cov[b, a] = cov[a, b]
     return cov
 
 
 @kernel
-def shared_covariance(found: Found, a: int, b: int, line_cov: Array) -> float:
-    """Covariance of entries a and b of all z in a row, through the lines both corners hang on."""
-    total = 0.0
-    for k in range(4):
-        i, j = k // 2, k % 2
-        line = found.lines[a // 2, i]
-        if line >= 0 and line == found.lines[b // 2, j]:
-            left, right, cov = found.jacobian[a // 2, i, a % 2], found.jacobian[b // 2, j, b % 2], line_cov[line]
-            total += left[0] * (cov[0, 0] * right[0] + cov[0, 1] * right[1])
-            total += left[1] * (cov[1, 0] * right[0] + cov[1, 1] * right[1])
-    return total
+def add_shared(cov: Array, corners: tuple[int, int], left: Array, right: Array, line_cov: Array) -> None:
+    """Adds J C J^T to the block of two corners, for a line with covariance (2,2) that both hang on."""
+    for u in range(2):
+        for v in range(2):
+            row, column = 2 * corners[0] + u, 2 * corners[1] + v
+            cov[row, column] += left[u, 0] * (line_cov[0, 0] * right[v, 0] + line_cov[0, 1] * right[v, 1])
+            cov[row, column] += left[u, 1] * (line_cov[1, 0] * right[v, 0] + line_cov[1, 1] * right[v, 1])

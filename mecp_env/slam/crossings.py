@@ -69,15 +69,14 @@ class Found(NamedTuple):
 @kernel
 def empty_found(size: int) -> Found:
     """Room for `size` corners."""
+    lines, border, normals = np.empty((size, 2), np.int64), np.empty((size, 2), np.int64), np.empty((size, 2))
+    for k in range(size):
+        for a in range(2):
+            lines[k, a] = border[k, a] = -1
+            normals[k, a] = np.nan
+    own, jacobian = np.zeros((size, 2, 2)), np.zeros((size, 2, 2, 2))
     return Found(
-        np.zeros((size, 2)),
-        np.zeros((size, 2, 2)),
-        np.full((size, 2), -1),
-        np.zeros((size, 2, 2, 2)),
-        np.zeros(size, np.int64),
-        np.zeros(size, np.bool_),
-        np.full((size, 2), np.nan),
-        np.full((size, 2), -1),
+        np.zeros((size, 2)), own, lines, jacobian, np.zeros(size, np.int64), np.zeros(size, np.bool_), normals, border
     )
 
 

@@ -50,7 +50,7 @@ def find_doorways(found: Found, n: int, sight: Sight, walls: Walls, rules: DoorR
         across = abs(mx * (by - ay) - my * (bx - ax)) / width[size]
         good[size] = distance <= rules.range and across >= rules.cosine * distance
         size += 1
-    return jambs[:size].copy(), width[:size].copy(), good[:size].copy()
+    return jambs[:size], width[:size], good[:size]
 
 
 @kernel
@@ -115,9 +115,9 @@ def depth_behind(a: tuple[float, float], b: tuple[float, float], p: tuple[float,
 @kernel
 def mark_beyond(found: Found, n: int, jambs: Ints) -> Ints:
     """(n,) the farthest gap through which each corner is seen, as index into `jambs`, or -1."""
-    beyond = np.full(n, -1)
+    beyond = np.empty(n, np.int64)
     for c in range(n):
-        farthest = 0.0
+        beyond[c], farthest = -1, 0.0
         for g in range(jambs.shape[0]):
             right, left = jambs[g, 0], jambs[g, 1]
             turn = wrap_angle(found.z[left, 1] - found.z[right, 1])

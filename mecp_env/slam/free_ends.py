@@ -199,7 +199,7 @@ def kink_ray(sight: Sight, end: End, noise: Noise) -> Ray:
     turn = zero + end.side * offset - end.alpha
     width = step * end.rho / math.cos(turn) ** 2  # between two beams along the wall, m
     along = face_place(table, offset - step, (end.rho * math.tan(turn), width), noise)
-    evidence = face_evidence(table[: end.inner + end.rest + 1], end.inner, (offset, along), noise)
+    evidence = face_evidence(table, (end.inner, end.inner + end.rest + 1), (offset, along), noise)
     return Ray(zero + end.side * mean, variance, evidence)
 
 
@@ -211,17 +211,29 @@ def place_of(k: int, end: End, step: float) -> float:
 
 @kernel
 def place_costs(table: Array, end: End, turn_and_step: tuple[float, float], noise: Noise) -> tuple[Array, int]:
-    """Chi-square of all beams for each place of the corner, and the best place."""
-    costs = np.empty(2 * (end.inner + end.rest) + 1)
-    best, start, before = 0, 0, 0.0
-    for k in range(costs.shape[0]):
+    """Chi-square of all beams for each place of the corner, and the best place.
+
+    Beams before the place belong to the wall, the others to the face. Beam by beam, so that the compiler can take
+    several places at once.
+    """
+    size, beams = 2 * (end.inner + end.rest) + 1, table.shape[1]
+    costs, along, wall = np.empty(size), np.empty(size), np.empty(size, np.int64)
+    start, before = 0, 0.0
+    for k in range(size):
         offset = place_of(k, end, turn_and_step[1])
-        along = end.rho * math.tan(turn_and_step[0] + end.side * offset)
-        while start < table.shape[0] and table[start, 0] < offset:
-            before, start = before + table[start, 1], start + 1
-        costs[k] = before
-        for m in range(start, table.shape[0]):
-            costs[k] += face_cost(table[m], along, noise)
+        along[k] = end.rho * math.tan(turn_and_step[0] + end.side * offset)
+        while start < beams and table[0, start] < offset:
+            before, start = before + table[1, start], start + 1
+        costs[k], wall[k] = before, start
+    places = 0
+    for m in range(beams):
+        while places < size and wall[places] <= m:
+            places += 1
+        beam = (table[2, m], table[3, m], table[4, m], table[5, m], table[6, m])
+        for k in range(places):
+            costs[k] += face_cost(along[k], beam, noise)
+    best = 0
+    for k in range(1, size):
         if costs[k] < costs[best]:
             best = k
     return costs, best
@@ -236,12 +248,12 @@ def face_place(table: Array, offset: float, guess: tuple[float, float], noise: N
     along, width = guess
     for _ in range(3):
         weight, total = 0.0, 0.0
-        for m in range(table.shape[0]):
-            if table[m, 0] < offset or table[m, 4] == math.inf or table[m, 1] < COST_CAP:
+        for m in range(table.shape[1]):
+            if table[0, m] < offset or table[4, m] == math.inf or table[1, m] < COST_CAP:
                 continue
-            place, cosine = table[m, 4] * table[m, 2], table[m, 3] * table[m, 2]
-            variance = (noise.range_m * table[m, 2]) ** 2 + (table[m, 4] * cosine * noise.bearing) ** 2
-            variance /= table[m, 5]
+            place, cosine = table[4, m] * table[2, m], table[3, m] * table[2, m]
+            variance = (noise.range_m * table[2, m]) ** 2 + (table[4, m] * cosine * noise.bearing) ** 2
+            variance /= table[5, m]
             if abs(place - along) < width + SIGMAS * math.sqrt(variance):
                 weight, total = weight + 1.0 / variance, total + place / variance
         if weight == 0.0:
@@ -252,15 +264,15 @@ def face_place(table: Array, offset: float, guess: tuple[float, float], noise: N
 
 @kernel
 def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
-    """A row a beam beside the end, by which its place on the wall or on the face is judged.
+    """(7,n): for each beam beside the end, by what its place on the wall or on the face is judged.
 
-    Columns: offset from the end's last beam (rad), cost on the line, sine, cotangent, range, count, and the cost of
+    Rows: offset from the end's last beam (rad), cost on the line, sine, cotangent, range, count, and the cost of
     passing the face: little, since it ends; but what hits the wall cannot have passed a face that comes nearer.
     """
     size = sight.polar.shape[1]
-    table = np.empty((end.inner + after + 1, 7))
+    table = np.empty((7, end.inner + after + 1))
     recedes = end.side * math.tan(sight.polar[1, end.position] - end.alpha) < 0.0
-    for m in range(table.shape[0]):
+    for m in range(table.shape[1]):
         q = (end.position + end.side * (m - end.inner)) % size
         turn, r = sight.polar[1, q] - end.alpha, sight.polar[0, q]
         cosine, sine = math.cos(turn), math.sin(turn)
@@ -269,42 +281,42 @@ def beam_table(sight: Sight, end: End, after: int, noise: Noise) -> Array:
             expected = end.rho / cosine
             variance = noise.range_m**2 + (expected * sine / cosine * noise.bearing) ** 2
             cost = min(cost, (r - expected) ** 2 / variance * sight.polar[2, q])
-        table[m, 0] = wrap_angle(sight.polar[1, q] - sight.polar[1, end.position]) * end.side
-        table[m, 1], table[m, 2] = cost, sine
-        table[m, 3] = cosine / sine if abs(sine) > 1e-6 else 0.0
-        table[m, 4], table[m, 5] = r if sight.hit[q] else math.inf, sight.polar[2, q]
-        table[m, 6] = COST_FAR if recedes or cost >= COST_CAP else COST_CAP
+        table[0, m] = wrap_angle(sight.polar[1, q] - sight.polar[1, end.position]) * end.side
+        table[1, m], table[2, m] = cost, sine
+        table[3, m] = cosine / sine if abs(sine) > 1e-6 else 0.0
+        table[4, m], table[5, m] = r if sight.hit[q] else math.inf, sight.polar[2, q]
+        table[6, m] = COST_FAR if recedes or cost >= COST_CAP else COST_CAP
     return table
 
 
 @kernel
-def face_cost(beam: Array, along: float, noise: Noise) -> float:
-    """Chi-square of a beam (row of beam_table) on the face at a right angle, `along` metres along the wall."""
-    if beam[4] == math.inf:
-        return float(beam[6])
-    if along * beam[2] <= 1e-9:
-        return COST_CAP
-    expected = along / beam[2]
-    residual = beam[4] - expected
-    variance = noise.range_m**2 + (expected * beam[3] * noise.bearing) ** 2
-    return float(min(residual * residual * beam[5] / variance, beam[6] if residual > 0.0 else COST_CAP))
+def face_cost(along: float, beam: tuple[float, float, float, float, float], noise: Noise) -> float:
+    """Chi-square of a beam (rows 2 to 6 of beam_table) on the face at a right angle, `along` metres along the wall."""
+    sine, cotangent, measured, count, passing = beam
+    if measured == math.inf:
+        return passing
+    expected = along / sine
+    residual = measured - expected
+    variance = noise.range_m**2 + (expected * cotangent * noise.bearing) ** 2
+    cost = min(residual * residual * count / variance, passing if residual > 0.0 else COST_CAP)
+    return COST_CAP if along * sine <= 1e-9 else cost
 
 
 @kernel
-def face_evidence(table: Array, inner: int, corner: tuple[float, float], noise: Noise) -> float:
+def face_evidence(table: Array, rows: tuple[int, int], corner: tuple[float, float], noise: Noise) -> float:
     """How much chi-square a second face from the offset corner[0] on saves, over the wall going on; 0: no good fit.
 
-    The beams on the face and all beams after the segment's end (row `inner`) must fit one of the two.
+    `rows`: the beam of the segment's end, and how many there are. Those on the face and all after the end must fit.
     """
     offset, along = corner
     saved, misfit, beams = 0.0, 0.0, 0
-    for m in range(table.shape[0]):
-        cost = table[m, 1]
-        if table[m, 0] >= offset:
-            cost = face_cost(table[m], along, noise)
+    for m in range(rows[1]):
+        cost = table[1, m]
+        if table[0, m] >= offset:
+            cost = face_cost(along, (table[2, m], table[3, m], table[4, m], table[5, m], table[6, m]), noise)
             if cost == COST_FAR:  # it passes the face and says nothing about it
                 continue
-            saved += table[m, 1] - cost
-        if table[m, 0] >= offset or m > inner:
+            saved += table[1, m] - cost
+        if table[0, m] >= offset or m > rows[0]:
             misfit, beams = misfit + cost, beams + 1
     return saved if misfit <= MISFIT * beams else 0.0
