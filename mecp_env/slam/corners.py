@@ -171,24 +171,25 @@ def joint_covariance(found: Found, line_cov: Array) -> Array:
     cov = np.zeros((2 * size, 2 * size))
     for a in range(size):
         for b in range(a + 1):
-            for k in range(4):
-                line = found.lines[a, k // 2]
-                if line >= 0 and line == found.lines[b, k % 2]:
-                    add_shared(cov, (a, b), found.jacobian[a, k // 2], found.jacobian[b, k % 2], line_cov[line])
+            add_shared(cov, a, b, found, line_cov)
         for u in range(2):
             for v in range(u + 1):
                 cov[2 * a + u, 2 * a + v] += found.own[a, u, v]
-    for a in range(2 * size):
-        for b in range(a):
-            cov[b, a] = cov[a, b]
+    for row in range(2 * size):
+        for column in range(row):
+            cov[column, row] = cov[row, column]
     return cov
 
 
 @kernel
-def add_shared(cov: Array, corners: tuple[int, int], left: Array, right: Array, line_cov: Array) -> None:
-    """Adds J C J^T to the block of two corners, for a line with covariance (2,2) that both hang on."""
-    for u in range(2):
-        for v in range(2):
-            row, column = 2 * corners[0] + u, 2 * corners[1] + v
-            cov[row, column] += left[u, 0] * (line_cov[0, 0] * right[v, 0] + line_cov[0, 1] * right[v, 1])
-            cov[row, column] += left[u, 1] * (line_cov[1, 0] * right[v, 0] + line_cov[1, 1] * right[v, 1])
+def add_shared(cov: Array, a: int, b: int, found: Found, line_cov: Array) -> None:
+    """Adds J C J^T to the block of corners a and b for each line that both hang on."""
+    for k in range(4):
+        line = found.lines[a, k // 2]
+        if line < 0 or line != found.lines[b, k % 2]:
+            continue
+        left, right, C = found.jacobian[a, k // 2], found.jacobian[b, k % 2], line_cov[line]
+        for entry in range(4):
+            u, v = entry // 2, entry % 2
+            cov[2 * a + u, 2 * b + v] += left[u, 0] * (C[0, 0] * right[v, 0] + C[0, 1] * right[v, 1])
+            cov[2 * a + u, 2 * b + v] += left[u, 1] * (C[1, 0] * right[v, 0] + C[1, 1] * right[v, 1])
