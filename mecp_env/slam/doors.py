@@ -16,6 +16,7 @@ from mecp_env.slam.lookup import row_of
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 MOST_SIGHTINGS = 50  # the configuration asks for no more
 BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
@@ -57,14 +58,28 @@ def door_jambs(doors: list[Door]) -> Ints:
 
 
 @kernel
-def seen_through(T_map_robot: Array, z: Array, p_map: Array, ids: Ints, jambs: Ints, row: Ints) -> None:
-    """Write the row (n,) of the door through which each corner z (n,2) is seen, or -1.
+def seen_through(
+    T_map_robot: Array,
+    z: Array,
+    p_map: Array,
+    ids: Ints,
+    jambs: Ints,
+    door_ids: Ints,
+    through: Ints,
+    sites: Bools,
+) -> bool:
+    """Write the id (n,) of the door through which each corner z (n,2) is seen, or -1; those seen so are no sites (n,).
 
-    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`.
+    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`. Says whether there are any.
     """
     points = np.empty_like(z)
     place(T_map_robot, z, points)
-    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, row)
+    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, through)
+    some = False
+    for i in range(z.shape[0]):
+        if through[i] >= 0:
+            some, sites[i], through[i] = True, False, door_ids[through[i]]
+    return some
 
 
 @kernel
@@ -174,10 +189,8 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
 
 def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    offsets = book.frames(belief)[:, :2] - (new.ends[0] + new.ends[1]) / 2.0
-    is_door = bool((offsets[:, 0] ** 2 + offsets[:, 1] ** 2 < SAME_GAP_M**2).any())
-    same = [i for i, known in enumerate(book.candidates) if _middle_distance(known, new) < SAME_GAP_M]
-    if is_door:
+    same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends)]
+    if lies_in_door(belief.p_map, belief.ids, book.jambs, new.ends):
         book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
     elif same:
         known = book.candidates[same[0]]
@@ -187,9 +200,23 @@ def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
         book.candidates.append(new)
 
 
-def _middle_distance(a: Candidate, b: Candidate) -> float:
-    offset = (a.ends[0] + a.ends[1] - b.ends[0] - b.ends[1]) / 2.0
-    return math.hypot(offset[0], offset[1])
+@kernel
+def lies_in_door(p_map: Array, ids: Ints, jambs: Ints, ends: Array) -> bool:
+    """True when the gap with the ends (2,2) is a door of those with `jambs` (D,4); other arguments as `door_frames`."""
+    frames = door_frames(p_map, ids, jambs)
+    mx, my = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
+    found = False
+    for d in range(frames.shape[0]):
+        x, y = frames[d, 0] - mx, frames[d, 1] - my
+        found |= x * x + y * y < SAME_GAP_M**2
+    return found
+
+
+@kernel
+def same_gap(a: Array, b: Array) -> bool:
+    """True when the middles of two gaps with the ends a and b (2,2) are near each other."""
+    x, y = (a[0, 0] + a[1, 0] - b[0, 0] - b[1, 0]) / 2.0, (a[0, 1] + a[1, 1] - b[0, 1] - b[1, 1]) / 2.0
+    return math.hypot(x, y) < SAME_GAP_M
 
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:

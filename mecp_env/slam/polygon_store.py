@@ -41,8 +41,7 @@ class PolygonStore:
         for polygon in () if graph.in_doorway else polygons:
             ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty_like(polygon.intervals)
             # Fig. 6: polygons of different rooms share no vertex
-            if link(polygon.corners, match.ids, features.room, graph.current, ring):
-                roll_to_least(ring, polygon.intervals, intervals)
+            if link(polygon.corners, match.ids, features.room, graph.current, ring, polygon.intervals, intervals):
                 self._note(ring, intervals, graph.current, period)
         return len(self.polygons) > added and self._above_cap(graph.current)
 
@@ -88,10 +87,11 @@ class PolygonStore:
 
 
 @kernel
-def link(corners: Ints, ids: Ints, room: Ints, current: int, ring: Ints) -> bool:
-    """Write the feature ids (k,) of a scan's polygon; False unless they differ and lie in the room `current`.
+def link(corners: Ints, ids: Ints, room: Ints, current: int, ring: Ints, intervals: Array, rolled: Array) -> bool:
+    """Write the feature ids (k,) of a scan's polygon, from the least, and its intervals (m,4) counted from there.
 
-    `corners` (k,) are its vertices, `ids` (n,) those of the scan's corners, `room` (F,) that of each feature.
+    False unless they differ and lie in the room `current`. `corners` (k,) are its vertices, `ids` (n,) those of the
+    scan's corners, `room` (F,) that of each feature.
     """
     sound = True
     for v in range(corners.shape[0]):
@@ -99,6 +99,8 @@ def link(corners: Ints, ids: Ints, room: Ints, current: int, ring: Ints) -> bool
         sound = sound and ring[v] >= 0 and room[ring[v]] == current
         for u in range(v):
             sound = sound and ring[u] != ring[v]
+    if sound:
+        roll_to_least(ring, intervals, rolled)
     return sound
 
 

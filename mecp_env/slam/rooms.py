@@ -59,13 +59,12 @@ class RoomKeeper:
         """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
         if not self.book.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
-        through = np.empty(len(corners), np.int64)
-        seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, self.book.jambs, through)
-        rows = through.tolist()
-        if max(rows) < 0:
-            return corners, through
-        ids = [self.book.doors[row].id if row >= 0 else -1 for row in rows]
-        return corners.with_sites(corners.sites & (through < 0)), np.array(ids, np.int64)
+        through, sites = np.empty(len(corners), np.int64), corners.sites.copy()
+        door_ids = np.array([door.id for door in self.book.doors])
+        jambs = self.book.jambs
+        if seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, jambs, door_ids, through, sites):
+            corners = corners.with_sites(sites)
+        return corners, through
 
     def update(self, seen: Sighting, features: FeatureTable, known: list[KnownPolygon]) -> bool:
         """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
@@ -129,10 +128,10 @@ class RoomKeeper:
             return False
         if polygon_room not in (UNKNOWN_ROOM, self.current):
             return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
-        ids = _here(seen, features)
-        rooms = features.room[ids].tolist()
-        if set(rooms) <= {self.current}:
+        ids = _here(seen, features, self.current)
+        if not len(ids):
             return False
+        rooms = features.room[ids].tolist()
         if self._relabel(ids, rooms, features):
             return True
         other = self._majority(rooms)
@@ -228,19 +227,23 @@ def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
     return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
 
 
-def _here(seen: Sighting, features: FeatureTable) -> Ints:
-    """Ids of the landmarks recognised in this scan that are no jambs and not seen through a door."""
-    match = seen.match
+def _here(seen: Sighting, features: FeatureTable, current: int) -> Ints:
+    """Ids of the landmarks recognised that are no jambs and not seen through a door; none when all lie in `current`."""
+    match, beyond = seen.match, seen.corners.beyond
     kept = np.empty(len(match.ids), np.int64)
-    return kept[: _on_this_side(match.ids, match.decision, seen.through, seen.corners.beyond, features.kind, kept)]
+    count = _on_this_side(match.ids, match.decision, seen.through, beyond, features.kind, features.room, current, kept)
+    return kept[:count]
 
 
 @kernel
-def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints, kept: Ints) -> int:
-    """Write the ids of landmarks on this side of all doors, jambs left out; returns how many there are."""
-    count = 0
+def _on_this_side(
+    ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints, room: Ints, current: int, kept: Ints
+) -> int:
+    """Write the ids of landmarks on this side of all doors, jambs left out; returns how many, 0 if all in `current`."""
+    count, strangers = 0, 0
     for i in range(ids.shape[0]):
         if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and kind[ids[i]] != JAMB:
             kept[count] = ids[i]
+            strangers += room[ids[i]] != current
             count += 1
-    return count
+    return count if strangers > 0 else 0

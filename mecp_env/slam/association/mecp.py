@@ -12,7 +12,7 @@ from mecp_env.kernel import kernel
 from mecp_env.slam.association.base import chi2_gate, undecided
 from mecp_env.slam.association.joint import best_growth, grow, likeliest
 from mecp_env.slam.association.rings import RingMatch, match_rings
-from mecp_env.slam.association.singles import fix_rows, pairing_table, possible_pairs, settle
+from mecp_env.slam.association.singles import pairing_table, pairs_beside_ring, settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
@@ -58,26 +58,22 @@ class MecpAssociator:
     def _pair(
         self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
     ) -> Match:
-        fixed = self._fixed(len(corners), ring, view)
+        landmarks, gate = view.belief.ids, self._gate
+        fixed = np.empty(len(corners), np.int64)
         corner, row = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64)
-        count = possible_pairs(costs, self._gate, fixed, self.config.most_pairs, corner, row)
+        by_polygon = (NONE, NONE) if ring is None else (ring.corners, ring.ids)
+        most = self.config.most_pairs
+        count = pairs_beside_ring(costs, gate, most, landmarks, *by_polygon, fixed, corner, row)
         if not count:
             return match
         corner, row = corner[:count], row[:count]
         z, R = corners.measurements(corner)
-        ids = view.belief.ids[row]
+        ids = landmarks[row]
         nu, S = belief.innovation(z, R, ids)
         seeds = self._most_seeds(view)
         columns = match.ids, match.decision, match.reason, match.nis
-        accept(nu, S, corner, row, ids, fixed, costs, seeds, self._gate, self.config.rival_gap, *columns)
+        accept(nu, S, corner, row, ids, fixed, costs, seeds, gate, self.config.rival_gap, *columns)
         return match if ring is None else Match(*columns, ring.polygon, ring.known, match.closure)
-
-    def _fixed(self, n: int, ring: RingMatch | None, view: MapView) -> Ints:
-        """(n,) the landmark row of each corner whose identity the polygon gives, -1 elsewhere."""
-        fixed = np.empty(n, np.int64)
-        corners, ids = (NONE, NONE) if ring is None else (ring.corners, ring.ids)
-        fix_rows(corners, ids, view.belief.ids, fixed)
-        return fixed
 
     def _most_seeds(self, view: MapView) -> int:
         """From how many pairings to start beside a free choice: from none while the pose is sharp."""

@@ -40,14 +40,49 @@ def pairing_table(
     """
     ids, features = view.belief.ids, view.features
     nis = belief.individual_nis(corners.z, corners.R, ids)
-    costs, nearest = np.empty_like(nis), np.empty(len(corners))
-    if config.use_signature:
-        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.signature_deg)
-        known = features.convex, features.normals
-        strike_by_signature(nis, heading, corners.convex, corners.normals, ids, *known, tolerance)
-    seen = _rooms_seen(corners, view, config)
-    strike_by_room(nis, costs, nearest, seen, ids, features.room, features.kind, gate, elsewhere)
+    costs, nearest = np.empty(nis.shape), np.empty(nis.shape[0])
+    strike_out(
+        nis,
+        costs,
+        nearest,
+        view.belief.T_map_robot[2],
+        corners.convex,
+        corners.normals,
+        _rooms_seen(corners, view, config),
+        ids,
+        features.convex,
+        features.normals,
+        features.room,
+        features.kind,
+        math.radians(config.signature_deg) if config.use_signature else math.nan,
+        gate,
+        elsewhere,
+    )
     return PairingTable(nis, costs, nearest)
+
+
+@kernel
+def strike_out(
+    nis: Array,
+    costs: Array,
+    nearest: Array,
+    heading: float,
+    convex: Bools,
+    normals: Array,
+    seen: Ints,
+    ids: Ints,
+    known_convex: Bools,
+    known_normals: Array,
+    known_room: Ints,
+    known_kind: Ints,
+    tolerance: float,
+    gate: float,
+    elsewhere: bool,
+) -> None:
+    """Both strikes, one after the other; a `tolerance` of nan leaves the signature out. Shapes as there."""
+    if not math.isnan(tolerance):
+        strike_by_signature(nis, heading, convex, normals, ids, known_convex, known_normals, tolerance)
+    strike_by_room(nis, costs, nearest, seen, ids, known_room, known_kind, gate, elsewhere)
 
 
 def _rooms_seen(corners: Corners, view: MapView, config: AssociationConfig) -> Ints:
@@ -124,16 +159,35 @@ def strike_by_room(
     Jambs belong to both rooms. With `elsewhere`, the row of a corner that has nothing inside `gate` in its room stays
     as it was.
     """
+    room = np.empty(ids.shape[0], np.int64)
+    for j in range(ids.shape[0]):
+        room[j] = UNKNOWN_ROOM if known_kind[ids[j]] == JAMB else known_room[ids[j]]
     for i in range(nis.shape[0]):
         at_home, nearest[i] = False, math.inf
         for j in range(nis.shape[1]):
-            room = UNKNOWN_ROOM if known_kind[ids[j]] == JAMB else known_room[ids[j]]
-            costs[i, j] = math.inf if seen[i] >= 0 and room >= 0 and seen[i] != room else nis[i, j]
+            costs[i, j] = math.inf if seen[i] >= 0 and room[j] >= 0 and seen[i] != room[j] else nis[i, j]
             at_home |= costs[i, j] <= gate
             nearest[i] = min(nearest[i], nis[i, j])
         if elsewhere and not at_home:
             for j in range(nis.shape[1]):
                 costs[i, j] = nis[i, j]
+
+
+@kernel
+def pairs_beside_ring(
+    costs: Array,
+    gate: float,
+    most: int,
+    landmarks: Ints,
+    ring_corners: Ints,
+    ring_ids: Ints,
+    fixed: Ints,
+    corner: Ints,
+    row: Ints,
+) -> int:
+    """As `possible_pairs`, once the corners (v,) of a recognised polygon and their ids (v,) are written to `fixed`."""
+    fix_rows(ring_corners, ring_ids, landmarks, fixed)
+    return possible_pairs(costs, gate, fixed, most, corner, row)
 
 
 @kernel

@@ -79,7 +79,8 @@ class LandmarkFilter:
         self.dropped += len(ids) - room
         if room == 0:
             return
-        if len(np.unique(ids)) < len(ids) or np.isin(ids, self.slot_ids[: self.count]).any():
+        given = set(ids.tolist())
+        if len(given) < len(ids) or not given.isdisjoint(self.slot_ids[: self.count].tolist()):
             raise FilterError(f"augment: ids {ids.tolist()} must be new and differ")
         self._reserve(self.count + room)
         landmarks.append(self.mean, self.cov, self.size, z[:room], R, self.invariant)
