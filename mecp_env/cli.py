@@ -1,126 +1,105 @@
-"""The command `mecp-env`."""
+"""The command `mecp-env`: which of its commands a line calls, and how it ends."""
 
 from __future__ import annotations
 
+import difflib
+import importlib
+import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import tyro
-
-from mecp_env.config import EnvConfig, merge
+import mecp_env
+from mecp_env.commands.base import INTERRUPTED, WRONG_INPUT, Command
 from mecp_env.errors import MecpError
 
-INTERRUPTED, WRONG_INPUT = 130, 2
-
-
-class Fields(EnvConfig):
-    """Any field of the configuration."""
-
-    layout: Annotated[str, tyro.conf.Suppress] = "paper"
-    actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
-
-
-@dataclass(frozen=True)
-class Demo:
-    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
-
-    layout: str = "paper"  # paper, two_rooms, office, twins, furnished, or the path of a layout file
-    seed: int = 0  # the same seed gives the same run
-    render: Literal["none", "human"] = "none"  # human: watch it in a window
-    out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
-    config: Fields = field(default_factory=Fields)  # any field of the configuration
-
-
-@dataclass(frozen=True)
-class OneScan:
-    """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
-
-    layout: str = "paper"  # as for demo
-    seed: int = 0
-    period: int = 40  # the first scan from here on in which a polygon of the map is recognised
-    out: Path = Path("runs/one-scan")  # folder for the pictures
-
-
-COMMANDS: dict[str, Callable[..., Any]] = {"demo": Demo, "one-scan": OneScan}
-FIELD = "--config."
+ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
+COMMANDS = {  # words -> module below mecp_env.commands, class, what the overview says
+    "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
+    "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+}
+GROUPS = {words.partition(" ")[0] for words in COMMANDS if " " in words}
+WIDEST = max(map(len, COMMANDS))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
-    line = sys.argv[1:] if arguments is None else arguments
-    chosen = parse(line)
+    words, line = split(sys.argv[1:] if arguments is None else arguments)
     try:
-        return run_demo(chosen, line) if isinstance(chosen, Demo) else draw_one_scan(chosen)
+        return parse(words, line).run(line)
     except MecpError as error:
         print(f"mecp-env: {error}", file=sys.stderr)
         return WRONG_INPUT
+    except BrokenPipeError:  # whoever reads the output has seen enough, as in `mecp-env ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         print(f"mecp-env: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
         return WRONG_INPUT
-
-
-def parse(line: list[str]) -> Demo | OneScan:
-    """The command of a line with its options; ends the process after `--help`, and with 2 for a wrong line."""
-    options = (tyro.conf.AvoidSubcommands,)
-    chosen: Any
-    if line and line[0] in COMMANDS:  # by itself: of a subcommand, tyro's errors would not name the option
-        chosen = tyro.cli(COMMANDS[line[0]], prog=f"mecp-env {line[0]}", args=line[1:], config=options)
-    else:
-        about = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
-        chosen = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="mecp-env", description=about, args=line, config=options
-        )
-    assert isinstance(chosen, Demo | OneScan)
-    return chosen
-
-
-def configuration(layout: str, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
-    """The configuration in which only those fields are set that the command line names, to a default or not."""
-    given, chosen = fields.model_dump(mode="json"), {"layout": layout}
-    for option in line:
-        if option.startswith(FIELD):
-            chosen = merge(chosen, named(given, option.removeprefix(FIELD).partition("=")[0]))
-    return EnvConfig.build(chosen | {"layout": layout})
-
-
-def named(fields: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Of all fields the one at `path` (`laser.max-range-m`; a switch also as `slam.polygon.no-guard`)."""
-    first, _, rest = path.partition(".")
-    name = first.replace("-", "_")
-    name = name if name in fields else name.removeprefix("no_")
-    return {name: named(fields[name], rest) if rest else fields[name]}
-
-
-def run_demo(given: Demo, line: Sequence[str]) -> int:
-    """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-    from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
-    from mecp_env.progress import Progress, say_result
-    from mecp_env.stopwatch import timed_stages
-
-    folder = given.out or Path("runs") / f"{Path(given.layout).stem}-{given.seed}"
-    config = configuration(given.layout, given.config, line)
-    run = Run.begin(config, given.seed, None if given.render == "none" else "human")
-    folder.mkdir(parents=True, exist_ok=True)
-    with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
-        run.explore(progress.show)
-    if not run.estimated:
+    except KeyboardInterrupt:
         return INTERRUPTED
-    say_result(run.keep(folder, watch), folder)
-    run.env.close()
-    return INTERRUPTED if run.ended == "interrupted" else 0
 
 
-def draw_one_scan(given: OneScan) -> int:
-    """Write the pictures of one scan's stages."""
-    from mecp_env.one_scan import draw
+def split(line: list[str]) -> tuple[str, list[str]]:
+    """The command that a line begins with, and its options; ends the process after `--help`, with 2 without one."""
+    for count in (2, 1):
+        words = " ".join(line[:count])
+        if words in COMMANDS:
+            return words, line[count:]
+    group = line[0] if line and line[0] in GROUPS else ""
+    raise SystemExit(answer(group, next(iter(line[1:] if group else line), "")))
 
-    for path in draw(EnvConfig(layout=given.layout), given.seed, given.period, given.out):
-        print(path)
+
+def answer(group: str, word: str) -> int:
+    """Say what a line without a command asks for; the exit code."""
+    if word in ("-h", "--help"):
+        print(overview(group))
+    elif word == "--version":
+        print(f"mecp-env {mecp_env.__version__}")
+    else:
+        return refuse(f"{group} {word}".strip() if word else "", group)
     return 0
+
+
+def refuse(words: str, group: str) -> int:
+    """Say that `words` are no command (none: that one is missing), and what is; the exit code."""
+    nearest = difflib.get_close_matches(words, COMMANDS, n=1)
+    guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
+    print(overview(group) + "\n", file=sys.stderr)
+    print(f"mecp-env: {words!r} is no command{guess}" if words else "mecp-env: a command is missing", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def overview(group: str) -> str:
+    """All commands, or those of a group (`worlds`), a line each."""
+    shown = [words for words in COMMANDS if words.startswith(group)]
+    lines = [f"  {words:{WIDEST}}  {COMMANDS[words][2]}" for words in shown]
+    usage = f"usage: mecp-env {group + ' ' if group else ''}COMMAND [OPTIONS]"
+    return "\n".join([usage, "", ABOUT, "", *lines, "", "`mecp-env COMMAND --help` tells its options, with examples."])
+
+
+def load(words: str) -> type[Command]:
+    """The class of a command; only now is its module loaded."""
+    module, name, _ = COMMANDS[words]
+    kind: type[Command] = getattr(importlib.import_module(f"mecp_env.commands.{module}"), name)
+    return kind
+
+
+def parse(words: str, line: list[str]) -> Command:
+    """A command with its options; ends the process after `--help`, and with 2 for wrong options."""
+    import tyro  # the overview does without
+
+    kind = load(words)
+    examples = "\n".join(f"  {example}" for example in kind.examples)
+    default: Any = kind.defaults(line)  # None: tyro takes those of the class
+    chosen: Command = tyro.cli(
+        kind,
+        prog=f"mecp-env {words}",
+        description=f"{kind.__doc__}\n\nExamples:\n{examples}",
+        args=line,
+        default=default,
+        config=(tyro.conf.AvoidSubcommands,),
+    )
+    return chosen
 
 
 if __name__ == "__main__":

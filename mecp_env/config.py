@@ -57,8 +57,7 @@ Number = Annotated[float, BeforeValidator(no_bool)]
 class EnvConfig(Settings):
     """The whole environment; every field may be given to `gymnasium.make` as a keyword."""
 
-    # shipped name, path of a file, `Layout`, or a layout as a dict; kept as a string or a dict
-    layout: Annotated[str | dict[str, Any], BeforeValidator(plain_value)] = "two_rooms"
+    layout: Annotated[str | dict[str, Any], BeforeValidator(plain_value)] = "two_rooms"  # name, path, `Layout` or dict
     estimator: Literal["slam", "known", "truth"] = "slam"
     actions: Literal["velocity", "discrete", "goal"] = "velocity"
     max_periods: int = Field(3000, ge=1, le=10_000_000)

@@ -14,9 +14,12 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
+import mecp_env
 from agents.random_walk import Args
 from agents.random_walk import main as random_walk
 from mecp_env import cli
+from mecp_env.commands.demo import Demo
+from mecp_env.commands.fields import Fields, configuration
 from mecp_env.config import EnvConfig
 from mecp_env.demo import Run, tum
 from mecp_env.progress import Progress, status
@@ -153,6 +156,61 @@ def test_a_negative_seed_and_a_missing_display_end_with_2_and_one_line(
     said = capsys.readouterr().err
     assert said.startswith("mecp-env: render_mode: 'human' can open no window")
     assert said.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")  # what SDL takes where there is none
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["demo", "--layout", "two_rooms", "--render", "human"]) == 2
+    said = capsys.readouterr().err
+    assert "there is no display" in said
+    assert "DISPLAY" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        (["--help"], 0, "one-scan"),
+        (["--version"], 0, mecp_env.__version__),
+        (["dmo"], 2, "did you mean `mecp-env demo`?"),
+        (["demo", "--help"], 0, "mecp-env demo --layout office"),
+        (["one-scan", "--help"], 0, "mecp-env one-scan --layout office"),
+    ],
+)
+def test_help_shows_examples_and_the_nearest_command(
+    line: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(line)
+    assert ended.value.code == code
+    streams = capsys.readouterr()
+    assert said in streams.err + streams.out
+
+
+def test_every_command_can_be_loaded_and_has_examples() -> None:
+    for words in cli.COMMANDS:
+        assert all(example.startswith(f"mecp-env {words}") for example in cli.load(words).examples)
+        assert cli.load(words).examples
+
+
+def test_the_overview_loads_no_command() -> None:
+    code = "import sys; from mecp_env import cli; cli.overview(''); print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split())
+    assert "mecp_env.commands.base" in loaded
+    assert not {"tyro", "numba", "pygame", "matplotlib", "shapely", "mecp_env.config"} & loaded
+
+
+def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mecp_env.one_scan.draw", stop)
+    assert cli.main(["one-scan"]) == 130
 
 
 @pytest.mark.parametrize(
@@ -171,19 +229,20 @@ def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest
 
 
 def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
-    fields = cli.Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
+    fields = Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
     line = ["--config.laser.preset", "lms200", "--config.slam.filter.kind=ekf"]
-    config = cli.configuration("office", fields, line)
+    config = configuration("office", fields, line)
     assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
     assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
-    assert cli.configuration("two_rooms", cli.Fields(), []) == EnvConfig(layout="two_rooms")
+    assert configuration("two_rooms", Fields(), []) == EnvConfig(layout="two_rooms")
 
 
 def test_a_field_set_to_its_default_is_set() -> None:
     line = "demo --config.laser.preset ideal --config.slam.sensor.range-sigma-m 0.05 --config.slam.polygon.no-guard"
-    chosen = cli.parse(line.split())
-    assert isinstance(chosen, cli.Demo)
-    config = cli.configuration("paper", chosen.config, line.split())
+    words, options = cli.split(line.split())
+    chosen = cli.parse(words, options)
+    assert isinstance(chosen, Demo)
+    config = configuration("paper", chosen.config, options)
     assert config.estimator_config.sensor.range_sigma_m == 0.05
     assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
     assert not config.slam.polygon.guard

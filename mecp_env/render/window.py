@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
 from mecp_env.errors import ConfigError
+
+UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; nobody sees their windows
+FIX = "start it on a desktop, or with DISPLAY set (ssh -X, xvfb-run), or go without a window: pictures need none"
+
+
+def require_display() -> None:
+    """Raise `ConfigError` where a window could not be opened or seen; SDL_VIDEODRIVER may ask for an unseen one."""
+    try:
+        pygame.display.init()
+        if pygame.display.get_driver() in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
+            raise pygame.error("there is no display")
+    except pygame.error as error:
+        raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
+    finally:
+        pygame.display.quit()
 
 
 class Window:
@@ -43,6 +60,6 @@ class Window:
             self._surface = pygame.display.set_mode((width, height))
         except pygame.error as error:
             pygame.display.quit()
-            raise ConfigError(f"render_mode: 'human' can open no window ({error})") from None
+            raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
         pygame.display.set_caption(self.title)
         return self._surface

@@ -1,0 +1,40 @@
+"""What every command of `mecp-env` is."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Self
+
+from mecp_env.errors import ConfigError
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
+
+
+class Command(ABC):
+    """A command: a dataclass of its options, whose docstring is its help."""
+
+    examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
+
+    @classmethod
+    def defaults(cls, line: Sequence[str]) -> Self | None:
+        """What the options are where the line does not say; None: as the dataclass has it."""
+        return None
+
+    @abstractmethod
+    def run(self, line: Sequence[str]) -> int:
+        """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
+
+
+def check_writable(path: Path) -> Path:
+    """`path` itself, of which nothing is made yet. Raises `ConfigError` where it could not be made, or written to."""
+    there = path.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if there != path.absolute() and not there.is_dir():
+        raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place with --out")
+    if not os.access(there, os.W_OK):
+        raise ConfigError(f"out: {path}: {there} cannot be written to; choose another place with --out")
+    return path

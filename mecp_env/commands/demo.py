@@ -1,0 +1,49 @@
+"""`mecp-env demo`: explore a building and keep what there is to see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from mecp_env.commands.base import INTERRUPTED, Command, check_writable
+from mecp_env.commands.fields import Fields, configuration
+
+
+@dataclass(frozen=True)
+class Demo(Command):
+    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env demo --layout two_rooms",
+        "mecp-env demo --layout office --seed 3 --render human",
+        "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
+    )
+
+    layout: str = "paper"  # paper, two_rooms, office, twins, furnished, or the path of a layout file
+    seed: int = 0  # the same seed gives the same run
+    render: Literal["none", "human"] = "none"  # human: watch it in a window
+    out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
+    config: Fields = field(default_factory=Fields)  # any field of the configuration
+
+    def run(self, line: Sequence[str]) -> int:
+        """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
+        from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
+        from mecp_env.progress import Progress, say_result
+        from mecp_env.render.window import require_display
+        from mecp_env.stopwatch import timed_stages
+
+        folder = check_writable(self.out or Path("runs") / f"{Path(self.layout).stem}-{self.seed}")
+        config = configuration(self.layout, self.config, line)
+        if self.render == "human":
+            require_display()
+        run = Run.begin(config, self.seed, None if self.render == "none" else "human")
+        with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
+            run.explore(progress.show)
+        if not run.estimated:
+            return INTERRUPTED
+        say_result(run.keep(folder, watch), folder)
+        run.env.close()
+        return INTERRUPTED if run.ended == "interrupted" else 0

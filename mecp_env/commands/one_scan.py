@@ -1,0 +1,34 @@
+"""`mecp-env one-scan`: the stages of one scan as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from mecp_env.commands.base import Command, check_writable
+from mecp_env.config import EnvConfig
+
+
+@dataclass(frozen=True)
+class OneScan(Command):
+    """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env one-scan",
+        "mecp-env one-scan --layout office --period 10 --out runs/office-scan",
+    )
+
+    layout: str = "paper"  # as for demo
+    seed: int = 0
+    period: int = 40  # the first scan from here on in which a polygon of the map is recognised
+    out: Path = Path("runs/one-scan")  # folder for the pictures
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the pictures of one scan's stages, and say where they are."""
+        from mecp_env.one_scan import draw
+
+        for path in draw(EnvConfig(layout=self.layout), self.seed, self.period, check_writable(self.out)):
+            print(path)
+        return 0
