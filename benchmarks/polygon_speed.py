@@ -20,7 +20,6 @@ from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.corners import extract_corners
 from mecp_env.slam.data import Beams, Corners
 from mecp_env.slam.polygon import beams_on_walls, find_polygons
-from mecp_env.slam.polygon_edges import Limits, View
 from mecp_env.slam.polygon_guard import best_free_cycles
 from mecp_env.slam.polygon_kernels import order_by_bearing
 from mecp_env.slam.segments import extract_segments
@@ -35,10 +34,12 @@ Item = TypeVar("Item")
 SeenScan = tuple[Corners, Beams, NDArray[np.bool_]]
 
 SITES = (5, 10, 15, 20, 30, 40)
-SIGMA_M = 0.02
-LIMITS = Limits(2.5, 0.2, 3, 0.2, 0.4, 0.4, 1.2)
-VIEW = View(
-    np.full(720, 9.0), (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi, np.ones(720, np.bool_)
+SIGMAS = np.full(max(SITES), 0.02)  # m
+LIMITS = (2.5, 0.2, 3, 0.2, 0.4, 0.4, 1.2)  # `Limits`
+VIEW = (  # `View`
+    np.full(720, 9.0),
+    (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi,
+    np.ones(720, np.bool_),
 )
 
 
@@ -55,7 +56,7 @@ def measure(sets: int = 100) -> Figures:
 
 def search(sites: Array) -> object:
     """Search and guard on sites sorted by bearing."""
-    return best_free_cycles(sites, np.full(len(sites), SIGMA_M), 2, VIEW, LIMITS)
+    return best_free_cycles(sites, SIGMAS[: len(sites)], 2, VIEW, LIMITS)
 
 
 def uniform(n: int, sets: int) -> list[Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -11,17 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.data import Beams, Clusters, CornerKind, Corners, Polygon
-from mecp_env.slam.geometry import polar_to_points
-from mecp_env.slam.polygon_edges import Limits, Spans, View, edge_intervals, wall_beams
-from mecp_env.slam.polygon_guard import best_free_cycles, position_sigmas
+from mecp_env.slam.data import Beams, Clusters, Corners, Polygon
+from mecp_env.slam.polygon_edges import wall_beams
+from mecp_env.slam.polygon_guard import polygons_of_scan
 from mecp_env.slam.polygon_search import around_leftmost, around_robot, best_rings, twice_area
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-MATCHABLE = 4  # a triangle is no evidence of a place (maths 1.5)
 
 
 def largest_empty_convex_polygons(
@@ -134,33 +130,29 @@ def find_polygons(
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
     (maths 1.3, 1.5, 1.6).
     """
-    walls = np.full(len(beams.ranges), config.guard) if wall is None else wall & config.guard
-    view, limits = View(beams.ranges, beams.bearings, walls), _limits(config)
-    p_robot, sigmas = polar_to_points(corners.z), position_sigmas(corners.z, corners.cov)
-    search = partial(_rings, p_robot, sigmas, keep=config.keep_ties, view=view, limits=limits)
-    rings = search(corners.sites)
-    if len(rings[0]) < MATCHABLE:
-        more = search(corners.sites | ((corners.kind == CornerKind.JAMB) & (corners.beyond < 0)))
-        rings = more if len(more[0]) >= MATCHABLE or len(rings[0]) == 0 else rings
-    doors = p_robot[corners.doorways.jambs]
-    found = [ring for ring in rings if len(ring)]
-    return tuple(Polygon(r, edge_intervals(p_robot[r], sigmas[r], doors, view, limits).copy()) for r in found)
-
-
-def _rings(p_robot: Array, sigmas: Array, sites: Bools, *, keep: int, view: View, limits: Limits) -> list[Ints]:
-    """The best `keep` rings of corners that are sites, each from its smallest corner; empty where there are fewer."""
-    ids = np.flatnonzero(sites)
-    sizes, rings = best_free_cycles(p_robot[ids], sigmas[ids], keep, view, limits)
-    return [ids[ring[:size]] for ring, size in zip(rings, sizes, strict=True)]
+    if wall is None or not config.guard:
+        wall = np.full(len(beams.ranges), config.guard)
+    ids, intervals, ends = polygons_of_scan(
+        (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
+        (beams.ranges, beams.bearings, wall),
+        _limits(config),
+        config.keep_ties,
+    )
+    found, at, row = [], 0, 0
+    for end, last_row in ends.tolist():
+        found.append(Polygon(ids[at:end], intervals[row:last_row]))
+        at, row = end, last_row
+    return tuple(found)
 
 
 def beams_on_walls(clusters: Clusters, beams: Beams) -> Bools:
     """(B,) which beams lie on clusters with lines: those that guard polygons. A pillar or a person is no wall."""
-    return wall_beams(Spans(clusters.roll, clusters.first, clusters.last, clusters.kind), len(beams.ranges))
+    return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))
 
 
-def _limits(config: PolygonConfig) -> Limits:
-    return Limits(
+def _limits(config: PolygonConfig) -> tuple[float, float, int, float, float, float, float]:
+    """The fields of `Limits`."""
+    return (
         config.tolerance_sigmas,
         config.guard_m,
         config.guard_beams,

@@ -41,15 +41,6 @@ class Limits(NamedTuple):
     gap_max_m: float
 
 
-class Spans(NamedTuple):
-    """`Clusters` as a kernel reads them."""
-
-    roll: int
-    first: Ints  # (C,)
-    last: Ints  # (C,)
-    kind: Ints  # (C,)
-
-
 class Edge(NamedTuple):
     """A ccw edge as the origin sees it: the points distance (1, tan(x)) for bearings normal + x."""
 
@@ -141,15 +132,16 @@ def edge_is_cut(a: Array, b: Array, tolerance: float, view: View, limits: Limits
     """
     edge = edge_from(a, b)
     ranges, bearings, wall = view.ranges, view.bearings, view.wall
+    size = ranges.shape[0]
     first, count = beams_between(a, b, bearings)
-    needed, rules = limits.guard_beams, (limits.guard_m, 2.0 * math.pi / ranges.shape[0])
+    needed, rules = limits.guard_beams, (limits.guard_m, 2.0 * math.pi / size)
     for probe in range(needed - 1, count, needed):
-        i = (first + probe) % ranges.shape[0]
+        i = first + probe if first + probe < size else first + probe - size
         if not _in_front(ranges[i], bearings[i], edge, tolerance, rules):
             continue
         run = 0
         for step in range(probe - needed + 1, min(probe + needed, count)):
-            i = (first + step) % ranges.shape[0]
+            i = (first + step) % size
             run = run + 1 if wall[i] and _in_front(ranges[i], bearings[i], edge, tolerance, rules) else 0
             if run == needed:
                 return True
@@ -160,11 +152,9 @@ def edge_is_cut(a: Array, b: Array, tolerance: float, view: View, limits: Limits
 def _sight(measured: float, c: float, edge: Edge, rules: tuple[float, float], limits: Limits) -> int:
     """What a beam at an angle with cosine `c` to the normal does: PASSES, STOPS at the edge or is SHORT of it."""
     tolerance, spacing = rules
-    if (measured + limits.guard_m) * c < edge.distance:
-        return SHORT
-    if (measured - limits.open_depth_m) * c > edge.distance and _off_by(measured, c, edge, spacing) > tolerance:
-        return PASSES
-    return STOPS
+    far = (measured - limits.open_depth_m) * c > edge.distance
+    beyond = PASSES if far and _off_by(measured, c, edge, spacing) > tolerance else STOPS
+    return SHORT if (measured + limits.guard_m) * c < edge.distance else beyond
 
 
 @kernel
@@ -175,27 +165,41 @@ def passing_stretches(a: Array, b: Array, tolerance: float, view: View, limits: 
     front of the edge (at a pillar, at a person) says nothing: it neither makes nor ends a stretch.
     """
     edge = edge_from(a, b)
-    first, count = beams_between(a, b, view.bearings)
-    stretches = np.empty((count // 2 + 1, 2))
+    sights, off = sights_of(edge, beams_between(a, b, view.bearings), tolerance, view, limits)
+    stretches = np.empty((sights.shape[0] // 2 + 1, 2))
     found, begin, before, last = 0, 0.0, SHORT, 0.0
-    rules = (tolerance, 2.0 * math.pi / view.ranges.shape[0])
-    for step in range(count):
-        i = first + step if first + step < view.ranges.shape[0] else first + step - view.ranges.shape[0]
-        x = off_normal(view.bearings[i], edge.normal)
-        sight = _sight(view.ranges[i], cosine(x), edge, rules, limits)
+    for step in range(sights.shape[0]):
+        sight = sights[step]
         if sight == SHORT:
             continue
         if sight != before and before != SHORT:
-            border = min(max(edge.distance * math.tan(0.5 * (x + last)) - edge.start, 0.0), edge.length)
+            border = min(max(edge.distance * math.tan(0.5 * (off[step] + last)) - edge.start, 0.0), edge.length)
             if sight == STOPS and border - begin >= limits.open_width_m:
                 stretches[found, 0], stretches[found, 1] = begin, border
                 found += 1
             begin = border
-        before, last = sight, x
+        before, last = sight, off[step]
     if before == PASSES and edge.length - begin >= limits.open_width_m:
         stretches[found, 0], stretches[found, 1] = begin, edge.length
         found += 1
     return stretches[:found]
+
+
+@kernel
+def sights_of(edge: Edge, beams: tuple[int, int], tolerance: float, view: View, limits: Limits) -> tuple[Ints, Array]:
+    """What each of the beams (first, number of them) does at the edge, and its angle to the normal: (m,) and (m,)."""
+    first, count = beams
+    sights, off = np.empty(count, np.int64), np.empty(count)
+    rules, before_end = (tolerance, 2.0 * math.pi / view.ranges.shape[0]), min(count, view.ranges.shape[0] - first)
+    for part in range(2):  # up to the end of the scan, and on from its beginning
+        start, stop = (0, before_end) if part == 0 else (before_end, count)
+        beam = first if part == 0 else 0
+        ranges, bearings = view.ranges[beam : beam + stop - start], view.bearings[beam : beam + stop - start]
+        part_sights, part_off = sights[start:stop], off[start:stop]
+        for i in range(ranges.shape[0]):
+            x = off_normal(bearings[i], edge.normal)
+            part_off[i], part_sights[i] = x, _sight(ranges[i], cosine(x), edge, rules, limits)
+    return sights, off
 
 
 @kernel
@@ -224,12 +228,15 @@ def _is_gap(a: Array, b: Array, stretch: tuple[float, float], doors: Array, limi
 
 
 @kernel
-def wall_beams(clusters: Spans, beams: int) -> Bools:
+def wall_beams(roll: int, first: Ints, last: Ints, kind: Ints, beams: int) -> Bools:
     """(B,) which beams belong to a run (first and last position from `roll`) of kind `wall`."""
     mask = np.zeros(beams, np.bool_)
-    for run in range(clusters.first.shape[0]):
-        for position in range(clusters.first[run], clusters.last[run] + 1):
-            mask[(position + clusters.roll) % beams] |= clusters.kind[run] == LINES
+    for run in range(first.shape[0]):
+        if kind[run] != LINES:
+            continue
+        for position in range(first[run], last[run] + 1):
+            beam = position + roll
+            mask[beam if beam < beams else beam - beams] = True
     return mask
 
 
@@ -243,14 +250,16 @@ def _write(rows: Array, at: int, edge: int, stretch: tuple[float, float], label:
 
 
 @kernel
-def edge_intervals(ring: Array, sigmas: Array, doors: Array, view: View, limits: Limits) -> Array:
-    """Intervals (m,4) of a ring (k,2) around the origin: edge, start and end as share of its length, EdgeLabel.
+def write_intervals(
+    rows: Array, at: int, ring: Array, sigmas: Array, doors: Array, view_and_limits: tuple[View, Limits]
+) -> int:
+    """Writes the intervals of a ring (k,2) around the origin into the rows (m,4) from `at` on; returns the next row.
 
-    `sigmas` (k,) are those of the vertices, m; `doors` (g,2,2) the jambs of the scan's doorways. An edge is cut into
-    the stretches that beams pass, GAP or OPEN, and what is left, WALL; without a stretch it is one WALL.
+    A row: edge, start and end as share of its length, EdgeLabel. `sigmas` (k,) are those of the vertices, m; `doors`
+    (g,2,2) the jambs of the scan's doorways. An edge is cut into the stretches that beams pass, GAP or OPEN, and what
+    is left, WALL; without a stretch it is one WALL.
     """
-    size = ring.shape[0]
-    rows, at = np.empty((view.ranges.shape[0] + 3 * size, 4)), 0
+    size, (view, limits) = ring.shape[0], view_and_limits
     for e in range(size):
         a, b, slack = ring[e], ring[(e + 1) % size], edge_slack(sigmas[e], sigmas[(e + 1) % size], limits)
         length = edge_from(a, b).length
@@ -263,4 +272,4 @@ def edge_intervals(ring: Array, sigmas: Array, doors: Array, view: View, limits:
             at = _write(rows, at, e, (begin / length, end / length), label)
             done = end / length
         at = _write(rows, at, e, (done, 1.0), WALL)
-    return rows[:at]
+    return at

@@ -85,30 +85,31 @@ def visible_edges(points: Array, tolerance: float) -> Bools:
     included, lies more than `tolerance` inside it. Points are sorted as by `order_by_bearing`.
     """
     n = points.shape[0]
-    allowed = np.zeros((n, n), np.bool_)
+    allowed, around = np.zeros((n, n), np.bool_), np.empty((2, 2 * n))  # twice around
+    for i in range(2 * n):
+        k = i if i < n else i - n
+        around[0, i], around[1, i] = points[k, 0], points[k, 1]
     for i in range(n):
         nearest = i
         while nearest > 0 and _same_ray(points[nearest - 1], points[i]):
             nearest -= 1
         for j in range(i + 1, i + n):
-            side = cross(points[i, 0], points[i, 1], points[j % n, 0], points[j % n, 1])
+            side = cross(around[0, i], around[1, i], around[0, j], around[1, j])
             if side < 0.0:
                 break
             if side > 0.0:
-                allowed[i, j % n] = not _blocked(points, (i, j), nearest, tolerance * tolerance)
+                allowed[i, j if j < n else j - n] = not _blocked(around, (i, j), nearest, tolerance * tolerance)
     return allowed
 
 
 @kernel
-def _blocked(points: Array, edge: tuple[int, int], nearest: int, tolerance2: float) -> bool:
+def _blocked(around: Array, edge: tuple[int, int], nearest: int, tolerance2: float) -> bool:
     """True when a site from position `nearest` to the second of `edge` lies deeper inside it than the tolerance."""
-    n = points.shape[0]
-    i, j = edge[0], edge[1] % n
-    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    i, j = edge
+    dx, dy = around[0, j] - around[0, i], around[1, j] - around[1, i]
     least = tolerance2 * (dx * dx + dy * dy)
-    for position in range(edge[1] - 1, nearest - 1, -1):
-        k = position % n
-        depth = cross(dx, dy, points[k, 0] - points[i, 0], points[k, 1] - points[i, 1])
+    for k in range(j - 1, nearest - 1, -1):
+        depth = cross(dx, dy, around[0, k] - around[0, i], around[1, k] - around[1, i])
         if depth > 0.0 and depth * depth > least:
             return True
     return False
@@ -126,9 +127,10 @@ def quietest_gap(allowed: Bools) -> int:
     n = allowed.shape[0]
     change = np.zeros(n + 1, np.int64)
     for i in range(n):
+        following = i + 1 if i + 1 < n else 0
         for j in range(n):
             if allowed[i, j]:
-                change[(i + 1) % n] += 1
+                change[following] += 1
                 change[j + 1] -= 1
                 change[0] += 1 if j < i and i + 1 < n else 0
     best, fewest, crossing = 0, n * n, 0
@@ -143,14 +145,15 @@ def quietest_gap(allowed: Bools) -> int:
 def _graph(points: Array, allowed: Bools, cut: int, tolerance: float) -> Graph:
     """The sites counted from position `cut`, with the edges that do not cross the ray before it."""
     n = points.shape[0]
-    turned, first = np.empty((n, 2)), np.zeros(n + 1, np.int64)
+    turned, first, site = np.empty((n, 2)), np.zeros(n + 1, np.int64), np.empty(n, np.int64)
     for i in range(n):
-        turned[i, 0], turned[i, 1] = points[(cut + i) % n, 0], points[(cut + i) % n, 1]
+        site[i] = cut + i if cut + i < n else cut + i - n
+        turned[i, 0], turned[i, 1] = points[site[i], 0], points[site[i], 1]
     ends, vector = np.empty((n * n // 2, 2), np.int64), np.empty((n * n // 2, 3))
     edges = 0
     for i in range(n):
         for j in range(i + 1, n):
-            if allowed[(cut + i) % n, (cut + j) % n]:
+            if allowed[site[i], site[j]]:
                 ends[edges, 0], ends[edges, 1] = i, j
                 vector[edges, 0], vector[edges, 1] = turned[j, 0] - turned[i, 0], turned[j, 1] - turned[i, 1]
                 vector[edges, 2] = cross(turned[i, 0], turned[i, 1], turned[j, 0], turned[j, 1])
@@ -240,8 +243,14 @@ def _longest(graph: Graph, tail: int, head: int, size: Ints, least: int) -> int:
     first, ends, vector, reach, tolerance2 = graph.first, graph.ends, graph.vector, graph.reach, graph.tolerance2
     cx, cy = graph.points[head, 0] - graph.points[tail, 0], graph.points[head, 1] - graph.points[tail, 1]
     longest = 0
-    for e in range(first[head], first[tail]):
-        size[e] = 2 if e < first[head + 1] and turns_left(cx, cy, vector[e, 0], vector[e, 1], tolerance2) else 0
+    hopeful = False
+    for e in range(first[head], first[head + 1]):
+        size[e] = 2 if turns_left(cx, cy, vector[e, 0], vector[e, 1], tolerance2) else 0
+        hopeful = hopeful or (size[e] == 2 and reach[e] + 1 >= least)
+    if not hopeful:
+        return 0
+    for e in range(first[head + 1], first[tail]):
+        size[e] = 0
     for e in range(first[head], first[tail]):
         middle, ax, ay, grown = ends[e, 1], vector[e, 0], vector[e, 1], size[e] + 1
         if grown == 1 or middle > tail or grown + reach[e] - 2 < least:
@@ -249,7 +258,10 @@ def _longest(graph: Graph, tail: int, head: int, size: Ints, least: int) -> int:
         if middle == tail and grown > longest + 1 and turns_left(ax, ay, cx, cy, tolerance2):
             longest = grown - 1
         for f in range(first[middle], first[middle + 1]):
-            if grown > size[f] and ends[f, 1] <= tail and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2):
+            if ends[f, 1] > tail:
+                break
+            useful = grown > size[f] and grown + reach[f] - 1 >= least
+            if useful and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2):
                 size[f] = grown
     return longest if longest >= least else 0
 
@@ -278,11 +290,10 @@ def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Rankin
         if j == tail and size[e] == best.size[0] and turns_left(ax, ay, cx, cy, tolerance2):
             _record(graph, e, chains, best, rings)
         for f in range(first[j], first[j + 1]):
-            if (
-                size[e] + 1 < size[f]
-                or ends[f, 1] > tail
-                or not turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2)
-            ):
+            if ends[f, 1] > tail:
+                break
+            useful = size[e] + 1 >= size[f] and size[e] + reach[f] >= best.size[0]
+            if not (useful and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2)):
                 continue
             if size[e] + 1 > size[f]:
                 size[f] = size[e] + 1

@@ -11,7 +11,6 @@ import pytest
 from mecp_env.slam.polygon import largest_empty_convex_polygons
 from mecp_env.slam.polygon_edges import (
     Limits,
-    Spans,
     View,
     beams_between,
     cosine,
@@ -263,8 +262,8 @@ def plain_stretches(a, b, tolerance, view):
 
 
 def test_wall_beams_are_those_of_clusters_with_lines():
-    spans = Spans(5, np.array([0, 4, 8]), np.array([2, 7, 9]), np.array([0, 1, 0]))
-    assert np.flatnonzero(wall_beams(spans, 12)).tolist() == [1, 2, 5, 6, 7]
+    runs = 5, np.array([0, 4, 8]), np.array([2, 7, 9]), np.array([0, 1, 0])
+    assert np.flatnonzero(wall_beams(*runs, 12)).tolist() == [1, 2, 5, 6, 7]
 
 
 def test_sigmas_of_positions_and_their_median():
