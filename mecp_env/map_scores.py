@@ -70,8 +70,8 @@ def covers(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> tuple[float,
 def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[int, int]:
     """How many true rooms hold the centre of a room of the map (one to one), and how many rooms hold none.
 
-    The centre of a room of the map is that cell of it which lies nearest to the mean of its cells, so that the centre
-    of an L-shaped room lies in it. A room that no cell was painted of yet counts as neither.
+    The centre of a room of the map is its cell farthest from every other room, so that the centre of a U-shaped room
+    lies well inside it. A room that no cell was painted of yet counts as neither.
     """
     p_map = room_centres(report.grid, np.array(report.graph.rooms, np.int64))
     p_world = to_map(T_world_map, p_map[~np.isnan(p_map[:, 0])])
@@ -81,7 +81,7 @@ def rooms_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[i
 
 
 def room_centres(grid: SemanticGrid, rooms: Ints) -> Array:
-    """(n,2) m, map frame: the cell of each room (n,) nearest to the mean of its cells; nan without a cell."""
+    """(n,2) m, map frame: the cell of each room (n,) farthest from every other room; nan without a cell."""
     if not len(rooms) or not grid.room.size:
         return np.full((len(rooms), 2), np.nan)
     centres: Array = grid.origin + (kernels.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m

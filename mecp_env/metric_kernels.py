@@ -144,22 +144,35 @@ def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
 
 @kernel
 def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
-    """(n,2) column and row of the cell of each room (n,) nearest to the mean of its cells, nan for none."""
+    """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none."""
     most = 1 + max(int(rooms.max()), int(room.max()))
-    sums, middles, nearest = np.zeros((most + 1, 3)), np.full((most + 1, 2), np.nan), np.full(most + 1, np.inf)
+    middles, deepest = np.full((most + 1, 2), np.nan), np.zeros(most + 1, np.int64)
+    depth = room_depths(room)
     for i in range(room.shape[0]):
         for j in range(room.shape[1]):
             r = room[i, j]  # -1, no room, is counted in the last row
-            sums[r, 0] += 1.0
-            sums[r, 1] += j
-            sums[r, 2] += i
-    for r in range(most + 1):
-        sums[r, 1:] /= max(sums[r, 0], 1.0)
-    for i in range(room.shape[0]):
-        for j in range(room.shape[1]):
-            r = room[i, j]
-            dx, dy = j - sums[r, 1], i - sums[r, 2]
-            far = dx * dx + dy * dy
-            if far < nearest[r]:
-                nearest[r], middles[r, 0], middles[r, 1] = far, j, i
+            if depth[i, j] > deepest[r]:
+                deepest[r], middles[r, 0], middles[r, 1] = depth[i, j], j, i
     return middles[rooms]
+
+
+@kernel
+def room_depths(room: NDArray[np.int16]) -> NDArray[np.int64]:
+    """(H,W) distance of each cell from the nearest one of another room, or outside, in thirds of a cell (chamfer)."""
+    height, width = room.shape
+    depth = np.empty((height, width), np.int64)
+    for i in range(height):
+        for j in range(width):
+            inner = 0 < i < height - 1 and 0 < j < width - 1
+            for di, dj in ((0, -1), (-1, 0), (0, 1), (1, 0)):
+                inner = inner and room[i + di, j + dj] == room[i, j]
+            depth[i, j] = 3 * (height + width) if inner else 3
+    for sweep in range(2):
+        sign = 1 - 2 * sweep  # from the first row down, then from the last one up
+        for k in range((height - 2) * (width - 2)):
+            i, j = 1 + k // (width - 2), 1 + k % (width - 2)
+            if sweep:
+                i, j = height - 1 - i, width - 1 - j
+            for di, dj, far in ((0, -1, 3), (-1, 0, 3), (-1, -1, 4), (-1, 1, 4)):
+                depth[i, j] = min(depth[i, j], depth[i + sign * di, j + sign * dj] + far)
+    return depth

@@ -225,6 +225,23 @@ def test_the_centre_of_a_room_is_one_of_its_cells():
     assert room_centres(grid, np.empty(0, np.int64)).shape == (0, 2)
 
 
+def test_the_centre_of_a_room_lies_as_deep_in_it_as_any_cell():
+    """A U around another room: the cell nearest to its mean lay on the border, and counted for the room inside."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        room = np.full((40, 30), -1, np.int16)
+        for number in range(4):
+            row, column = rng.integers(1, 20, 2)
+            room[row : row + rng.integers(4, 18), column : min(column + rng.integers(4, 18), 29)] = number
+        grid = SemanticGrid(np.ones(room.shape, np.uint8), room >= 0, room, np.zeros(2), 1.0, 1)
+        for number in np.unique(room[room >= 0]).tolist():
+            mine, others = np.argwhere(room == number), np.argwhere(room != number)
+            depth = np.sqrt(((mine[:, None] - others[None]) ** 2).sum(axis=2)).min(axis=1)
+            (x, y), *_ = room_centres(grid, np.array([number]))
+            here = np.flatnonzero((mine == [int(y), int(x)]).all(axis=1))
+            assert depth[here[0]] > 0.9 * depth.max() - 0.7  # chamfer distances, in steps of whole cells
+
+
 def test_the_centre_of_a_door_takes_both_faces():
     belief = Belief(
         np.zeros(3),
