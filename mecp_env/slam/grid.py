@@ -7,6 +7,7 @@ them moves by more than half a cell, its votes are taken off the grid and cast a
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from operator import attrgetter, is_not
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from mecp_env.slam.data import (
 )
 from mecp_env.slam.grid_canvas import Canvas, empty_grid
 from mecp_env.slam.grid_layers import DoorLayer, PolygonLayer, ScanLayer, free_and_walls
+
+IDS = attrgetter("ids")
 
 
 class GridPainter:
@@ -57,8 +60,7 @@ class GridPainter:
         graph: RoomGraph,
     ) -> SemanticGrid:
         """The grid after this period. `matched_ids` (n,): the landmarks this scan was matched to."""
-        p_landmark = scans.landmark_table(belief.ids, belief.p_map, len(self.p_landmark))
-        change = self._look(p_landmark)
+        p_landmark, change = self._look(belief)
         self._update_polygons(p_landmark, tuple(known_polygons), change)
         self._follow(p_landmark, graph, change)
         self._add_key_scan(belief, beams, segments, graph)
@@ -72,21 +74,22 @@ class GridPainter:
         """Say which rooms hold nothing left to see: from the next period on their unknown pockets are walls."""
         self.completed = tuple(sorted(rooms))
 
-    def _look(self, p_landmark: Array) -> int:
-        """What happened to the landmarks since the last look (`scans.MOVED`, `CAME`, `WENT`)."""
-        change: int = scans.landmark_changes(p_landmark, self.p_landmark, 0.25 * self.config.resolution_m)
+    def _look(self, belief: Belief) -> tuple[Array, int]:
+        """Where the landmarks are (F,2), and what happened to them since the last look (`scans.MOVED`, ...)."""
+        limit = 0.25 * self.config.resolution_m
+        p_landmark, change = scans.look(belief.ids, belief.p_map, self.p_landmark, limit)
         if change & (scans.MOVED | scans.WENT):
             self.p_landmark = p_landmark
         elif change & scans.CAME:
             before = np.full_like(p_landmark, np.nan)
             before[: len(self.p_landmark)] = self.p_landmark
             self.p_landmark = np.where(np.isnan(before), p_landmark, before)
-        return change
+        return p_landmark, change
 
     def _update_polygons(self, p_landmark: Array, known: tuple[KnownPolygon, ...], change: int) -> None:
         """Bring the polygons on the grid in line with the known ones."""
         old = self.polygons.known  # a polygon seen again is a new one with the ids of the old
-        differs = len(known) != len(old) or any(a.ids is not b.ids for a, b in zip(known, old, strict=True))
+        differs = len(known) != len(old) or any(map(is_not, map(IDS, known), map(IDS, old)))
         differs |= bool(change & scans.WENT)
         if differs:
             self.polygons.compare(self.canvas, known)
@@ -126,6 +129,8 @@ class GridPainter:
 
     def _update_pockets(self, graph: RoomGraph) -> None:
         """Turn unknown pockets of completed rooms into walls, when other rooms are complete than before."""
+        if self.completed == self.filled and graph.merged.keys().isdisjoint(self.completed):
+            return
         completed = tuple(sorted({graph.resolve(room) for room in self.completed}))
         if completed == self.filled:
             return

@@ -62,22 +62,19 @@ class Canvas:
 
     def _grow(self, before: Ints, after: Ints) -> None:
         """Add columns and rows (2,) before and after."""
-        pads = ((before[1], after[1]), (before[0], after[0]))
-        self.layers = np.pad(self.layers, ((0, 0), *pads))
-        for layer in (kernels.ROOM, kernels.COVER_ROOM):
-            outside = np.pad(np.zeros(self.grid.label.shape, np.bool_), pads, constant_values=True)
-            self.layers[layer][outside] = UNKNOWN_ROOM
-        self.mask = np.zeros((self.layers.shape[1], self.layers.shape[2] + 1), np.uint8)
+        height, width = self.layers.shape[1:] + (before + after)[::-1]
+        window = np.s_[..., before[1] : height - after[1], before[0] : width - after[0]]
+        shape, grid = (int(height), int(width)), self.grid
+        layers = np.zeros((len(self.layers), *shape), np.int16)
+        layers[[kernels.ROOM, kernels.COVER_ROOM]] = UNKNOWN_ROOM
+        layers[window] = self.layers
+        label, polygon, room = np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.full(shape, -1, np.int16)
+        label[window], polygon[window], room[window] = grid.label, grid.polygon, grid.room
+        self.layers, self.mask = layers, np.zeros((shape[0], shape[1] + 1), np.uint8)
         self.lattice = self.lattice - before
         self.dirty = self.dirty + np.repeat(before[::-1], 2)
-        self.grid = SemanticGrid(
-            np.pad(self.grid.label, pads),
-            np.pad(self.grid.polygon, pads),
-            np.pad(self.grid.room, pads, constant_values=UNKNOWN_ROOM),
-            self.lattice.astype(np.float64) * self.resolution_m,
-            self.resolution_m,
-            self.grid.version + 1,
-        )
+        origin = self.lattice.astype(np.float64) * self.resolution_m
+        self.grid = SemanticGrid(label, polygon, room, origin, self.resolution_m, grid.version + 1)
 
     def everything_dirty(self) -> None:
         """Publish every cell anew."""

@@ -1,4 +1,4 @@
-"""Kernels of the semantic grid: polygons filled by cell centres, the outline of a scan, doors that cut a room.
+"""Kernels of the semantic grid: polygons filled by cell centres, votes of scans, polygons and doors, what they make.
 
 A cell belongs to a polygon when its centre does: painting is unbiased, whatever the angle between wall and grid.
 """
@@ -12,15 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
+from mecp_env.slam.grid_sight import door_ends, door_share, looks_through, split_outline
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Layer = NDArray[np.int16]
 Bytes = NDArray[np.uint8]
+Scan = tuple[Array, Array, Array]  # outline (m,2) of free space, strips (s,4,2) of wall, m, robot frame; pose (3,)
 
 FREE, HITS, COVER, COVER_ROOM, ROOM, DOOR, POCKET = range(7)  # the layers of a grid
 UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, DOOR_CELL = range(4)  # as in mecp_env.slam.data.Cell
+FLOODED, OUTSIDE = 1, 2  # what is known of an unknown cell
 
 
 class Brush(NamedTuple):
@@ -134,90 +137,66 @@ def paint_scan(layers: Layer, outline: Array, strips: Array, delta: int, brush: 
 
 
 @kernel
-def split_outline(outline: Array, eye: Array, door: Array) -> tuple[Array, Array]:
-    """Free space (m,2) seen from `eye` (2,), in the order of bearing, as cut by a door (2,2): before it and behind it.
-
-    Behind is empty when nothing is seen through the door.
-    """
-    count, n, m = outline.shape[0], 0, 0
-    front, behind = np.empty((4 * count, 2)), np.empty((4 * count, 2))
-    ax, ay, bx, by = door_ends(eye, door)
-    for i in range(count):
-        j = i + 1 if i + 1 < count else 0
-        px, py, qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1], outline[j, 0] - eye[0], outline[j, 1] - eye[1]
-        share, share_q = door_share(ax, ay, bx, by, px, py), door_share(ax, ay, bx, by, qx, qy)
-        right, left = crossing_stretch(px, py, qx, qy, ax, ay), crossing_stretch(px, py, qx, qy, bx, by)
-        n = _put(front, n, eye, min(share, 1.0) * px, min(share, 1.0) * py)
-        if share < 1.0:
-            m = _put(behind, m, eye, px, py)
-        if right > 1.0:  # the outline goes behind the door past its right end
-            n = _put(front, _put(front, n, eye, right * ax, right * ay), eye, ax, ay)
-            m = _put(behind, _put(behind, m, eye, ax, ay), eye, right * ax, right * ay)
-        if left > 1.0:  # and comes back past its left end
-            n = _put(front, _put(front, n, eye, bx, by), eye, left * bx, left * by)
-            m = _put(behind, _put(behind, m, eye, left * bx, left * by), eye, bx, by)
-        if (share_q < 1.0 <= share and right <= 1.0) or (share < 1.0 <= share_q and left <= 1.0):  # or through it
-            ex, ey, dx, dy = qx - px, qy - py, bx - ax, by - ay
-            across = ex * dy - ey * dx  # 0: the edge lies on the door's line
-            along = ((ax - px) * dy - (ay - py) * dx) / across if abs(across) > 1e-9 else 0.0
-            n = _put(front, n, eye, px + along * ex, py + along * ey)
-            m = _put(behind, m, eye, px + along * ex, py + along * ey)
-    return front[:n].copy(), behind[:m].copy()
+def vote_scan(layers: Layer, scan: Scan, resolution: float, delta: int, brush: Brush) -> bool:
+    """Cast the votes of a scan (`delta` 1) or take them back (-1); False, and nothing done, where the grid ends."""
+    outline, strips = scan_cells(scan, resolution)
+    height, width = layers.shape[1], layers.shape[2]
+    corners = strips.reshape(4 * strips.shape[0], 2)
+    if not (on_grid(outline, brush.lattice, height, width) and on_grid(corners, brush.lattice, height, width)):
+        return False
+    paint_scan(layers, outline, strips, delta, brush)
+    return True
 
 
 @kernel
-def _put(ring: Array, n: int, eye: Array, x: float, y: float) -> int:
-    """Write a point, given from the eye (2,), into row n of the ring; returns the next row."""
-    ring[n, 0], ring[n, 1] = eye[0] + x, eye[1] + y
-    return n + 1
+def scan_cells(scan: Scan, resolution: float) -> tuple[Array, Array]:
+    """Outline (m,2) and strips (s,4,2) of a scan on the lattice."""
+    outline, strips, T_map_robot = scan
+    corners = to_cells(strips.reshape(4 * strips.shape[0], 2), T_map_robot, resolution)
+    return to_cells(outline, T_map_robot, resolution), corners.reshape(strips.shape)
 
 
 @kernel
-def door_ends(eye: Array, door: Array) -> tuple[float, float, float, float]:
-    """Right and left end x, y of a door (2,2) as seen from the eye (2,), relative to it."""
-    ax, ay, bx, by = door[0, 0] - eye[0], door[0, 1] - eye[1], door[1, 0] - eye[0], door[1, 1] - eye[1]
-    if ax * by - ay * bx > 0.0:
-        return ax, ay, bx, by
-    return bx, by, ax, ay
+def eye_of(scan: Scan, resolution: float) -> Array:
+    """(2,) where a scan was taken, on the lattice."""
+    eye = np.empty(2)
+    eye[0], eye[1] = scan[2][0] / resolution, scan[2][1] / resolution
+    return eye
 
 
 @kernel
-def door_share(ax: float, ay: float, bx: float, by: float, px: float, py: float) -> float:
-    """Share of the way from the origin to p at which it crosses the segment from a (right) to b; 2: nowhere."""
-    if ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
-        return 2.0
-    across = px * (by - ay) - py * (bx - ax)
-    return (ax * by - ay * bx) / across if across > 1e-12 else 2.0
+def stamp_polygon(layers: Layer, ring: Array, room: int, delta: int, resolution: float, brush: Brush) -> bool:
+    """Paint a polygon (k,2) m, map frame, with its room (`delta` 1) or take it off (-1); False where the grid ends."""
+    cells = to_cells(ring, np.zeros(3), resolution)
+    if not on_grid(cells, brush.lattice, layers.shape[1], layers.shape[2]):
+        return False
+    add_polygon(layers[COVER], cells, delta, brush)
+    if delta > 0:
+        set_polygon(layers[COVER_ROOM], cells, room, brush)
+    return True
 
 
 @kernel
-def crossing_stretch(px: float, py: float, qx: float, qy: float, ax: float, ay: float) -> float:
-    """How far out, in lengths of a, the edge from p to q crosses the ray through a counter-clockwise; 0: nowhere."""
-    before, after = ax * py - ay * px, ax * qy - ay * qx
-    if before >= 0.0 or after < 0.0:
-        return 0.0
-    return (px * qy - py * qx) / (after - before)
+def stamp_doors(layers: Layer, quads: Array, delta: int, resolution: float, brush: Brush) -> bool:
+    """Paint doors (d,4,2) m, map frame (`delta` 1), or take them off (-1), but those with nan; False: the grid ends."""
+    known, corners = np.empty(quads.shape[0], np.bool_), quads.reshape(4 * quads.shape[0], 2)
+    cells = to_cells(corners, np.zeros(3), resolution).reshape(quads.shape)
+    for i in range(quads.shape[0]):
+        known[i] = True
+        for k in range(4):
+            known[i] = known[i] and math.isfinite(quads[i, k, 0]) and math.isfinite(quads[i, k, 1])
+        if known[i] and not on_grid(cells[i], brush.lattice, layers.shape[1], layers.shape[2]):
+            return False
+    for i in range(quads.shape[0]):
+        if known[i]:
+            add_polygon(layers[DOOR], cells[i], delta, brush)
+    return True
 
 
 @kernel
-def looks_through(outline: Array, eye: Array, door: Array) -> bool:
-    """True when some of the free space (m,2) seen from `eye` (2,) lies behind the door (2,2)."""
-    ax, ay, bx, by = door_ends(eye, door)
-    for i in range(outline.shape[0]):
-        px, py = outline[i - 1, 0] - eye[0], outline[i - 1, 1] - eye[1]
-        qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1]
-        if door_share(ax, ay, bx, by, qx, qy) < 1.0 or crossing_stretch(px, py, qx, qy, ax, ay) > 1.0:
-            return True
-    return False
-
-
-@kernel
-def paint_room(layer: Layer, room: int, outline: Array, strips: Array, view: tuple[Array, Array], brush: Brush) -> None:
-    """Write `room` into the cells inside the outline (m,2) and of the strips (s,4,2), as far as doors let see.
-
-    `view`: the eye (2,) and the doors (d,2,2), on the lattice like the rest.
-    """
-    eye, doors = view
+def paint_room(layer: Layer, room: int, scan: Scan, doors: Array, resolution: float, brush: Brush) -> None:
+    """Write `room` into the cells of a scan, floor and walls, as far as the doors (d,2,2) of the lattice let see."""
+    (outline, strips), eye = scan_cells(scan, resolution), eye_of(scan, resolution)
     through = np.zeros(strips.shape[0], np.bool_)
     for i in range(doors.shape[0]):
         if not looks_through(outline, eye, doors[i]):
@@ -234,8 +213,9 @@ def paint_room(layer: Layer, room: int, outline: Array, strips: Array, view: tup
 
 
 @kernel
-def forget_room(layer: Layer, room: int, outline: Array, eye: Array, doors: Array, brush: Brush) -> None:
+def forget_room(layer: Layer, room: int, scan: Scan, doors: Array, resolution: float, brush: Brush) -> None:
     """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
+    outline, eye = to_cells(scan[0], scan[2], resolution), eye_of(scan, resolution)
     for i in range(doors.shape[0]):
         if looks_through(outline, eye, doors[i]):
             replace_room(layer, room, split_outline(outline, eye, doors[i])[1], brush)
@@ -257,29 +237,29 @@ def replace_room(layer: Layer, room: int, ring: Array, brush: Brush) -> None:
 def compose(layers: Layer, occupied_ratio: float, label: Bytes, polygon: Bools, room: Layer, dirty: Ints) -> int:
     """Bring the published arrays up to date inside the window `dirty`; returns how many cells changed."""
     changed = 0
+    left, right = max(dirty[2], 0), min(dirty[3], label.shape[1])
     for row in range(max(dirty[0], 0), min(dirty[1], label.shape[0])):
-        for column in range(max(dirty[2], 0), min(dirty[3], label.shape[1])):
-            value = cell_label(layers, row, column, occupied_ratio)
-            covered = layers[COVER, row, column] > 0
-            owner = layers[COVER_ROOM, row, column] if covered else layers[ROOM, row, column]
+        hits, free = layers[HITS, row, left:right], layers[FREE, row, left:right]
+        door, pocket = layers[DOOR, row, left:right], layers[POCKET, row, left:right]
+        cover, cover_room, own_room = layers[COVER, row], layers[COVER_ROOM, row], layers[ROOM, row]
+        labels, rooms = label[row, left:right], room[row, left:right]
+        for i in range(right - left):
+            value = cell_label(hits[i], free[i], door[i], pocket[i], occupied_ratio)
+            covered = cover[left + i] > 0
+            owner = cover_room[left + i] if covered else own_room[left + i]
             owner = owner if value != UNKNOWN_CELL else np.int16(-1)
-            if label[row, column] != value or polygon[row, column] != covered or room[row, column] != owner:
-                changed += 1
-                label[row, column], polygon[row, column], room[row, column] = value, covered, owner
+            changed += (labels[i] != value) | (polygon[row, left + i] != covered) | (rooms[i] != owner)
+            labels[i], polygon[row, left + i], rooms[i] = value, covered, owner
     return changed
 
 
 @kernel
-def cell_label(layers: Layer, row: int, column: int, occupied_ratio: float) -> int:
-    """What the votes make of a cell."""
-    hits, free = layers[HITS, row, column], layers[FREE, row, column]
-    if layers[DOOR, row, column] > 0:
-        return DOOR_CELL
-    if hits > 0 and (free == 0 or hits >= occupied_ratio * (free + hits)):
-        return OCCUPIED_CELL
-    if free > 0:
-        return FREE_CELL
-    return OCCUPIED_CELL if layers[POCKET, row, column] > 0 else UNKNOWN_CELL
+def cell_label(hits: int, free: int, door: int, pocket: int, occupied_ratio: float) -> int:
+    """What the votes make of a cell; without branches, so that it is done for many cells at a time."""
+    occupied = (hits > 0) & ((free == 0) | (hits >= occupied_ratio * (free + hits)))
+    unseen = OCCUPIED_CELL if pocket > 0 else UNKNOWN_CELL
+    seen = OCCUPIED_CELL if occupied else (FREE_CELL if free > 0 else unseen)
+    return DOOR_CELL if door > 0 else seen
 
 
 @kernel
@@ -291,39 +271,65 @@ def find_pockets(label: Bytes, room: Layer, complete: Bools, pocket: Layer) -> N
     """
     height, width = label.shape
     queue = np.empty((height * width, 2), np.int64)
-    state = np.zeros((height, width), np.uint8)
+    state = mark_outside(label)
     pocket[:, :] = 0
-    for cell in range(height * width):
-        row, column = cell // width, cell % width
-        if label[row, column] != UNKNOWN_CELL or state[row, column]:
-            continue
-        size, owner = flood_unknown(label, room, state, queue, row, column)
-        if 0 <= owner < complete.shape[0] and complete[owner]:
-            for i in range(size):
-                pocket[queue[i, 0], queue[i, 1]] = 1
+    for row in range(height):
+        for column in range(width):
+            if label[row, column] != UNKNOWN_CELL or state[row, column]:
+                continue
+            size, owner = flood_unknown(label, room, state, queue, row, column)
+            if 0 <= owner < complete.shape[0] and complete[owner]:
+                set_cells(pocket, queue, size)
+
+
+@kernel
+def set_cells(layer: Layer, cells: Ints, count: int) -> None:
+    """Write 1 into the first `count` cells (n,2), row and column, of the layer."""
+    for i in range(count):
+        layer[cells[i, 0], cells[i, 1]] = np.int16(1)
+
+
+@kernel
+def mark_outside(label: Bytes) -> Bytes:
+    """(H,W) OUTSIDE at unknown cells that join the border of the grid, most of them in two sweeps; else 0."""
+    height, width = label.shape
+    state = np.zeros((height, width), np.uint8)
+    for row in range(height):
+        for column in range(width):
+            border = row == 0 or column == 0 or row == height - 1 or column == width - 1
+            joined = border or state[row - 1, column] == OUTSIDE or state[row, column - 1] == OUTSIDE
+            if joined and label[row, column] == UNKNOWN_CELL:
+                state[row, column] = OUTSIDE
+    for i in range(1, height - 1):
+        for j in range(1, width - 1):
+            row, column = height - 1 - i, width - 1 - j
+            joined = state[row + 1, column] == OUTSIDE or state[row, column + 1] == OUTSIDE
+            if joined and label[row, column] == UNKNOWN_CELL:
+                state[row, column] = OUTSIDE
+    return state
 
 
 @kernel
 def flood_unknown(label: Bytes, room: Layer, state: Bytes, queue: Ints, row: int, column: int) -> tuple[int, int]:
-    """Size of the unknown component around a cell (its cells in `queue`) and the one room around it (-2: not one)."""
-    height, width = label.shape
+    """Size of the unknown component around a cell (its cells in `queue`) and the one room around it (-2: not one).
+
+    `state` (H,W) is OUTSIDE on the border of the grid wherever that is unknown.
+    """
     queue[0, 0], queue[0, 1] = row, column
-    state[row, column] = 1
+    state[row, column] = FLOODED
     size, head, owner = 1, 0, -1
     while head < size:
         r, c = queue[head, 0], queue[head, 1]
         head += 1
-        if r == 0 or c == 0 or r == height - 1 or c == width - 1:
-            owner = -2
-            continue
         for k in range(4):
             nr, nc = r + (k == 0) - (k == 1), c + (k == 2) - (k == 3)
-            if label[nr, nc] == UNKNOWN_CELL and not state[nr, nc]:
-                state[nr, nc] = 1
+            unknown = label[nr, nc] == UNKNOWN_CELL
+            if unknown and not state[nr, nc]:
+                state[nr, nc] = FLOODED
                 queue[size, 0], queue[size, 1] = nr, nc
                 size += 1
-            elif label[nr, nc] == DOOR_CELL:
+            elif label[nr, nc] == DOOR_CELL or state[nr, nc] == OUTSIDE:
                 owner = -2
-            elif label[nr, nc] != UNKNOWN_CELL and room[nr, nc] >= 0 and owner != room[nr, nc]:
+            elif not unknown and room[nr, nc] >= 0 and owner != room[nr, nc]:
                 owner = int(room[nr, nc]) if owner == -1 else -2
     return size, owner

@@ -10,7 +10,6 @@ from mecp_env.slam import grid_kernels as kernels
 from mecp_env.slam import grid_scans as scans
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.data import NO_ID, UNKNOWN_ROOM, Array, Beams, Belief, Bools, Ints, KnownPolygon, RoomGraph, Segments
-from mecp_env.slam.geometry import to_robot
 from mecp_env.slam.grid_canvas import Canvas
 
 LEVER_M = 3.0  # a turn of a scan counts as the shift it causes at this distance
@@ -52,26 +51,19 @@ class ScanLayer:
 
     def _vote(self, canvas: Canvas, row: int, delta: int) -> None:
         """Cast the votes of a scan (`delta` 1) or take them back (-1)."""
-        outline, strips = self._cells(canvas, row)
-        canvas.contain(outline)
-        canvas.contain(strips.reshape(-1, 2))
-        kernels.paint_scan(canvas.layers, outline, strips, delta, canvas.brush())
+        scan = self._scan(row)
+        if not kernels.vote_scan(canvas.layers, scan, canvas.resolution_m, delta, canvas.brush()):
+            for cells in kernels.scan_cells(scan, canvas.resolution_m):
+                canvas.contain(cells.reshape(-1, 2))
+            kernels.vote_scan(canvas.layers, scan, canvas.resolution_m, delta, canvas.brush())
 
-    def _cells(self, canvas: Canvas, row: int) -> tuple[Array, Array]:
-        """Outline and strips of a scan on the lattice."""
-        pose = self.T_map_robot[row]
-        return canvas.cells(self.outline[row], pose), canvas.cells(self.strips[row], pose)
+    def _scan(self, row: int) -> kernels.Scan:
+        """What the kernels need of a scan."""
+        return self.outline[row], self.strips[row], self.T_map_robot[row]
 
     def hang_up(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
         """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
-        if not (self.anchor[:, 0] == NO_ID).any() or len(matched_ids) < 2:
-            return
-        best = scans.surest(matched_ids, belief.ids, belief.covs, self.anchor.shape[1])
-        if len(best) < 2:
-            return
-        for row in np.flatnonzero(self.anchor[:, 0] == NO_ID).tolist():
-            self.anchor[row, : len(best)] = best
-            self.p_robot[row, : len(best)] = to_robot(self.T_map_robot[row], p_landmark[best])
+        scans.hang_up((self.anchor, self.p_robot, self.T_map_robot), p_landmark, matched_ids, (belief.ids, belief.covs))
 
     def follow(self, canvas: Canvas, p_landmark: Array) -> None:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
@@ -99,25 +91,19 @@ class ScanLayer:
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
         """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""
         rows = np.flatnonzero(~self.has_room).tolist()
-        lines = canvas.cells(cuts) if rows else cuts
+        lines, layer = canvas.cells(cuts) if rows else cuts, canvas.layers[kernels.ROOM]
         for row in rows:
-            outline, strips = self._cells(canvas, row)
-            view = (self._eye(canvas, row), lines)
-            kernels.paint_room(canvas.layers[kernels.ROOM], int(self.room[row]), outline, strips, view, canvas.brush())
+            room = int(self.room[row])
+            kernels.paint_room(layer, room, self._scan(row), lines, canvas.resolution_m, canvas.brush())
         self.has_room[:] = True
 
     def forget_behind(self, canvas: Canvas, cuts: Array, reach_m: float) -> None:
         """Take the room off what was seen, within `reach_m`, through doors (d,2,2) m that were not known then."""
         lines, offset = canvas.cells(cuts), self.T_map_robot[:, None, :2] - cuts.mean(axis=1)
         near = (np.hypot(offset[:, :, 0], offset[:, :, 1]) < reach_m).any(axis=1)
+        layer, brush = canvas.layers[kernels.ROOM], canvas.brush()
         for row in np.flatnonzero(near & self.has_room & (self.room != UNKNOWN_ROOM)).tolist():
-            outline = canvas.cells(self.outline[row], self.T_map_robot[row])
-            eye, room = self._eye(canvas, row), int(self.room[row])
-            kernels.forget_room(canvas.layers[kernels.ROOM], room, outline, eye, lines, canvas.brush())
-
-    def _eye(self, canvas: Canvas, row: int) -> Array:
-        """Where a scan was taken (2,), on the lattice."""
-        return self.T_map_robot[row, :2] / canvas.resolution_m
+            kernels.forget_room(layer, int(self.room[row]), self._scan(row), lines, canvas.resolution_m, brush)
 
 
 def free_and_walls(beams: Beams, segments: Segments, config: GridConfig) -> tuple[Array, Array]:
@@ -125,14 +111,14 @@ def free_and_walls(beams: Beams, segments: Segments, config: GridConfig) -> tupl
 
     Free space ends, and walls begin, at the fitted lines, not at the noisy ranges; a strip is one cell deep.
     """
-    reach, depth = config.paint_range_m, config.resolution_m
-    ranges, owner = scans.fitted_ranges(
-        beams.ranges, beams.bearings, segments.line, segments.first, segments.last, segments.roll
+    outline, strips = scans.free_and_walls(
+        (beams.ranges, beams.bearings, beams.hit),
+        (segments.points, segments.line, segments.first, segments.last, segments.roll),
+        LOOSE_MARGIN_M,
+        config.paint_range_m,
+        config.resolution_m,
     )
-    limits = np.array([LOOSE_MARGIN_M, reach])
-    outline = scans.scan_outline(ranges, beams.bearings, beams.hit, owner, limits)
-    loose = scans.loose_strips(ranges, beams.bearings, beams.hit, owner, depth, reach)
-    return outline, np.concatenate([scans.wall_strips(segments.points, depth, reach), loose])
+    return outline, strips
 
 
 @dataclass(slots=True, eq=False)
@@ -194,11 +180,10 @@ class PolygonLayer:
 
     def _stamp(self, canvas: Canvas, polygon: PaintedPolygon, delta: int) -> None:
         """Paint a polygon (`delta` 1) or take it off (-1)."""
-        cells = canvas.cells(polygon.ring)
-        canvas.contain(cells)
-        kernels.add_polygon(canvas.layers[kernels.COVER], cells, delta, canvas.brush())
-        if delta > 0:
-            self._write_room(canvas, polygon)
+        cell, ring, room = canvas.resolution_m, polygon.ring, polygon.room
+        if not kernels.stamp_polygon(canvas.layers, ring, room, delta, cell, canvas.brush()):
+            canvas.contain(canvas.cells(ring))
+            kernels.stamp_polygon(canvas.layers, ring, room, delta, cell, canvas.brush())
 
     def _write_room(self, canvas: Canvas, polygon: PaintedPolygon) -> None:
         """Give the cells of a polygon its room."""
@@ -226,8 +211,7 @@ class DoorLayer:
         if key == self.key and not moved:
             return np.empty((0, 2, 2))
         quads = door_quads(p_landmark, key)
-        before = dict(zip(self.key, self.quads, strict=True))
-        still = np.array([self._stands(before.get(k), quad) for k, quad in zip(key, quads, strict=True)], np.bool_)
+        still = self._standing(key, quads)
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
         self._stamp(canvas, -1)
@@ -235,15 +219,20 @@ class DoorLayer:
         self._stamp(canvas, 1)
         return cut_lines(quads[~still])
 
-    def _stands(self, before: Array | None, quad: Array) -> bool:
-        """True when a door was painted before (4,2) where it is now, within half a cell."""
-        return before is not None and not (np.abs(before - quad) > self.shift_m).any()
+    def _standing(self, key: tuple[DoorKey, ...], quads: Array) -> Bools:
+        """(d,) True for each door that was painted before where it is now (d,4,2), within half a cell."""
+        row = {door: i for i, door in enumerate(self.key)}
+        rows = np.array([row.get(door, -1) for door in key], np.int64)
+        still = rows >= 0
+        still[still] = ~(np.abs(self.quads[rows[still]] - quads[still]) > self.shift_m).any(axis=(1, 2))
+        return still
 
     def _stamp(self, canvas: Canvas, delta: int) -> None:
         """Paint the doors (`delta` 1) or take them off (-1)."""
-        for cells in canvas.cells(self.quads[np.isfinite(self.quads).all(axis=(1, 2))]):
-            canvas.contain(cells)
-            kernels.add_polygon(canvas.layers[kernels.DOOR], cells, delta, canvas.brush())
+        if not kernels.stamp_doors(canvas.layers, self.quads, delta, canvas.resolution_m, canvas.brush()):
+            for cells in canvas.cells(self.quads[np.isfinite(self.quads).all(axis=(1, 2))]):
+                canvas.contain(cells)
+            kernels.stamp_doors(canvas.layers, self.quads, delta, canvas.resolution_m, canvas.brush())
 
     def cuts(self, graph: RoomGraph) -> Array:
         """(d,2,2) m, the lines that part the rooms: through the middle of each door, and across each candidate."""
@@ -270,10 +259,7 @@ def door_quads(p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
 
     With one face known the door is as deep as a thin wall.
     """
-    ids = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
-    right, left, far_right, far_left = p_landmark[ids].transpose(1, 0, 2)
-    along = (left - right) / np.maximum(np.hypot(*(left - right).T), 1e-9)[:, None]
-    onward = np.stack([along[:, 1], -along[:, 0]], axis=1)  # from the first room into the next
-    depth = np.array([[0.0 if other else WALL_M] for _, _, other in doors]).reshape(-1, 1) * onward
-    rim = RIM_M * onward
-    return np.stack([right - rim, left - rim, far_left + depth + rim, far_right + depth + rim], axis=1)
+    jambs = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
+    depth = np.array([0.0 if other else WALL_M for _, _, other in doors], np.float64)
+    quads: Array = scans.door_quads(p_landmark, jambs, depth, RIM_M)
+    return quads

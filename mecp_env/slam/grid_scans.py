@@ -17,6 +17,33 @@ MOVED, CAME, WENT = 1, 2, 4  # what can happen to landmarks
 
 
 @kernel
+def free_and_walls(
+    beams: tuple[Array, Array, Bools],
+    segments: tuple[Array, Array, Ints, Ints, int],
+    margin: float,
+    reach: float,
+    depth: float,
+) -> tuple[Array, Array]:
+    """Outline (m,2) of the free space and strips (s,4,2) of wall of a scan, m, robot frame.
+
+    `beams`: ranges, bearings and hit (B,); `segments`: points (L,2,2), lines (L,2), first and last position (L,), roll.
+    Free space ends `margin` before a hit on no line; nothing counts beyond `reach`; walls are `depth` deep.
+    """
+    ranges, bearings, hit = beams
+    points, line, first, last, roll = segments
+    fitted, owner = fitted_ranges(ranges, bearings, line, first, last, roll)
+    outline = scan_outline(fitted, bearings, hit, owner, (margin, reach))
+    walls = wall_strips(points, depth, reach)
+    loose = loose_strips(fitted, bearings, hit, owner, depth, reach)
+    strips = np.empty((walls.shape[0] + loose.shape[0], 4, 2))
+    for i in range(strips.shape[0]):
+        strip = walls[i] if i < walls.shape[0] else loose[i - walls.shape[0]]
+        for k in range(4):
+            strips[i, k, 0], strips[i, k, 1] = strip[k, 0], strip[k, 1]
+    return outline, strips
+
+
+@kernel
 def fitted_ranges(
     ranges: Array, bearings: Array, line: Array, first: Ints, last: Ints, roll: int
 ) -> tuple[Array, Ints]:
@@ -35,7 +62,7 @@ def fitted_ranges(
 
 
 @kernel
-def scan_outline(ranges: Array, bearings: Array, hit: Bools, owner: Ints, short_reach: Array) -> Array:
+def scan_outline(ranges: Array, bearings: Array, hit: Bools, owner: Ints, short_reach: tuple[float, float]) -> Array:
     """Outline (m,2) of the free space of a scan, robot frame; the beams along one line leave only its two ends.
 
     `short_reach`: how far a hit off any line is kept back (m), and how far a beam is trusted (m).
@@ -158,6 +185,13 @@ def anchored_poses(anchor: Ints, p_robot: Array, T_map_robot: Array, p_map: Arra
 
 
 @kernel
+def look(ids: Ints, p_map: Array, p_before: Array, limit: float) -> tuple[Array, int]:
+    """The `landmark_table` of the landmarks (N,), (N,2), and its `landmark_changes` since (F',2)."""
+    table = landmark_table(ids, p_map, p_before.shape[0])
+    return table, landmark_changes(table, p_before, limit)
+
+
+@kernel
 def landmark_changes(p_map: Array, p_before: Array, limit: float) -> int:
     """What happened to the landmarks (F,2) since (F',2), nan: not there; a sum of MOVED (by `limit`), CAME, WENT."""
     moved, came, went = 0, 0, 0
@@ -208,6 +242,29 @@ def landmark_table(ids: Ints, p_map: Array, least: int) -> Array:
 
 
 @kernel
+def hang_up(scans: tuple[Ints, Array, Array], p_landmark: Array, matched: Ints, belief: tuple[Ints, Array]) -> None:
+    """Hang the scans that hang on nothing on the surest of the landmarks `matched` (m,), two or more.
+
+    `scans`: anchors (n,k), where they are seen (n,k,2), poses (n,3); the first two are written. `p_landmark` (F,2) by
+    id; `belief`: ids (N,) and covariances (N,2,2).
+    """
+    anchor, p_robot, T_map_robot = scans
+    loose = False
+    for i in range(anchor.shape[0]):
+        loose = loose or anchor[i, 0] < 0
+    if not loose or matched.shape[0] < 2:
+        return
+    best = surest(matched, belief[0], belief[1], anchor.shape[1])
+    for i in range(anchor.shape[0] if best.shape[0] > 1 else 0):
+        if anchor[i, 0] >= 0:
+            continue
+        c, s = math.cos(T_map_robot[i, 2]), math.sin(T_map_robot[i, 2])
+        for j in range(best.shape[0]):
+            dx, dy = p_landmark[best[j], 0] - T_map_robot[i, 0], p_landmark[best[j], 1] - T_map_robot[i, 1]
+            anchor[i, j], p_robot[i, j, 0], p_robot[i, j, 1] = best[j], c * dx + s * dy, -s * dx + c * dy
+
+
+@kernel
 def surest(matched: Ints, ids: Ints, covs: Array, count: int) -> Ints:
     """Those `count` of the landmarks `matched` (m,) that the belief (N,), covariances (N,2,2), knows best."""
     chosen, spread = np.empty(count, np.int64), np.full(count, math.inf)
@@ -236,3 +293,23 @@ def nearest_of_room(T_map_robot: Array, room: Ints, x: float, y: float, wanted: 
         if room[i] == wanted:
             best = min(best, math.hypot(T_map_robot[i, 0] - x, T_map_robot[i, 1] - y))
     return best
+
+
+@kernel
+def door_quads(p_landmark: Array, jambs: Ints, depth: Array, rim: float) -> Array:
+    """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face, and a rim.
+
+    `p_landmark` (F,2) by id; `jambs` (d,4): right and left of the first face, and of the other; `depth` (d,) m from
+    those of the other face on.
+    """
+    quads = np.empty((jambs.shape[0], 4, 2))
+    for i in range(jambs.shape[0]):
+        right, left = p_landmark[jambs[i, 0]], p_landmark[jambs[i, 1]]
+        length = max(math.hypot(left[0] - right[0], left[1] - right[1]), 1e-9)
+        onward_x, onward_y = (left[1] - right[1]) / length, -((left[0] - right[0]) / length)
+        for k in range(4):
+            p_jamb = p_landmark[jambs[i, (0, 1, 3, 2)[k]]]
+            deep, beyond = (-rim, 0.0) if k < 2 else (depth[i], rim)
+            quads[i, k, 0] = p_jamb[0] + deep * onward_x + beyond * onward_x
+            quads[i, k, 1] = p_jamb[1] + deep * onward_y + beyond * onward_y
+    return quads

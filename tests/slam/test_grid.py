@@ -12,7 +12,7 @@ from mecp_env.slam.config import GridConfig
 from mecp_env.slam.data import Cell, RoomGraph
 from mecp_env.slam.geometry import compose, to_map
 from mecp_env.slam.grid import GridPainter
-from mecp_env.slam.grid_kernels import split_outline
+from mecp_env.slam.grid_sight import split_outline
 from tests.toy import HERE, LANDMARKS, Toy, free_iou, is_free, labels_at, layer_at, look
 
 TOUR = [(1.0, 2.0), (3.0, 1.0), (5.0, 2.0), (5.5, 1.95), (6.06, 1.95), (6.6, 1.95), (8.0, 2.5)]
