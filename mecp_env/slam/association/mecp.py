@@ -14,7 +14,7 @@ from mecp_env.slam.association.joint import best_growth, grow, likeliest
 from mecp_env.slam.association.rings import RingMatch, match_rings
 from mecp_env.slam.association.singles import pairing_table, pairs_beside_ring, settle
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.data import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
@@ -35,13 +35,13 @@ class MecpAssociator:
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision a corner (III-B.2)."""
         match = undecided(len(corners))
-        nearest = np.full(len(corners), np.inf)
-        if len(view.belief.ids) and len(corners):
-            table = pairing_table(corners, view, belief, self.config, self._gate)
-            nearest = table.nearest
-            ring = self._recognise(corners, polygons, view, table.nis, belief)
-            match = self._pair(match, corners, table.costs, ring, view, belief)
-        settle(match, corners, view, nearest, self.config.ignore_gate)
+        if not len(view.belief.ids) or not len(corners):
+            settle(match, corners, view, np.full(len(corners), np.inf), self.config.ignore_gate)
+            return match
+        table = pairing_table(corners, view, belief, self.config, self._gate)
+        ring = self._recognise(corners, polygons, view, table.nis, belief)
+        match = self._pair(match, corners, table.costs, ring, view, belief)
+        settle(match, corners, view, table.nearest, self.config.ignore_gate)
         return match
 
     @property
@@ -70,16 +70,16 @@ class MecpAssociator:
         z, R = corners.measurements(corner)
         ids = landmarks[row]
         nu, S = belief.innovation(z, R, ids)
-        seeds = self._most_seeds(view)
+        seeds = 0 if ring is not None or self._is_sharp(view.belief) else self.config.most_seeds
         columns = match.ids, match.decision, match.reason, match.nis
         accept(nu, S, corner, row, ids, fixed, costs, seeds, gate, self.config.rival_gap, *columns)
         return match if ring is None else Match(*columns, ring.polygon, ring.known, match.closure)
 
-    def _most_seeds(self, view: MapView) -> int:
-        """From how many pairings to start beside a free choice: from none while the pose is sharp."""
-        x, y, heading = view.belief.pose_cov.diagonal().tolist()
-        sharp = max(x, y) < self.config.sharp_sigma_m**2 and heading < math.radians(self.config.sharp_sigma_deg) ** 2
-        return 0 if sharp else self.config.most_seeds
+    def _is_sharp(self, belief: Belief) -> bool:
+        """True while the pose is so well known that a free choice is enough to start from."""
+        x, y, heading = belief.pose_cov.diagonal().tolist()
+        known: bool = max(x, y) < self.config.sharp_sigma_m**2
+        return known and heading < math.radians(self.config.sharp_sigma_deg) ** 2
 
 
 @kernel

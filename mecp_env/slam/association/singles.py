@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason, RoomGraph
+from mecp_env.slam.data import UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason
 from mecp_env.slam.geometry import wrap_angle
 from mecp_env.slam.protocols import Filter
 
@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+HERE = -2  # not seen through a door
+NOWHERE = np.empty(0, np.int64)
 JAMB, NEW, IGNORED = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.IGNORED)
 AMBIGUOUS, IN_DOORWAY, BEYOND_DOOR = int(Reason.AMBIGUOUS), int(Reason.IN_DOORWAY), int(Reason.BEYOND_DOOR)
 
@@ -41,6 +43,7 @@ def pairing_table(
     ids, features = view.belief.ids, view.features
     nis = belief.individual_nis(corners.z, corners.R, ids)
     costs, nearest = np.empty(nis.shape), np.empty(nis.shape[0])
+    home = UNKNOWN_ROOM if view.graph.in_doorway or not config.use_rooms else view.graph.current
     strike_out(
         nis,
         costs,
@@ -48,7 +51,9 @@ def pairing_table(
         view.belief.T_map_robot[2],
         corners.convex,
         corners.normals,
-        _rooms_seen(corners, view, config),
+        home,
+        corners.beyond,
+        _rooms_behind(view) if config.use_rooms else NOWHERE,
         ids,
         features.convex,
         features.normals,
@@ -69,7 +74,9 @@ def strike_out(
     heading: float,
     convex: Bools,
     normals: Array,
-    seen: Ints,
+    home: int,
+    beyond: Ints,
+    behind: Ints,
     ids: Ints,
     known_convex: Bools,
     known_normals: Array,
@@ -80,28 +87,35 @@ def strike_out(
     elsewhere: bool,
 ) -> None:
     """Both strikes, one after the other; a `tolerance` of nan leaves the signature out. Shapes as there."""
+    seen = rooms_seen(home, beyond, behind)
     if not math.isnan(tolerance):
         strike_by_signature(nis, heading, convex, normals, ids, known_convex, known_normals, tolerance)
     strike_by_room(nis, costs, nearest, seen, ids, known_room, known_kind, gate, elsewhere)
 
 
-def _rooms_seen(corners: Corners, view: MapView, config: AssociationConfig) -> Ints:
-    """(n,) the room each corner lies in, UNKNOWN_ROOM where that is open."""
-    graph = view.graph
-    if not config.use_rooms:
-        return np.full(len(corners), UNKNOWN_ROOM, np.int64)
-    home = UNKNOWN_ROOM if graph.in_doorway else graph.current
-    rooms = [home if gap < 0 else UNKNOWN_ROOM for gap in corners.beyond.tolist()]
+def _rooms_behind(view: MapView) -> Ints:
+    """(n,) the room behind the door that each corner is seen through, HERE without one; empty when there are none."""
     through = view.through.tolist()
-    if max(through) >= 0:
-        behind = _rooms_behind(graph)
-        rooms = [behind.get(door, room) for room, door in zip(rooms, through, strict=True)]
-    return np.array(rooms, np.int64)
+    if max(through) < 0:
+        return NOWHERE
+    here = view.graph.current
+    behind = {
+        door.id: door.rooms[1] if door.rooms[0] == here else door.rooms[0]
+        for door in view.graph.doors
+        if door.id in through
+    }
+    return np.array([behind.get(door, HERE) for door in through])
 
 
-def _rooms_behind(graph: RoomGraph) -> dict[int, int]:
-    """The room behind each door, by the door's id."""
-    return {door.id: door.rooms[1] if door.rooms[0] == graph.current else door.rooms[0] for door in graph.doors}
+@kernel
+def rooms_seen(home: int, beyond: Ints, behind: Ints) -> Ints:
+    """(n,) the room each corner lies in: `home`, open beyond a gap that is no door yet, or what is `behind` a door."""
+    seen = np.empty(beyond.shape[0], np.int64)
+    for i in range(seen.shape[0]):
+        seen[i] = home if beyond[i] < 0 else UNKNOWN_ROOM
+        if behind.shape[0] > 0 and behind[i] != HERE:
+            seen[i] = behind[i]
+    return seen
 
 
 @kernel

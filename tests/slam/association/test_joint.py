@@ -8,8 +8,15 @@ import pytest
 from mecp_env.slam.association.base import chi2_gate, one_to_one
 from mecp_env.slam.association.joint import best_growth, grow, likeliest
 from mecp_env.slam.association.rings import plausible_rings
-from mecp_env.slam.association.singles import fix_rows, possible_pairs, strike_by_room, strike_by_signature
-from mecp_env.slam.data import Belief, CornerKind, FeatureState
+from mecp_env.slam.association.singles import (
+    HERE,
+    fix_rows,
+    possible_pairs,
+    rooms_seen,
+    strike_by_room,
+    strike_by_signature,
+)
+from mecp_env.slam.data import UNKNOWN_ROOM, Belief, CornerKind, FeatureState
 
 
 def common_error_case(rng, wrong):
@@ -100,6 +107,13 @@ def test_rooms_keep_corners_apart_but_not_those_unknown_at_home():
     strike_by_room(nis, costs, nearest, seen, np.arange(2), known, kind, 13.8, True)
     assert costs.tolist() == [[1.0, inf], [50.0, 2.0], [1.0, 2.0]]
     assert nearest.tolist() == [1.0, 2.0, 1.0]
+
+
+def test_a_corner_lies_here_beyond_a_gap_or_behind_a_door():
+    beyond, behind = np.array([-1, 0, -1, 0]), np.array([HERE, HERE, 5, UNKNOWN_ROOM])
+    assert rooms_seen(3, beyond, behind).tolist() == [3, -1, 5, -1]
+    assert rooms_seen(-1, beyond, behind).tolist() == [-1, -1, 5, -1]
+    assert rooms_seen(3, beyond, np.empty(0, np.int64)).tolist() == [3, -1, 3, -1]
 
 
 def test_jambs_belong_to_both_rooms():
