@@ -31,12 +31,14 @@ class DoorBook:
     candidates: list[Candidate] = field(default_factory=list)
     sightings: dict[tuple[int, int], int] = field(default_factory=dict)
     next_id: int = 0
+    ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (D,) of `doors`
     jambs: Ints = field(default_factory=lambda: np.empty((0, 4), np.int64))  # (D,4) as `door_jambs`
     row: dict[tuple[int, int], int] = field(default_factory=dict)  # face -> index in `doors`
 
     def set_doors(self, doors: list[Door]) -> None:
         """Replace the doors; what is derived from them follows."""
         self.doors = doors
+        self.ids = np.array([door.id for door in doors], np.int64)
         self.jambs = door_jambs(doors)
         faces = [
             (face, d) for d, door in enumerate(doors) for face in (door.jambs, door.other_face) if face is not None

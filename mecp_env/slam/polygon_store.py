@@ -53,7 +53,7 @@ class PolygonStore:
         if key not in self.row:
             self.row[key] = len(self.polygons)
             self.polygons.append(KnownPolygon(ring, intervals, room, 1, period))
-            self._index_rings(len(ring))
+            self._index_ring(ring)
             return
         i = self.row[key]
         known = self.polygons[i]
@@ -79,11 +79,17 @@ class PolygonStore:
         self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
         self.rings = {}
         for cardinality in {len(p.ids) for p in self.polygons}:
-            self._index_rings(cardinality)
+            index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
+            rings = np.array([self.polygons[i].ids for i in index])
+            self.rings[cardinality] = Rings(np.array(index, np.int64), rings)
 
-    def _index_rings(self, cardinality: int) -> None:
-        index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
-        self.rings[cardinality] = Rings(np.array(index, np.int64), np.stack([self.polygons[i].ids for i in index]))
+    def _index_ring(self, ring: Ints) -> None:
+        """Take in the ids of the last polygon of the list."""
+        index, ids = np.array([len(self.polygons) - 1]), ring.reshape(1, -1)
+        known = self.rings.get(len(ring))
+        if known is not None:
+            index, ids = np.concatenate((known.index, index)), np.concatenate((known.ids, ids))
+        self.rings[len(ring)] = Rings(index, ids)
 
 
 @kernel

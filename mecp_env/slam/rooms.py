@@ -60,9 +60,8 @@ class RoomKeeper:
         if not self.book.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
         through, sites = np.empty(len(corners), np.int64), corners.sites.copy()
-        door_ids = np.array([door.id for door in self.book.doors])
-        jambs = self.book.jambs
-        if seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, jambs, door_ids, through, sites):
+        doors = self.book.jambs, self.book.ids
+        if seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, *doors, through, sites):
             corners = corners.with_sites(sites)
         return corners, through
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,18 +109,22 @@ def _start_tracks(features: FeatureTable, corners: Corners, match: Match, p_map:
 
 
 def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: Bools, p_map: Array) -> None:
-    grown = {
-        "state": np.full(count, int(FeatureState.TRACK), np.int64),
-        "room": np.full(count, room, np.int64),
+    new = {
+        "state": TRACK,
+        "room": room,
         "kind": kind,
         "convex": convex,
-        "normals": np.full((count, 2), np.nan),
-        "seen": np.zeros(count, np.int64),
-        "last_period": np.zeros(count, np.int64),
+        "normals": math.nan,
+        "seen": 0,
+        "last_period": 0,
         "p_map": p_map,
     }
-    for column in fields(features):
-        setattr(features, column.name, np.concatenate((getattr(features, column.name), grown[column.name])))
+    for column, values in new.items():
+        old = getattr(features, column)
+        grown = np.empty((len(old) + count, *old.shape[1:]), old.dtype)
+        grown[: len(old)] = old
+        grown[len(old) :] = values
+        setattr(features, column, grown)
 
 
 @kernel

@@ -46,15 +46,18 @@ def _condition(nu: Array, S: Array, p: int, alive: Bools) -> None:
     """nu and S of the pairings still alive, given that pairing p is true; in place."""
     a, b, c = S[2 * p, 2 * p], S[2 * p, 2 * p + 1], S[2 * p + 1, 2 * p + 1]
     determinant = a * c - b * b
+    first, second = S[2 * p], S[2 * p + 1]
     for u in range(nu.shape[0]):
-        if not alive[u // 2]:
+        if not alive[u >> 1]:
             continue
         s0, s1 = S[u, 2 * p], S[u, 2 * p + 1]
         g0, g1 = (c * s0 - b * s1) / determinant, (a * s1 - b * s0) / determinant
         nu[u] -= g0 * nu[2 * p] + g1 * nu[2 * p + 1]
-        for v in range(nu.shape[0]):
-            if alive[v // 2]:
-                S[u, v] -= g0 * S[2 * p, v] + g1 * S[2 * p + 1, v]
+        for q in range(alive.shape[0]):
+            if alive[q]:
+                v = 2 * q
+                S[u, v] -= g0 * first[v] + g1 * second[v]
+                S[u, v + 1] -= g0 * first[v + 1] + g1 * second[v + 1]
 
 
 @kernel
