@@ -23,7 +23,7 @@ WIDEST_STEP = 1.75  # nominal bearing steps between two beams that may still be 
 class Threshold(NamedTuple):
     """The largest distance of two consecutive hits of one cluster: fixed + per_metre * range + sigmas * sigma."""
 
-    fixed: float
+    fixed: float  # m
     per_metre: float
     sigma: float  # m, of one raw beam, times the number of sigmas
 
@@ -40,22 +40,38 @@ def cluster_beams(beams: Beams, config: ClusteringConfig, sensor: SensorModel) -
 
     Differs from the paper: without the noise term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
-    size = len(beams.ranges)
-    step = (beams.bearings[-1] - beams.bearings[0]) / (size - 1) if size > 1 else 0.0
-    threshold = _threshold(config, noise_of(sensor)[0], step)
-    joined = join_beams(beams.ranges, beams.bearings, beams.hit, beams.count, threshold)
-    roll = find_gap(beams.ranges, joined)
-    wall = Wall(config.wall_beams, config.wall_extent_m)
-    first, last, kind = collect_runs(beams.ranges, beams.bearings, beams.hit, joined, (roll, wall))
+    roll, (first, last, kind) = find_clusters(
+        (beams.ranges, beams.bearings, beams.hit, beams.count),
+        _threshold(config, noise_of(sensor)[0]),
+        (config.wall_beams, config.wall_extent_m),
+    )
     return Clusters(roll, first, last, kind)
 
 
-def _threshold(config: ClusteringConfig, range_sigma_m: float, step: float) -> Threshold:
+def _threshold(config: ClusteringConfig, range_sigma_m: float) -> tuple[float, float, float]:
+    """The fixed part of the threshold (m), cosine of the grazing angle (0: it does not grow with range), noise (m)."""
     if config.threshold == "fixed":
-        return Threshold(config.fixed_m, 0.0, 0.0)
-    per_metre = 2.0 * math.sin(step / 2.0) / math.cos(math.radians(config.grazing_deg))  # d / cos 85, d = 2 r sin(t/2)
+        return config.fixed_m, 0.0, 0.0
     sigmas = config.noise_sigmas if config.threshold == "adaptive_noise" else 0.0
-    return Threshold(0.0, per_metre, sigmas * range_sigma_m)
+    return 0.0, math.cos(math.radians(config.grazing_deg)), sigmas * range_sigma_m
+
+
+@kernel
+def find_clusters(
+    beams: tuple[Array, Array, Bools, Ints], rule: tuple[float, float, float], walls: tuple[int, float]
+) -> tuple[int, Ints]:
+    """The beam at position 0, and first position, last position and kind (3,C) of the clusters.
+
+    Given are range, bearing, hit and count of the beams; the fixed part of the threshold (m), the cosine of the grazing
+    angle (0: no part grows with the range), the noise (m); and the fields of `Wall`.
+    """
+    ranges, bearings, hit, count = beams
+    size, (fixed, cosine, sigma) = ranges.shape[0], rule
+    step = (bearings[size - 1] - bearings[0]) / max(size - 1, 1)
+    per_metre = 2.0 * math.sin(step / 2.0) / cosine if cosine > 0.0 else 0.0  # d / cos 85, d = 2 r sin(t/2)
+    joined = join_beams(ranges, bearings, hit, count, Threshold(fixed, per_metre, sigma))
+    roll = find_gap(ranges, joined)
+    return roll, collect_runs(ranges, bearings, (hit, joined), roll, Wall(walls[0], walls[1]))
 
 
 @kernel
@@ -93,29 +109,29 @@ def find_gap(ranges: Array, joined: Bools) -> int:
 
 
 @kernel
-def collect_runs(
-    ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll_and_wall: tuple[int, Wall]
-) -> tuple[Ints, Ints, Ints]:
-    """First and last positions and kinds (C,) of the runs of joined hits, counted from beam `roll`."""
-    roll, wall = roll_and_wall
+def collect_runs(ranges: Array, bearings: Array, hit_and_joined: tuple[Bools, Bools], roll: int, wall: Wall) -> Ints:
+    """First and last positions and kinds (3,C) of the runs of joined hits, counted from beam `roll`."""
+    hit, joined = hit_and_joined
     size = ranges.shape[0]
-    first, last, kind = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
-    runs, start = 0, 0
+    runs, found, start, first = np.empty((size, 3), np.int64), 0, 0, roll
     nearest, farthest = math.inf, 0.0
     for position in range(size):
-        beam = (position + roll) % size
+        beam = position + roll if position + roll < size else position + roll - size
         nearest, farthest = min(nearest, ranges[beam]), max(farthest, ranges[beam])
         if joined[beam] and position < size - 1:
             continue
         if hit[beam]:
-            across = nearest * step_between(bearings, (start + roll) % size, beam)
+            across = nearest * step_between(bearings, first, beam)
             wide = across * across + (farthest - nearest) ** 2 >= wall.extent * wall.extent
-            first[runs], last[runs] = start, position
-            kind[runs] = LINES if wide and position - start + 1 >= wall.beams else SMALL
-            runs += 1
-        start = position + 1
+            runs[found, 0], runs[found, 1] = start, position
+            runs[found, 2] = LINES if wide and position - start + 1 >= wall.beams else SMALL
+            found += 1
+        start, first = position + 1, beam + 1 if beam + 1 < size else 0
         nearest, farthest = math.inf, 0.0
-    return first[:runs].copy(), last[:runs].copy(), kind[:runs].copy()
+    columns = np.empty((3, found), np.int64)
+    for run in range(found):
+        columns[0, run], columns[1, run], columns[2, run] = runs[run, 0], runs[run, 1], runs[run, 2]
+    return columns
 
 
 @kernel

@@ -20,12 +20,11 @@ SPLIT_SIGMAS = 3.0  # two neighbouring ranges of one surface differ by less than
 SPLIT_SLOPE = 4.0  # what a surface grazed at atan(4) = 76 degrees adds over the beams' bearings
 
 
-class Group(NamedTuple):
-    """The raw beams behind one averaged beam."""
+class Split(NamedTuple):
+    """Ranges of one surface that follow each other by size differ by no more than allowed + slope * range."""
 
-    sweeps: int
-    max_range: float  # m
-    noise: Noise  # of one raw beam
+    allowed: float  # m
+    slope: float
 
 
 def merge_sweeps(scan: Scan, sensor: SensorModel) -> Beams:
@@ -35,29 +34,72 @@ def merge_sweeps(scan: Scan, sensor: SensorModel) -> Beams:
     are the means of the beams used. Differs from the paper: III-A.1 clusters the union of all sweeps; the average keeps
     the angular step of one sweep, which the adaptive threshold needs, and divides the noise by sqrt(K).
     """
-    raw_ranges, raw_bearings, raw_hit = sort_beams(scan.ranges, scan.bearings, scan.hit)
     if len(scan.ranges) == 1:
-        count = np.ones(len(raw_ranges), np.int64)
-        return Beams(raw_ranges, raw_bearings, raw_hit, count, scan.max_range_m, raw_ranges, raw_bearings)
-    group = Group(len(scan.ranges), scan.max_range_m, Noise(*noise_of(sensor)))
-    averaged = average_beams(raw_ranges, raw_bearings, raw_hit, group)
-    return Beams(*averaged, scan.max_range_m, raw_ranges, raw_bearings)
+        ranges, bearings = np.array(scan.ranges[0], float), np.array(scan.bearings[0], float)
+        count = np.empty(len(ranges), np.int64)
+        count.fill(1)
+        return Beams(ranges, bearings, np.array(scan.hit[0], bool), count, scan.max_range_m, ranges, bearings)
+    ranges, bearings, hit, count, raw_ranges, raw_bearings = average_sweeps(
+        scan.ranges, scan.bearings, scan.hit, scan.max_range_m, noise_of(sensor)
+    )
+    return Beams(ranges, bearings, hit, count, scan.max_range_m, raw_ranges, raw_bearings)
+
+
+@kernel
+def average_sweeps(
+    ranges: Array, bearings: Array, hit: Bools, max_range: float, sigmas: tuple[float, float]
+) -> tuple[Array, Array, Bools, Ints, Array, Array]:
+    """The fields of `Beams` but for the largest range, from sweeps (K,B) and the fields of `Noise`."""
+    sweeps, size = ranges.shape
+    raw_ranges, raw_bearings = np.empty(sweeps * size), np.empty(sweeps * size)
+    for beam in range(size):
+        for sweep in range(sweeps):
+            raw = beam * sweeps + sweep
+            raw_ranges[raw], raw_bearings[raw] = ranges[sweep, beam], bearings[sweep, beam]
+    if is_interleaved(bearings):
+        averages = average_beams(ranges, bearings, hit, max_range, split_of(raw_bearings, sigmas))
+    else:
+        sweeps_in_order = sort_beams(raw_ranges, raw_bearings, hit)
+        averages = average_beams(*sweeps_in_order, max_range, split_of(raw_bearings, sigmas))
+    return averages[0], averages[1], averages[2], averages[3], raw_ranges, raw_bearings
+
+
+@kernel
+def split_of(raw_bearings: Array, sigmas: tuple[float, float]) -> Split:
+    """How far apart the ranges of one surface may lie, by the beams' bearings in order and the fields of `Noise`."""
+    noise = Noise(sigmas[0], sigmas[1])
+    step = (raw_bearings[-1] - raw_bearings[0]) / max(raw_bearings.shape[0] - 1, 1)
+    return Split(SPLIT_SIGMAS * noise.range_m, SPLIT_SLOPE * (step + noise.bearing))
+
+
+@kernel
+def is_interleaved(bearings: Array) -> bool:
+    """True when the bearings (K,B), read beam by beam, rise through all sweeps."""
+    sweeps, size = bearings.shape
+    falls = 0
+    for sweep in range(sweeps):
+        here, there = bearings[sweep], bearings[sweep + 1 if sweep + 1 < sweeps else 0]
+        later = 0 if sweep + 1 < sweeps else 1
+        for beam in range(size - later):
+            falls += there[beam + later] < here[beam]
+    return falls == 0
 
 
 @kernel
 def sort_beams(ranges: Array, bearings: Array, hit: Bools) -> tuple[Array, Array, Bools]:
-    """All K*B raw beams in order of bearing: ranges, bearings, hit (insertion sort: interleaved is nearly sorted)."""
-    sweeps, size = ranges.shape
-    out_ranges, out_bearings = np.empty(sweeps * size), np.empty(sweeps * size)
-    out_hit = np.empty(sweeps * size, np.bool_)
-    at = 0
-    for beam in range(size):
-        for sweep in range(sweeps):
-            out_ranges[at], out_bearings[at], out_hit[at] = ranges[sweep, beam], bearings[sweep, beam], hit[sweep, beam]
-            at += 1
-    for n in range(1, at):
-        if out_bearings[n] < out_bearings[n - 1]:
-            sink_beam(out_ranges, out_bearings, out_hit, n)
+    """Sorts the raw beams (K*B,) by bearing; all as sweeps (K,B) again (insertion sort: they are nearly in order)."""
+    sweeps, size = hit.shape
+    raw_hit = np.empty(sweeps * size, np.bool_)
+    for raw in range(sweeps * size):
+        raw_hit[raw] = hit[raw % sweeps, raw // sweeps]
+    for raw in range(1, sweeps * size):
+        if bearings[raw] < bearings[raw - 1]:
+            sink_beam(ranges, bearings, raw_hit, raw)
+    out_ranges, out_bearings = np.empty((sweeps, size)), np.empty((sweeps, size))
+    out_hit = np.empty((sweeps, size), np.bool_)
+    for raw in range(sweeps * size):
+        k, beam = raw % sweeps, raw // sweeps
+        out_ranges[k, beam], out_bearings[k, beam], out_hit[k, beam] = ranges[raw], bearings[raw], raw_hit[raw]
     return out_ranges, out_bearings, out_hit
 
 
@@ -72,59 +114,75 @@ def sink_beam(ranges: Array, bearings: Array, hit: Bools, n: int) -> None:
 
 
 @kernel
-def average_beams(ranges: Array, bearings: Array, hit: Bools, group: Group) -> tuple[Array, Array, Bools, Ints]:
-    """Ranges, bearings, hit and count (B,) of groups of raw beams (B*K,) that follow each other."""
-    sweeps, size = group.sweeps, ranges.shape[0] // group.sweeps
-    out_ranges, out_bearings = np.empty(size), np.empty(size)
+def average_beams(
+    ranges: Array, bearings: Array, hit: Bools, max_range: float, split: Split
+) -> tuple[Array, Array, Bools, Ints]:
+    """Ranges, bearings, hit and count (B,): means of the columns of (K,B), or of their main groups."""
+    sweeps, size = ranges.shape
+    out_ranges, out_bearings = np.zeros(size), np.zeros(size)
     out_hit, count = np.empty(size, np.bool_), np.empty(size, np.int64)
-    allowed = SPLIT_SIGMAS * group.noise.range_m
-    slope = SPLIT_SLOPE * ((bearings[-1] - bearings[0]) / max(ranges.shape[0] - 1, 1) + group.noise.bearing)
-    sorted_beams = np.empty((sweeps, 2))
+    low, high, hits, mixed = np.empty(size), np.zeros(size), np.zeros(size, np.int64), np.empty(size, np.bool_)
     for beam in range(size):
-        low, high, total, turn, hits = math.inf, 0.0, 0.0, 0.0, 0
-        for raw in range(beam * sweeps, (beam + 1) * sweeps):
-            low, high = min(low, ranges[raw]), max(high, ranges[raw])
-            total, turn, hits = total + ranges[raw], turn + bearings[raw], hits + hit[raw]
-        out_hit[beam], count[beam] = hits > 0, sweeps
-        if hits not in (0, sweeps) or high - low > allowed + slope * low:
-            sort_group(ranges, bearings, hit, beam * sweeps, sorted_beams)
-            first, last = main_group(sorted_beams, allowed, slope)
-            out_hit[beam], count[beam] = sorted_beams[first, 0] < math.inf, last - first + 1
+        low[beam] = math.inf
+    for k in range(sweeps):
+        add_sweep(ranges[k], bearings[k], hit[k], (out_ranges, out_bearings, low, high), hits)
+    for beam in range(size):  # several beams at once; the few that belong to two surfaces come afterwards
+        wide = high[beam] - low[beam] > split.allowed + split.slope * low[beam]
+        mixed[beam] = wide or (hits[beam] != 0 and hits[beam] != sweeps)
+        out_hit[beam], count[beam] = hits[beam] > 0, sweeps
+        out_ranges[beam] = out_ranges[beam] / sweeps if hits[beam] > 0 else max_range
+        out_bearings[beam] /= sweeps
+    by_range = np.empty((sweeps, 2))
+    for beam in range(size):
+        if mixed[beam]:
+            sort_group(ranges, bearings, hit, beam, by_range)
+            first, last = main_group(by_range, split)
+            out_hit[beam], count[beam] = by_range[first, 0] < math.inf, last - first + 1
             total, turn = 0.0, 0.0
             for k in range(first, last + 1):
-                total, turn = total + sorted_beams[k, 0], turn + sorted_beams[k, 1]
-        out_ranges[beam] = total / count[beam] if out_hit[beam] else group.max_range
-        out_bearings[beam] = turn / count[beam]
+                total, turn = total + by_range[k, 0], turn + by_range[k, 1]
+            out_ranges[beam] = total / count[beam] if out_hit[beam] else max_range
+            out_bearings[beam] = turn / count[beam]
     return out_ranges, out_bearings, out_hit, count
 
 
 @kernel
-def sort_group(ranges: Array, bearings: Array, hit: Bools, start: int, sorted_beams: Array) -> None:
-    """Fills sorted_beams (K,2), nearest first: range (inf without a hit) and bearing of the beams from `start` on."""
-    for k in range(sorted_beams.shape[0]):
-        distance = ranges[start + k] if hit[start + k] else math.inf
-        at = k
-        while at > 0 and sorted_beams[at - 1, 0] > distance:
-            sorted_beams[at, 0], sorted_beams[at, 1] = sorted_beams[at - 1, 0], sorted_beams[at - 1, 1]
-            at -= 1
-        sorted_beams[at, 0], sorted_beams[at, 1] = distance, bearings[start + k]
+def add_sweep(ranges: Array, bearings: Array, hit: Bools, sums: tuple[Array, Array, Array, Array], hits: Ints) -> None:
+    """Adds a sweep (B,) to the sums of ranges and bearings, the least and the largest range, and the number of hits."""
+    total, turn, low, high = sums
+    for beam in range(ranges.shape[0]):
+        r = ranges[beam]
+        total[beam], turn[beam], hits[beam] = total[beam] + r, turn[beam] + bearings[beam], hits[beam] + hit[beam]
+        low[beam], high[beam] = min(low[beam], r), max(high[beam], r)
 
 
 @kernel
-def main_group(sorted_beams: Array, allowed: float, slope: float) -> tuple[int, int]:
+def sort_group(ranges: Array, bearings: Array, hit: Bools, beam: int, by_range: Array) -> None:
+    """Fills by_range (K,2), nearest first: range (inf without a hit) and bearing of one beam of all sweeps (K,B)."""
+    for k in range(by_range.shape[0]):
+        distance = ranges[k, beam] if hit[k, beam] else math.inf
+        at = k
+        while at > 0 and by_range[at - 1, 0] > distance:
+            by_range[at, 0], by_range[at, 1] = by_range[at - 1, 0], by_range[at - 1, 1]
+            at -= 1
+        by_range[at, 0], by_range[at, 1] = distance, bearings[k, beam]
+
+
+@kernel
+def main_group(by_range: Array, split: Split) -> tuple[int, int]:
     """First and last row of the largest group of rising ranges without a gap > allowed + slope * range."""
-    first, last = 0, sorted_beams.shape[0] - 1
+    first, last = 0, by_range.shape[0] - 1
     while True:
-        split, widest = -1, 0.0
+        cut, widest = -1, 0.0
         for k in range(first, last):
-            if sorted_beams[k, 0] == math.inf:
+            if by_range[k, 0] == math.inf:
                 break
-            excess = sorted_beams[k + 1, 0] - sorted_beams[k, 0] * (1.0 + slope) - allowed
+            excess = by_range[k + 1, 0] - by_range[k, 0] * (1.0 + split.slope) - split.allowed
             if excess > widest:
-                split, widest = k, excess
-        if split < 0:
+                cut, widest = k, excess
+        if cut < 0:
             return first, last
-        if split - first + 1 >= last - split:
-            last = split
+        if cut - first + 1 >= last - cut:
+            last = cut
         else:
-            first = split + 1
+            first = cut + 1
