@@ -18,6 +18,7 @@ Layer = tuple[Bools, Array, float]
 
 UNKNOWN, FREE = 0, 1  # as in mecp_env.slam.data.Cell
 OPEN_LABEL = 2  # as in mecp_env.slam.data.EdgeLabel
+SPARE = 1e-6  # what is farther away by this needs no exact look
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
@@ -85,13 +86,16 @@ def _room_beside(label: Bytes, room: Rooms, lines: Array, margin: float, row: in
 @kernel
 def _near_line(lines: Array, x: float, y: float, margin: float) -> bool:
     """True when one of the segments (d,2,2) lies within `margin` of (x, y)."""
-    near = False
     for i in range(lines.shape[0]):
         dx, dy = lines[i, 1, 0] - lines[i, 0, 0], lines[i, 1, 1] - lines[i, 0, 1]
+        far = margin + SPARE + 0.5 * (abs(dx) + abs(dy))
+        if abs(lines[i, 0, 0] + 0.5 * dx - x) > far or abs(lines[i, 0, 1] + 0.5 * dy - y) > far:
+            continue
         share = ((x - lines[i, 0, 0]) * dx + (y - lines[i, 0, 1]) * dy) / max(dx * dx + dy * dy, 1e-9)
         share = min(max(share, 0.0), 1.0)
-        near = near or math.hypot(lines[i, 0, 0] + share * dx - x, lines[i, 0, 1] + share * dy - y) < margin
-    return near
+        if math.hypot(lines[i, 0, 0] + share * dx - x, lines[i, 0, 1] + share * dy - y) < margin:
+            return True
+    return False
 
 
 @kernel
@@ -153,10 +157,11 @@ def _is_bare(label: Bytes, polygon: Bools, span: int, row: int, column: int) -> 
 @kernel
 def _near_any(points: Array, x: float, y: float, clear: float) -> bool:
     """True when one of the points (d,2) lies within `clear` of (x, y)."""
-    near = False
     for i in range(points.shape[0]):
-        near = near or math.hypot(points[i, 0] - x, points[i, 1] - y) < clear
-    return near
+        dx, dy = points[i, 0] - x, points[i, 1] - y
+        if max(abs(dx), abs(dy)) < clear + SPARE and math.hypot(dx, dy) < clear:
+            return True
+    return False
 
 
 @kernel

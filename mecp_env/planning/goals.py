@@ -73,9 +73,11 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     book.notice(report)
     if not report.grid.label.size:
         return Goals()
-    ways = way_field(report.grid, report.belief.T_map_robot, config.paths)
     goals = find_everything(Survey.of(report), book.entry, config.goals)
     goals = without_closed(goals, book, config.goals)
+    if not goals:
+        return Goals()
+    ways = way_field(report.grid, report.belief.T_map_robot, config.paths)
     goals = with_paths(goals, ways, config.goals) or out_of_reach(goals, report.belief.T_map_robot)
     goals = with_levels(goals, report, book)
     return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
