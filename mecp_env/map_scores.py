@@ -24,21 +24,14 @@ def doors_found(truth: Truth, report: StepReport, T_world_map: Array) -> tuple[i
     A door of the map whose jambs are no longer landmarks counts as none.
     """
     p_world = to_map(T_world_map, door_centres(report.graph.doors, report.belief))
-    found = len(nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M))
+    found: int = kernels.count_pairs(p_world, truth.outline.doors.centre, DOOR_GATE_M)
     return found, len(p_world) - found
 
 
 def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
-    if not doors or not len(belief.ids):
-        return np.full((len(doors), 2), np.nan)
-    jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors])
-    rows = np.searchsorted(belief.ids, jambs, sorter=(order := np.argsort(belief.ids)))
-    rows = order[np.minimum(rows, len(order) - 1)]
-    known = belief.ids[rows] == jambs
-    total: Array = (belief.p_map[rows] * known[..., None]).sum(axis=1)
-    count = known.sum(axis=1)[:, None]
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors], np.int64)
+    return kernels.jamb_middles(jambs.reshape(-1, 4), belief.ids, belief.p_map)
 
 
 def door_error(truth: Truth, report: StepReport, T_world_map: Array) -> float:

@@ -1,4 +1,4 @@
-"""Compiled kernels of the truth metrics: what the robot has seen, pairs and their score."""
+"""Compiled kernels of the truth metrics: pose errors, what the robot has seen, pairs and their score."""
 
 from __future__ import annotations
 
@@ -8,13 +8,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.world.laser import line_of_sight
+from mecp_env.slam.data import Decision
+from mecp_env.slam.geometry import compose, inverse, polar_to_points, to_map, wrap_angle
+from mecp_env.slam.linalg import factor_lower, solve_lower
+from mecp_env.slam.lookup import find_rows
+from mecp_env.world.laser import in_sight
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell seen is a cell on this side
 STEP = 0.9  # cells between two looks along a beam
+LANDMARK = int(Decision.LANDMARK)
+NEES_MAX = 1e9
+
+
+@kernel
+def pose_between(T_a_b: Array, T_a_c: Array) -> Array:
+    """T_b_c (3,)."""
+    return compose(inverse(T_a_b), T_a_c)
+
+
+@kernel
+def pose_errors(T_map_robot: Array, believed: Array, cov: Array) -> tuple[float, float, float]:
+    """How far (m) and by what turn (rad) the believed pose (3,) is off the true one, and its NEES."""
+    error = np.empty(3)
+    for i in range(3):
+        error[i] = T_map_robot[i] - believed[i]
+    error[2] = wrap_angle(error[2])
+    return math.sqrt(error[0] * error[0] + error[1] * error[1]), abs(error[2]), pose_nees(error, cov)
+
+
+@kernel
+def pose_nees(error: Array, cov: Array) -> float:
+    """Normalised squared error of the pose (3,) under its covariance (3,3), at most 1e9; 0 at an exact pose."""
+    if error[0] == 0.0 and error[1] == 0.0 and error[2] == 0.0:
+        return 0.0
+    L, total = cov.copy(), 0.0
+    if not factor_lower(L):  # the filter diverged: its covariance is no longer positive
+        return NEES_MAX
+    y = solve_lower(L, error)
+    for i in range(3):
+        total += y[i] * y[i]
+    return min(total, NEES_MAX)
+
+
+@kernel
+def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Array, gate: float) -> Ints:
+    """(n,) index of the true corner (m,2) that each corner z (n,2) of a scan is, or -1; see `pair_corners`."""
+    p_world = to_map(T_world_robot, polar_to_points(z))
+    return pair_corners(p_world, true, segments, T_world_robot, gate)
 
 
 @kernel
@@ -24,17 +68,19 @@ def pair_corners(seen: Array, true: Array, segments: Array, pose: Array, gate: f
     Only true corners within `gate` metres and in sight from `pose` count; all in the world frame.
     """
     n, m = seen.shape[0], true.shape[0]
-    apart = np.full((n, m), np.inf)
+    apart, identity = np.empty((n, m)), np.empty(n, np.int64)
     for j in range(m):
         hidden = False  # asked only about the corners that are near enough
         for i in range(n):
+            apart[i, j] = np.inf
             dx, dy = seen[i, 0] - true[j, 0], seen[i, 1] - true[j, 1]
             if hidden or dx * dx + dy * dy >= gate * gate:
                 continue
-            hidden = not line_of_sight(segments, pose[0], pose[1], true[j : j + 1])[0]
+            hidden = not in_sight(segments, pose[0], pose[1], true[j, 0], true[j, 1])
             if not hidden:
                 apart[i, j] = dx * dx + dy * dy
-    identity = np.full(n, -1)
+    for i in range(n):
+        identity[i] = -1
     for i in range(n):
         settle_row(apart, identity, i)
     return identity
@@ -66,33 +112,62 @@ def settle_row(apart: Array, identity: Ints, row: int) -> None:
 
 
 @kernel
+def count_pairs(a: Array, b: Array, gate: float) -> int:
+    """How many of the points a (n,2) and b (m,2) are pairs: nearest first, one to one, none as far as `gate`."""
+    apart, identity, pairs = np.empty((a.shape[0], b.shape[0])), np.empty(a.shape[0], np.int64), 0
+    for i in range(a.shape[0]):
+        identity[i] = -1
+        for j in range(b.shape[0]):
+            dx, dy = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]
+            far = math.sqrt(dx * dx + dy * dy)
+            apart[i, j] = far if far < gate else np.inf  # nan is never near
+    for i in range(a.shape[0]):
+        settle_row(apart, identity, i)
+    for i in range(a.shape[0]):
+        pairs += identity[i] >= 0
+    return pairs
+
+
+@kernel
 def first_ring(beam: int, spacing: float, step: float) -> float:
     """Range from which beam number `beam` is needed: nearer in, its neighbours cover every cell already."""
-    stride = 1
-    while beam % (2 * stride) == 0 and stride < 4096:
-        stride *= 2
+    stride = beam & -beam  # the largest power of two that divides it
     return 0.0 if stride >= 4096 else step / (2.0 * stride * spacing)
 
 
 @kernel
-def sweep(ranges: Array, directions: Array, at: Array, free: Bools, seen: Bools) -> int:
+def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free: Bools, seen: Bools) -> int:
     """Mark in `seen` (H,W) the free cells under the beams (B,) along `directions` (2,B); how many are new.
 
-    Ranges and the robot's place `at` (2,) are in cells of the raster, whose lower left corner is the origin.
+    Ranges and the robot's place `p_world` are in metres; `corner` (2,) is the lower left one of the rasters.
     """
-    rows, cols = seen.shape
+    x, y = (p_world[0] - corner[0]) / CELL_M, (p_world[1] - corner[1]) / CELL_M
     spacing, new = 2.0 * math.pi / ranges.shape[0], 0
     for b in range(ranges.shape[0]):
-        far, r = ranges[b] - 0.1, first_ring(b + 1, spacing, STEP)
+        far, r = ranges[b] / CELL_M - 0.1, first_ring(b + 1, spacing, STEP)
+        dx, dy = directions[0, b], directions[1, b]
         while r < far + STEP:
-            reach = min(r, far)
-            u, v = at[0] + directions[0, b] * reach, at[1] + directions[1, b] * reach
-            if u >= 0.0 and v >= 0.0 and u < cols and v < rows:
-                i, j = int(v), int(u)
-                new += free[i, j] and not seen[i, j]
-                seen[i, j] |= free[i, j]
-            r += STEP
+            reach, r = min(r, far), r + STEP
+            u, v = x + dx * reach, y + dy * reach
+            if u < 0.0 or v < 0.0 or u >= seen.shape[1] or v >= seen.shape[0]:
+                continue
+            i, j = np.uint64(v), np.uint64(u)  # which numba does not ask for being negative
+            if free[i, j] and not seen[i, j]:
+                seen[i, j] = True
+                new += 1
     return new
+
+
+@kernel
+def note_scan(rows: Ints, period: int, truth: Ints, ids: Ints, decision: Ints, landmarks: Ints) -> int:
+    """Write the rows (n,4) of a scan: period, true corner, feature, matched to a landmark. Returns the largest id."""
+    most = -1
+    for i in range(ids.shape[0]):
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = period, truth[i], ids[i], decision[i] == LANDMARK
+        most = max(most, ids[i])
+    for i in range(landmarks.shape[0]):
+        most = max(most, landmarks[i])
+    return most
 
 
 @kernel
@@ -108,16 +183,19 @@ def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
 
 
 @kernel
-def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints) -> None:
+def score_scan(
+    votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints, landmarks: Ints, period: int
+) -> None:
     """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
 
     `rows` (n,4) hold period, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
-    (the majority of its `votes` (F,G), this scan's included) and the period in which it became a landmark.
+    (the majority of its `votes` (F,G), this scan's included) and the period in which it became a landmark, for new
+    `landmarks` (N,) this one.
     """
     count_votes(votes, features, rows)
     known = np.zeros(votes.shape[1], np.bool_)  # the true corners that had a landmark before this scan
     for feature in range(features.shape[0]):
-        if features[feature, 0] >= 0 and features[feature, 1] < rows[0, 0]:
+        if features[feature, 0] >= 0 and features[feature, 1] < period:
             known[features[feature, 0]] = True
     for i in range(rows.shape[0]):
         corner, feature = rows[i, 1], rows[i, 2]
@@ -127,6 +205,8 @@ def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Int
         else:
             missed = corner >= 0 and known[corner]
             counts[2 if missed else 3] += 1
+    for i in range(landmarks.shape[0]):
+        features[landmarks[i], 1] = min(features[landmarks[i], 1], period)
 
 
 @kernel
@@ -140,6 +220,21 @@ def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
             duplicates += taken[corner]
             taken[corner] = True
     return duplicates
+
+
+@kernel
+def jamb_middles(jambs: Ints, ids: Ints, p_map: Array) -> Array:
+    """(d,2) mean of those jambs (d,4) of each door that are among the landmarks `ids` (N,); nan for none."""
+    middles, rows = np.empty((jambs.shape[0], 2)), np.empty(4, np.int64)
+    for d in range(jambs.shape[0]):
+        find_rows(ids, jambs[d], rows)
+        x, y, known = 0.0, 0.0, 0
+        for k in range(4):
+            if rows[k] >= 0:
+                x, y, known = x + p_map[rows[k], 0], y + p_map[rows[k], 1], known + 1
+        middles[d, 0] = x / known if known else np.nan
+        middles[d, 1] = y / known if known else np.nan
+    return middles
 
 
 @kernel

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env import metric_kernels as kernels
 from mecp_env.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
-from mecp_env.slam.data import Belief, Decision, StepReport
-from mecp_env.slam.geometry import compose, inverse, wrap_angle
-from mecp_env.slam.linalg import mahalanobis
+from mecp_env.slam.data import Belief, StepReport
 from mecp_env.truth import Truth, identify
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
@@ -21,7 +19,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NEVER = 2**40  # a period that does not come
-LANDMARK = int(Decision.LANDMARK)
 SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
 MAP_PERIODS = 25  # rooms and doors are held against the truth when one is new, and this often
 
@@ -45,13 +42,11 @@ class AssociationLog:
 
     def record(self, report: StepReport, truth: Ints) -> None:
         """Add a scan whose corners truly are `truth` (n,)."""
-        ids, landmarks = report.match.ids, report.belief.ids
-        self._reserve(ids, landmarks)
-        if len(ids):
-            block = self._append(report.period, truth, ids, report.match.decision == LANDMARK)
-            kernels.score_scan(self.votes, self.features, block, self.counts)
-        born = self.features[:, 1]
-        born[landmarks] = np.minimum(born[landmarks], report.period)
+        match, landmarks = report.match, report.belief.ids
+        rows = self._new_rows(len(match.ids))
+        most = kernels.note_scan(rows, report.period, truth, match.ids, match.decision, landmarks)
+        self._reserve(most)
+        kernels.score_scan(self.votes, self.features, rows, self.counts, landmarks, report.period)
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
@@ -68,21 +63,18 @@ class AssociationLog:
         missed = real & (first[truth] < period)
         return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
 
-    def _reserve(self, features: Ints, landmarks: Ints) -> None:
-        """Make room for the largest id."""
-        needed = 1 + max(int(features.max(initial=-1)), int(landmarks.max(initial=-1)))
-        while len(self.features) < needed:
+    def _reserve(self, most: int) -> None:
+        """Make room for features up to the id `most`."""
+        while len(self.features) <= most:
             self.votes = np.concatenate([self.votes, np.zeros_like(self.votes)])
             self.features = np.concatenate([self.features, np.full_like(self.features, (-1, NEVER))])
 
-    def _append(self, period: int, truth: Ints, ids: Ints, matched: NDArray[np.bool_]) -> Ints:
-        """The rows (n,4) of a scan, written at the end of the log."""
-        if self.used + len(truth) > len(self.rows):
+    def _new_rows(self, count: int) -> Ints:
+        """The next rows (count,4) at the end of the log, still to be written."""
+        first, self.used = self.used, self.used + count
+        if self.used > len(self.rows):
             self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
-        block = self.rows[self.used : self.used + len(truth)]
-        block[:, 0], block[:, 1], block[:, 2], block[:, 3] = period, truth, ids, matched
-        self.used += len(truth)
-        return block
+        return self.rows[first : self.used]
 
 
 @dataclass(slots=True, eq=False)
@@ -129,7 +121,7 @@ class EpisodeMetrics:
         """Count one control period: the true increments (M,2) of the body and whether it touched something."""
         self.periods += 1
         self.contacts += contact
-        self.metres += float(np.abs(increments[:, 0]).sum())
+        self.metres += float(np.add.reduce(np.abs(increments[:, 0])))
 
     def coverage(self, truth: Truth) -> float:
         """Share of the true free area that the robot has seen."""
@@ -137,22 +129,20 @@ class EpisodeMetrics:
 
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
-        return compose(inverse(self.T_world_map), T_world_robot)
+        T_map_robot: Array = kernels.pose_between(self.T_world_map, T_world_robot)
+        return T_map_robot
 
     def _sweep(self, truth: Truth, T_world_robot: Array) -> None:
         self.new_cells = 0
-        if math.dist(self.swept_from, T_world_robot[:2]) >= SWEEP_STEP_M:
-            self.swept_from = T_world_robot[:2].copy()
+        x, y, _ = T_world_robot.tolist()
+        if math.dist(self.swept_from.tolist(), (x, y)) >= SWEEP_STEP_M:
+            self.swept_from = np.array([x, y])
             self.new_cells = int(truth.sweep(T_world_robot, self.seen))
             self.seen_cells += self.new_cells
 
     def _compare_pose(self, belief: Belief) -> None:
-        error = self.T_map_robot - belief.T_map_robot
-        x, y, turn = error.tolist()
-        error[2] = turn = wrap_angle(turn)
-        self.pose_error_m = math.sqrt(x * x + y * y)
-        self.heading_error_rad = abs(turn)
-        self.nees = pose_nees(error, belief.pose_cov)
+        errors = kernels.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
+        self.pose_error_m, self.heading_error_rad, self.nees = errors
         self.squared_error_sum += self.pose_error_m**2
         self.nees_sum += self.nees
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
@@ -230,16 +220,3 @@ def figures(metrics: EpisodeMetrics, truth: Truth, report: StepReport) -> dict[s
 def share(part: int, rest: int) -> float:
     """part / (part + rest); 1 where there is neither."""
     return part / (part + rest) if part + rest else 1.0
-
-
-def pose_nees(error: Array, cov: Array) -> float:
-    """Normalised squared error of the pose (3,) under its covariance (3,3), at most 1e9; 0 at an exact pose."""
-    if not error.any():
-        return 0.0
-    try:
-        return min(float(mahalanobis(error, np.ascontiguousarray(cov))), NEES_MAX)
-    except ValueError:  # the filter diverged: its covariance is no longer positive
-        return NEES_MAX
-
-
-NEES_MAX = 1e9

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from mecp_env import metric_kernels as kernels
 from mecp_env.slam.data import Corners
-from mecp_env.slam.geometry import polar_to_points, to_map
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.outline import Outline
@@ -20,8 +19,8 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+CELL_M = kernels.CELL_M
 MARGIN_M = 1.0  # of the rasters around the building
-CELL_M = 0.1  # finer than the thinnest wall, so that a cell seen is a cell on this side
 BEAMS = 720
 BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
 DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
@@ -34,8 +33,8 @@ def identify(corners: Corners, T_world_robot: Array, outline: Outline) -> Ints:
 
     The nearest true corner that is visible from the true pose and within 0.3 m, one to one.
     """
-    p_world = to_map(T_world_robot, polar_to_points(corners.z))
-    return kernels.pair_corners(p_world, outline.corners.p_world, outline.segments, T_world_robot, IDENTITY_GATE_M)
+    true, segments = outline.corners.p_world, outline.segments
+    return kernels.identify_corners(corners.z, T_world_robot, true, segments, IDENTITY_GATE_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +84,15 @@ class Truth:
         """Index of the room at `p_world` (2,), or -1."""
         (left, low), (p_x, p_y) = self.corner.tolist(), p_world.tolist()
         x, y = p_x - left, p_y - low
-        row, col = int(y / CELL_M), int(x / CELL_M)
-        inside = y >= 0.0 and x >= 0.0 and row < self.room.shape[0] and col < self.room.shape[1]
-        return int(self.room[row, col]) if inside else -1
+        room, row, col = self.room, int(y / CELL_M), int(x / CELL_M)
+        inside = y >= 0.0 and x >= 0.0 and row < room.shape[0] and col < room.shape[1]
+        return int(room[row, col]) if inside else -1
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells in sight from the true pose (3,); how many are new."""
         level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
         scan = self.laser.scan(level, NO_NOISE)
-        return kernels.sweep(scan.ranges[0] / CELL_M, DIRECTIONS, (level[:2] - self.corner) / CELL_M, self.free, seen)
+        return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
 
     def identify(self, corners: Corners, T_world_robot: Array) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""

@@ -7,10 +7,10 @@ import pytest
 
 from mecp_env import metric_kernels as kernels
 from mecp_env.map_scores import distances, door_centres, doors_found, grid_iou, nearest_pairs, room_centres, rooms_found
-from mecp_env.metrics import AssociationLog, EpisodeMetrics, pose_nees
+from mecp_env.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.slam.data import Belief, Door, RoomGraph, SemanticGrid
 from mecp_env.slam.geometry import compose, inverse
-from mecp_env.truth import CELL_M, Truth
+from mecp_env.truth import CELL_M, DIRECTIONS, Truth
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose
@@ -66,6 +66,24 @@ def test_rooms_of_the_raster(truth):
         assert truth.room_at(np.array([point.x, point.y])) == index
     assert truth.room_at(np.array([-50.0, 0.0])) == -1
     assert truth.room_at(np.array([500.0, 0.0])) == -1
+
+
+def test_the_sweep_is_its_plain_twin(truth):
+    pose = np.array([*truth.outline.starts[0][:2], 0.0])
+    seen, expected, ranges = np.zeros_like(truth.free), np.zeros_like(truth.free), np.linspace(0.5, 12.0, 720)
+    x, y = (pose[:2] - truth.corner) / CELL_M
+    for beam in range(1, 721):
+        far = ranges[beam - 1] / CELL_M - 0.1
+        stride = max(2**k for k in range(10) if beam % 2**k == 0)
+        r = kernels.STEP / (2.0 * stride * 2.0 * math.pi / 720)
+        while r < far + kernels.STEP:
+            col, row = np.floor((x, y) + DIRECTIONS[:, beam - 1] * min(r, far)).astype(int)
+            if 0 <= col < expected.shape[1] and 0 <= row < expected.shape[0]:
+                expected[row, col] = truth.free[row, col]
+            r += kernels.STEP
+    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == expected.sum() > 1000
+    assert np.array_equal(seen, expected)
+    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
 
 
 def test_identities_of_exact_corners_are_their_own(truth):
@@ -137,10 +155,10 @@ def test_nees_of_the_pose():
     rng = np.random.default_rng(0)
     a = rng.normal(size=(3, 3))
     cov, error = a @ a.T + np.eye(3), rng.normal(size=3)
-    assert pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
-    assert pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
-    assert pose_nees(error, -cov) == pose_nees(error, np.zeros((3, 3))) == 1e9
-    assert pose_nees(error, np.full((3, 3), np.nan)) == 1e9
+    assert kernels.pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
+    assert kernels.pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
+    assert kernels.pose_nees(error, -cov) == kernels.pose_nees(error, np.zeros((3, 3))) == 1e9
+    assert kernels.pose_nees(error, np.full((3, 3), np.nan)) == 1e9
 
 
 def test_the_pose_error_is_measured_in_the_map_frame(truth):
@@ -240,6 +258,14 @@ def test_the_centre_of_a_room_lies_as_deep_in_it_as_any_cell():
             (x, y), *_ = room_centres(grid, np.array([number]))
             here = np.flatnonzero((mine == [int(y), int(x)]).all(axis=1))
             assert depth[here[0]] > 0.9 * depth.max() - 0.7  # chamfer distances, in steps of whole cells
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pairs_are_counted_as_they_are_found(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.random((int(rng.integers(0, 9)), 2)), rng.random((int(rng.integers(0, 9)), 2))
+    a[:1] = np.nan
+    assert kernels.count_pairs(a, b, 0.3) == len(nearest_pairs(distances(a, b), 0.3))
 
 
 def test_the_centre_of_a_door_takes_both_faces():

@@ -223,18 +223,24 @@ def _measure(
 @kernel
 def line_of_sight(segments: Array, x: float, y: float, points: Array) -> Bools:
     """Which points (n,2) are seen from (x, y): no face (S,2,2) lies more than 1 mm in front of them."""
-    seen = np.ones(points.shape[0], np.bool_)
+    seen = np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
-        px, py = points[i, 0] - x, points[i, 1] - y
-        allowed = 1.0 - SEEN_M / max(math.sqrt(px * px + py * py), SEEN_M)
-        for k in range(segments.shape[0]):
-            ax, ay = segments[k, 0, 0] - x, segments[k, 0, 1] - y
-            bx, by = segments[k, 1, 0] - x, segments[k, 1, 1] - y
-            area = ax * by - ay * bx
-            if area <= 0.0 or ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
-                continue
-            across = (by - ay) * px - (bx - ax) * py
-            if area < allowed * across:
-                seen[i] = False
-                break
+        seen[i] = in_sight(segments, x, y, points[i, 0], points[i, 1])
     return seen
+
+
+@kernel
+def in_sight(segments: Array, x: float, y: float, to_x: float, to_y: float) -> bool:
+    """Whether (to_x, to_y) is seen from (x, y): as in `line_of_sight`."""
+    px, py = to_x - x, to_y - y
+    allowed = 1.0 - SEEN_M / max(math.sqrt(px * px + py * py), SEEN_M)
+    for k in range(segments.shape[0]):
+        ax, ay = segments[k, 0, 0] - x, segments[k, 0, 1] - y
+        bx, by = segments[k, 1, 0] - x, segments[k, 1, 1] - y
+        area = ax * by - ay * bx
+        if area <= 0.0 or ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
+            continue
+        across = (by - ay) * px - (bx - ax) * py
+        if area < allowed * across:
+            return False
+    return True
