@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 ENVIRONMENTS = {  # id -> entry point
     "mecp_env/PaperMap-v0": "mecp_env.env:make_paper_map",
     "mecp_env/Layout-v0": "mecp_env.env:make",
+    "mecp_env/Rooms-v0": "mecp_env.env:make_rooms",
 }
 
 

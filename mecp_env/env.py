@@ -25,14 +25,14 @@ from mecp_env.render.view import View
 from mecp_env.rewards import TERMS, quantities, remember, weigh
 from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.start import check_start, parse_options, start_pose
-from mecp_env.state import decode, encode, generator_data, make_generator
+from mecp_env.start import Start, check_start, parse_options, start_pose
+from mecp_env.state import StateError, decode, encode, generator_data, make_generator
 from mecp_env.truth import CELL_M, Truth
 from mecp_env.world.laser import Laser
-from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import build_outline
 from mecp_env.world.simulation import Motion, Simulation
+from mecp_env.world.source import GENERATE, check_building, draw_building, generator_keywords, make_source
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -80,8 +80,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ## Starting State
 
     The first start pose of the layout, at rest, with three scans taken; `start="random"` draws a pose anywhere in
-    free space, `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode. Any
-    other option is refused.
+    free space, `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode, and
+    `reset(options={"building": 12})` chooses the generated building. Any other option is refused.
 
     ## Episode End
 
@@ -94,7 +94,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
     as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
     `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `layout` is a shipped name, a path, a dict or a
-    `Layout`; `PaperMap-v0` has its own. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
+    `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split` and the
+    fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
     association is told the true identities, with `"truth"` the filter is told the true pose. Unknown names, and values
     with which nothing can be explored, raise `ConfigError`.
 
@@ -119,11 +120,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
         self.config = EnvConfig.build(config, **keywords)
         self.render_mode = render_mode
-        self._outline = build_outline(load_layout(self.config.layout))
-        self._start = check_start(self.config.start, self._outline, self.config.robot)
-        self._truth = Truth(self._outline, self.config.laser.max_range_m)
-        self._laser = Laser(self._outline, self.config.laser)
-        self._simulation = Simulation(self._outline, self.config.robot)
+        self._source = make_source(self.config.layout)
+        self._move_to(0)
+        self._start = self._checked_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
         self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
@@ -138,11 +137,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """The first observation of a new episode, and its info.
 
-        `options` may hold `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame. Raises
-        `ConfigError` for any other option, or a pose that is not free; nothing is changed then.
+        `options` may hold `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; where
+        buildings are generated, `building`: which one of the split, instead of one drawn. Raises `ConfigError` for any
+        other option, a pose that is not free, a building that there is not; nothing is changed then.
         """
-        start = parse_options(options, self._start, self._outline, self.config.robot)
+        given = parse_options(options)
+        building, start = check_building(given.get("building"), self._source), given.get("start", self._start)
+        start = self._checked_start(start)
         super().reset(seed=seed)
+        self._move_to(draw_building(self._source, self.np_random) if building is None else building)
         self._simulation.reset(start_pose(start, self._outline, self.config.robot, self.np_random))
         self._observer = self._new_observer()
         episode = self._begin()
@@ -192,6 +195,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "format": STATE_FORMAT,
             "version": STATE_VERSION,
             "config": self.config.to_json(),
+            "building": self._building,
             "random": generator_data(self.np_random),
             "seed": self._np_random_seed,
             "simulation": encode(self._simulation.get_state()),
@@ -204,12 +208,14 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
         """
         check_state(state, self.config)
+        building = self._building_of(state)
         generator, body, episode = (
             make_generator(state["random"]),
             decode(state["simulation"]),
             decode(state["episode"]),
         )
         check_parts(state["seed"], body, episode, SlamPipeline(self._slam))
+        self._move_to(building)
         self._simulation.set_state(body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
@@ -301,6 +307,29 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _new_observer(self) -> Observer:
         parts = self.config.observation
         return Observer(parts.map, self.config.laser.beams if parts.scan else 0, self.config.laser.max_range_m)
+
+    def _move_to(self, building: int) -> None:
+        """Be in the building of that number."""
+        if building == getattr(self, "_building", None):
+            return
+        self._building = building
+        self._outline = build_outline(self._source.layout(building))
+        self._truth = Truth(self._outline, self.config.laser.max_range_m)
+        self._laser = Laser(self._outline, self.config.laser)
+        self._simulation = Simulation(self._outline, self.config.robot)
+
+    def _building_of(self, state: dict[str, Any]) -> int:
+        """The building of a state. Raises `StateError`."""
+        try:
+            return check_building(state["building"], self._source) or 0
+        except ConfigError as error:
+            raise StateError(f"state.{error}") from None
+
+    def _checked_start(self, start: Any) -> Start:
+        """`start` if an episode may start so. Raises `ConfigError`; a pose belongs to one building."""
+        if self._source.count > 1 and not isinstance(start, str):
+            raise ConfigError(f'start: {start!r:.80}, in buildings that change only "layout" or "random"')
+        return check_start(start, self._outline, self.config.robot)
 
     def _begin(self) -> Episode:
         """A new episode at the simulation's pose, with its scans at rest."""
@@ -399,6 +428,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return {
             "period": episode.metrics.periods,
             "event": "",
+            "building": self._building,
             "truth_pose": episode.metrics.T_map_robot.copy(),
             "truth_room": self._truth.room_at(T_world_robot[:2]),
             "goals": len(episode.goals),
@@ -446,5 +476,20 @@ def make_paper_map(
     return make(config, render_mode, **keywords | {"layout": PAPER_LAYOUT})
 
 
-for entry_point in (make, make_paper_map):  # gymnasium.make asks its entry point for the render modes
+def make_rooms(
+    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The entry point of `Rooms-v0`: as `make`, in a building that is generated anew at every reset.
+
+    Beside the fields of `EnvConfig`, keywords are `difficulty` ("medium"), `split` ("train") and every field of
+    `GeneratorSpec` over the difficulty's own. Raises `ConfigError`, for a layout too.
+    """
+    buildings, rest = generator_keywords(keywords)
+    layout = merge(plain(config), rest).get("layout", {GENERATE: {}})
+    if not isinstance(layout, dict) or GENERATE not in layout:
+        raise ConfigError(f"layout: {layout!r:.80}, Rooms-v0 generates its buildings; Layout-v0 takes any")
+    return make(config, render_mode, **rest | {"layout": layout | {GENERATE: layout[GENERATE] | buildings}})
+
+
+for entry_point in (make, make_paper_map, make_rooms):  # gymnasium.make asks its entry point for the render modes
     entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]

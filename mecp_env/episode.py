@@ -20,7 +20,7 @@ from mecp_env.state_check import check_fields, examples_of
 
 Array = NDArray[np.float64]
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 1
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 2
 
 
 @dataclass(slots=True, eq=False)
@@ -63,7 +63,7 @@ def check_state(state: Any, config: EnvConfig) -> None:
         raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
     if state.get("version") != STATE_VERSION:
         raise StateError(f"state.version: {state.get('version')!r}, this is version {STATE_VERSION}")
-    missing = {"config", "random", "seed", "simulation", "episode"} - set(state)
+    missing = {"config", "building", "random", "seed", "simulation", "episode"} - set(state)
     if missing:
         raise StateError(f"state: without {', '.join(sorted(missing))}")
     if state["config"] != config.to_json():

@@ -19,20 +19,21 @@ from mecp_env.world.simulation import wall_distance
 Array = NDArray[np.float64]
 Start = str | tuple[float, float, float]
 
+OPTIONS = ("start", "building")
 CLEARANCE_M = 0.05  # between the robot and the walls at a drawn start
 MAX_TURN = 2.0 * math.pi
 
 
-def parse_options(options: Any, default: Start, outline: Outline, robot: RobotConfig) -> Start:
-    """The start that the options of `reset` ask for. Raises `ConfigError` for an unknown option."""
+def parse_options(options: Any) -> dict[str, Any]:
+    """The options of `reset`, unchecked but for their names. Raises `ConfigError` for an unknown one."""
     if options is None:
-        return default
+        return {}
     if not isinstance(options, dict):
         raise ConfigError(f"options: expected a dict or None, given {type(options).__name__}")
     for name in options:
-        if name != "start":
-            raise ConfigError(unknown(name, ["start"], "options"))
-    return check_start(options.get("start", default), outline, robot)
+        if name not in OPTIONS:
+            raise ConfigError(unknown(name, list(OPTIONS), "options"))
+    return options
 
 
 def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:

@@ -103,7 +103,7 @@ def test_observations_share_no_memory():
 
 @pytest.mark.parametrize("name", IDS)
 def test_the_spec_survives_json(name):
-    own = {} if "PaperMap" in name else {"layout": load_layout("two_rooms")}
+    own = {"layout": load_layout("two_rooms")} if "Layout" in name else {}
     env = gymnasium.make(name, config=EnvConfig.build(max_periods=9), actions="goal", **own)
     spec = EnvSpec.from_json(env.spec.to_json())
     json.dumps(env.unwrapped.spec.kwargs)

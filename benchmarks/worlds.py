@@ -1,0 +1,149 @@
+"""Worlds: the breadth-first explorer in generated buildings of the test split, and in real floor plans where present.
+
+A building is complete when the episode ends by itself with every room and door found and 95 % of the free area seen;
+lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither. Each building is
+started from a place that its number draws. What is not complete is kept in `runs/worlds/`: the layout, a picture, and
+the command that shows the episode again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
+from mecp_env.env import make
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.render.figures import map_figure, save
+from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.schema import Layout
+from mecp_env.wrappers import GoalActions
+
+BUILDINGS = {"easy": 100, "medium": 100, "hard": 100, "huge": 10}
+QUICK = {"easy": 4, "medium": 3}
+MAX_PERIODS = 6000
+COMPLETE_COVERAGE = 0.95
+LOST_M = 1.0
+KEPT = Path("runs/worlds")
+
+GATES = tuple(
+    Gate(f"{preset}/{figure}", "share", slack)
+    for preset in ("easy", "medium", "hard")
+    for figure, slack in (("complete", 0.05), ("precision", 0.003), ("recall", 0.01))
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One exploration of one building."""
+
+    final: dict[str, float]
+    terminated: bool
+    diverged: bool
+    steps_per_s: float
+    saturated: int  # values of the last observation that were cut, rows left out
+
+    @property
+    def outcome(self) -> str:
+        """complete, lost or stuck."""
+        final = self.final
+        found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
+        if self.terminated and found and final["coverage"] >= COMPLETE_COVERAGE:
+            return "complete"
+        return "lost" if self.diverged or final["pose_error_final_m"] > LOST_M else "stuck"
+
+
+def run(options: Options) -> Figures:
+    """Figures of each preset."""
+    figures: Figures = {}
+    for preset, count in (QUICK if options.quick else BUILDINGS).items():
+        visits = list(in_parallel(visit, [(preset, index) for index in range(count)], options.jobs))
+        figures[preset] = summarise(visits)
+    return figures
+
+
+def visit(task: tuple[str, int]) -> Visit:
+    """Explore one building of the test split, from a start that its number draws."""
+    preset, index = task
+    layout = generate(GeneratorSpec.preset(preset), split_seed("test", index))
+    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random")
+    assert isinstance(env, GoalActions)
+    policy, begun = BreadthFirst(), time.thread_time()
+    observation, info = env.reset(seed=index)
+    policy.reset()
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
+    speed = info["period"] / (time.thread_time() - begun)
+    found = Visit(env.get_wrapper_attr("summary")(), terminated, info["diverged"], speed, info["saturated"])
+    if found.outcome != "complete":
+        keep(layout, index, found, env)
+    return found
+
+
+def keep(layout: Layout, seed: int, found: Visit, env: GoalActions) -> None:
+    """Write what is needed to look at an episode again."""
+    folder = KEPT / layout.name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "layout.json").write_text(layout.to_json())
+    save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
+    again = f"mecp-env demo --layout {folder}/layout.json --seed {seed} --config.start random"
+    record: dict[str, Any] = {"again": again, "seed": seed, "outcome": found.outcome, **found.final}
+    (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")
+
+
+def summarise(visits: list[Visit]) -> Figures:
+    """The figures of one preset, each with its 95 % interval."""
+    return (
+        outcomes(visits)
+        | totals([visit.final for visit in visits])
+        | {
+            "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
+            "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
+        }
+    )
+
+
+def outcomes(visits: list[Visit]) -> Figures:
+    """How the episodes ended."""
+    return {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
+
+
+def totals(finals: list[dict[str, float]]) -> Figures:
+    """What was found, how well, at what cost."""
+
+    def of(name: str) -> list[float]:
+        return [final[name] for final in finals]
+
+    def believed(found: str, false: str) -> list[float]:
+        return [final[found] + final[false] for final in finals]
+
+    recalled = [p - f for p, f in zip(of("association_pairs"), of("association_false"), strict=True)]
+    return {
+        "coverage": estimate(of("coverage")),
+        "room_recall": ratio(of("rooms_found"), of("rooms")),
+        "room_precision": ratio(of("rooms_found"), believed("rooms_found", "rooms_false")),
+        "door_recall": ratio(of("doors_found"), of("doors")),
+        "door_precision": ratio(of("doors_found"), believed("doors_found", "doors_false")),
+        "precision": ratio(recalled, of("association_pairs")),
+        "recall": estimate(of("association_recall")),
+        "duplicates": estimate(of("duplicates")),
+        "pose_rmse_m": estimate(of("pose_rmse_m")),
+        "nees": estimate(of("nees_mean")),
+        "metres": estimate(of("metres")),
+        "periods": estimate(of("periods")),
+        "contacts_per_100_m": ratio([100.0 * n for n in of("contacts")], of("metres")),
+        "grid_iou": estimate(of("grid_iou")),
+        "landmarks": estimate(of("landmarks")),
+    }
+
+
+def report(figures: Figures) -> str:
+    """One table, a column a preset."""
+    names = next(iter(figures.values()))
+    rows = [(name.replace("_", " "), *(preset[name] for preset in figures.values())) for name in names]
+    seeds = [f"{name} ({preset['complete']['n']})" for name, preset in figures.items()]
+    return f"{__doc__}\n{table(['', *seeds], rows)}"

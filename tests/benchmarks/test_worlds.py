@@ -1,0 +1,37 @@
+"""The benchmark `worlds`: one building through, and what is kept of one that failed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+from benchmarks import worlds
+from mecp_env.world.layout import load_layout
+
+
+def test_one_building_gives_all_figures() -> None:
+    visit = worlds.visit(("easy", 0))
+    figures = {"easy": worlds.summarise([visit])}
+    assert visit.outcome == "complete"
+    assert "| complete | 1 [" in worlds.report(figures)
+    for gate in (gate for gate in worlds.GATES if gate.path.startswith("easy/")):
+        assert gate.path.split("/")[1] in figures["easy"]
+
+
+def test_outcomes() -> None:
+    done = worlds.visit(("easy", 0))
+    assert dataclasses.replace(done, terminated=False).outcome == "stuck"
+    assert dataclasses.replace(done, terminated=False, diverged=True).outcome == "lost"
+    assert dataclasses.replace(done, final=done.final | {"coverage": 0.9}).outcome == "stuck"
+    assert dataclasses.replace(done, final=done.final | {"doors_found": 0, "pose_error_final_m": 3.0}).outcome == "lost"
+
+
+def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(worlds, "KEPT", tmp_path)
+    monkeypatch.setattr(worlds, "MAX_PERIODS", 5)
+    assert worlds.visit(("easy", 1)).outcome == "stuck"
+    (folder,) = tmp_path.iterdir()
+    record = json.loads((folder / "record.json").read_text())
+    assert record["again"].endswith("--seed 1 --config.start random")
+    assert len(load_layout(folder / "layout.json").rooms) == 4
+    assert (folder / "map.png").stat().st_size > 5000
