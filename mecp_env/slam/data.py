@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.linalg import diagonal_blocks, pick_measurements, softened
+from mecp_env.slam.linalg import diagonal_blocks, pick_measurements, soften
 from mecp_env.slam.lookup import find_equal, find_rows
 
 Array = NDArray[np.float64]
@@ -169,7 +169,8 @@ class Corners:
 
     def with_floor(self, sigma_m: float) -> Corners:
         """The same corners with an independent position error of `sigma_m` added to each."""
-        cov = softened(self.cov, self.z, sigma_m)
+        cov = np.empty_like(self.cov)
+        soften(self.cov, self.z, sigma_m, cov)
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
 

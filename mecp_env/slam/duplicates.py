@@ -61,10 +61,10 @@ def _same_corner(
         if not seen[i]:
             continue
         for j in range(seen.shape[0]):
-            one, two = ids[i], ids[j]
-            if seen[j] or convex[one] != convex[two] or not _near(p_map, covs, i, j, near):
+            if seen[j] or not _near(p_map, covs, i, j, near):
                 continue
-            if _faces_agree(normals[one], normals[two], tolerance):
+            one, two = ids[i], ids[j]
+            if convex[one] == convex[two] and _faces_agree(normals[one], normals[two], tolerance):
                 return min(one, two), max(one, two)
     return -1, -1
 

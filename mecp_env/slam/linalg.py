@@ -160,10 +160,11 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 
 @kernel
-def softened(cov: Array, z: Array, sigma: float) -> Array:
-    """cov (2n,2n) of ranges and bearings z (n,2) with an independent position error of `sigma` m added to each."""
-    softer = cov.copy()
+def soften(cov: Array, z: Array, sigma: float, softer: Array) -> None:
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each position."""
+    for i in range(cov.shape[0]):
+        for j in range(cov.shape[0]):
+            softer[i, j] = cov[i, j]
     for i in range(z.shape[0]):
         softer[2 * i, 2 * i] += sigma * sigma
         softer[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
-    return softer

@@ -39,18 +39,18 @@ def record_sightings(
     `features` is written to: sightings are counted, new tracks are born in `room`; tracks not seen for
     `config.window_periods` were dropped by `forget` before.
     """
-    p_map, heading = np.empty_like(corners.z), belief.T_map_robot[2]
-    place(belief.T_map_robot, corners.z, p_map)
+    p_map, ripe = np.empty_like(corners.z), np.empty(len(corners), np.int64)
     if NEW in match.decision.tolist():
-        _follow_tracks(features, corners, match, heading, p_map, config)
+        place(belief.T_map_robot, corners.z, p_map)
+        _follow_tracks(features, corners, match, belief.T_map_robot[2], p_map, config)
         _start_tracks(features, corners, match, p_map, room)
-    ripe = np.empty(len(corners), np.int64)
     count = _count(
         match.ids,
         corners.kind,
         corners.normals,
+        belief.T_map_robot,
+        corners.z,
         p_map,
-        heading,
         config.sightings,
         config.jamb_sightings,
         features.state,
@@ -132,8 +132,9 @@ def _count(
     ids: Ints,
     kind: Ints,
     normals: Array,
+    T_map_robot: Array,
+    z: Array,
     p_map: Array,
-    heading: float,
     needed: int,
     needed_of_jamb: int,
     state: Ints,
@@ -144,8 +145,10 @@ def _count(
 ) -> int:
     """Write one sighting of each feature (ids < 0 left out), where, and faces not seen before, into the table.
 
-    Writes to `ripe` the corners whose track has now been seen often enough; returns how many there are.
+    Writes to `p_map` (n,2) where the corners z (n,2) lie, and to `ripe` those whose track has now been seen often
+    enough; returns how many there are.
     """
+    place(T_map_robot, z, p_map)
     count = 0
     for i in range(ids.shape[0]):
         f = ids[i]
@@ -155,7 +158,7 @@ def _count(
         for k in range(2):
             known_p_map[f, k] = p_map[i, k]
             if math.isnan(known_normals[f, k]):
-                known_normals[f, k] = normals[i, k] + heading
+                known_normals[f, k] = normals[i, k] + T_map_robot[2]
         if state[f] == TRACK and seen[f] >= (needed_of_jamb if kind[i] == JAMB else needed):
             ripe[count] = i
             count += 1

@@ -66,7 +66,7 @@ def ignored(n: int) -> Match:
 def _match(n: int, decision: int, reason: int) -> Match:
     columns = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
     _fill(*columns, decision, reason)
-    return Match(*columns, polygon=-1, known=-1, closure=False)
+    return Match(*columns, -1, -1, False)
 
 
 @kernel

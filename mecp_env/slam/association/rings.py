@@ -54,13 +54,12 @@ def plausible_rings(
     for j in range(landmarks.shape[0]):
         row[landmarks[j]] = j
     h = 0
-    for hypothesis in range(count * k):
-        c, shift = hypothesis // k, hypothesis % k
-        if _all_landmarks(rings[c], state) and _passes(nis, corners, row, rings[c], shift, gate):
-            which[h] = c
-            for v in range(k):
-                found[h, v] = rings[c, (v + shift) % k]
-            h += 1
+    for c in range(count):
+        for shift in range(k if _all_landmarks(rings[c], state) else 0):
+            if _passes(nis, corners, row, rings[c], shift, gate):
+                which[h] = c
+                _turn(rings[c], shift, found[h])
+                h += 1
     return h
 
 
@@ -75,10 +74,17 @@ def _all_landmarks(ids: Ints, state: Ints) -> bool:
 @kernel
 def _passes(nis: Array, corners: Ints, row: Ints, ring: Ints, shift: int, gate: float) -> bool:
     """True when each of the corners (k,) is inside the gate of the landmark `shift` vertices on in the ring (k,)."""
-    k, fits = ring.shape[0], True
-    for v in range(k):
-        fits &= nis[corners[v], row[ring[(v + shift) % k]]] <= gate
-    return fits
+    k, v = len(ring), 0
+    while v < k and nis[corners[v], row[ring[v + shift - (k if v + shift >= k else 0)]]] <= gate:
+        v += 1
+    return v == k
+
+
+@kernel
+def _turn(ring: Ints, shift: int, turned: Ints) -> None:
+    """Write the ring (k,) from its vertex `shift` on."""
+    for v in range(ring.shape[0]):
+        turned[v] = ring[(v + shift) % ring.shape[0]]
 
 
 def match_rings(

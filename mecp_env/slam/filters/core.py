@@ -147,7 +147,7 @@ class LandmarkFilter:
         pose, pose_cov = np.empty(3), np.empty((3, 3))
         p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
         landmarks.world_belief(self.mean, self.cov, self.invariant, pose, pose_cov, p_map, covs)
-        return Belief(pose, pose_cov, self.ids, p_map, covs)
+        return Belief(pose, pose_cov, self.slot_ids[: self.count].copy(), p_map, covs)
 
     def snapshot(self) -> Self:
         """A deep copy."""
