@@ -161,7 +161,7 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 @kernel
 def soften(cov: Array, z: Array, sigma: float, softer: Array) -> None:
-    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each position."""
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each point."""
     for i in range(cov.shape[0]):
         for j in range(cov.shape[0]):
             softer[i, j] = cov[i, j]
