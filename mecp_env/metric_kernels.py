@@ -22,6 +22,7 @@ CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell see
 STEP = 0.9  # cells between two looks along a beam
 LANDMARK = int(Decision.LANDMARK)
 NEES_MAX = 1e9
+BORDER = 3  # depth of a cell beside one of another room
 
 
 @kernel
@@ -240,34 +241,68 @@ def jamb_middles(jambs: Ints, ids: Ints, p_map: Array) -> Array:
 @kernel
 def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
     """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none."""
-    most = 1 + max(int(rooms.max()), int(room.max()))
-    middles, deepest = np.full((most + 1, 2), np.nan), np.zeros(most + 1, np.int64)
-    depth = room_depths(room)
-    for i in range(room.shape[0]):
-        for j in range(room.shape[1]):
-            r = room[i, j]  # -1, no room, is counted in the last row
-            if depth[i, j] > deepest[r]:
-                deepest[r], middles[r, 0], middles[r, 1] = depth[i, j], j, i
-    return middles[rooms]
+    most, middles = 0, np.empty((rooms.shape[0], 2))
+    for k in range(rooms.shape[0]):
+        most = max(most, rooms[k] + 1)
+    deepest = deepest_cells(room, depths_from_before(room), most)
+    for k in range(rooms.shape[0]):
+        _, column, row = deepest[rooms[k]]
+        middles[k, 0], middles[k, 1] = column, row
+    return middles
 
 
 @kernel
-def room_depths(room: NDArray[np.int16]) -> NDArray[np.int64]:
-    """(H,W) distance of each cell from the nearest one of another room, or outside, in thirds of a cell (chamfer)."""
+def depths_from_before(room: NDArray[np.int16]) -> NDArray[np.int32]:
+    """(H,W) distance of each room's cells from the nearest one that is not of it, in thirds of a cell (chamfer).
+
+    As far as the way from there leads on in rows and columns; the others are for `deepest_cells`.
+    """
     height, width = room.shape
-    depth = np.empty((height, width), np.int64)
+    depth = np.empty(room.shape, np.int32)
     for i in range(height):
         for j in range(width):
-            inner = 0 < i < height - 1 and 0 < j < width - 1
-            for di, dj in ((0, -1), (-1, 0), (0, 1), (1, 0)):
-                inner = inner and room[i + di, j + dj] == room[i, j]
-            depth[i, j] = 3 * (height + width) if inner else 3
-    for sweep in range(2):
-        sign = 1 - 2 * sweep  # from the first row down, then from the last one up
-        for k in range((height - 2) * (width - 2)):
-            i, j = 1 + k // (width - 2), 1 + k % (width - 2)
-            if sweep:
-                i, j = height - 1 - i, width - 1 - j
-            for di, dj, far in ((0, -1, 3), (-1, 0, 3), (-1, -1, 4), (-1, 1, 4)):
-                depth[i, j] = min(depth[i, j], depth[i + sign * di, j + sign * dj] + far)
+            depth[i, j] = BORDER
+    for i in range(1, height - 1):
+        above, row, below = depth[i - 1], depth[i, 1:], room[i + 1, 1:]
+        inside = inside_room(room[i - 1, 1:], room[i], below)
+        for j in range(inside.shape[0]):
+            if inside[j]:
+                row[j] = min(min(depth[i, j], above[j + 1]) + 3, min(above[j], above[j + 2]) + 4)
     return depth
+
+
+@kernel
+def inside_room(above: NDArray[np.int16], row: NDArray[np.int16], below: NDArray[np.int16]) -> Bools:
+    """Whether the four neighbours of each cell of a row but its ends are of its room, given the rows beside it.
+
+    Without a branch, and on parts counted from 0, so that the compiler takes many cells at a time.
+    """
+    here, right = row[1:], row[2:]
+    inside = np.empty(right.shape[0], np.bool_)
+    for j in range(right.shape[0]):
+        r = here[j]
+        inside[j] = (r >= 0) & (r == row[j]) & (r == right[j]) & (r == above[j]) & (r == below[j])
+    return inside
+
+
+@kernel
+def deepest_cells(room: NDArray[np.int16], depth: NDArray[np.int32], most: int) -> Array:
+    """(most,3) depth, column and row of the first of the deepest cells of each room; nan for none.
+
+    From the last cell back to the first one, which completes the depths.
+    """
+    deepest = np.empty((most, 3))
+    for r in range(most):
+        deepest[r, 0], deepest[r, 1], deepest[r, 2] = 0.0, np.nan, np.nan
+    for i in range(room.shape[0] - 1, -1, -1):
+        for j in range(room.shape[1] - 1, -1, -1):
+            r = room[i, j]
+            if r < 0 or r >= most:
+                continue
+            if depth[i, j] > BORDER:
+                straight = min(depth[i, j + 1], depth[i + 1, j])
+                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
+                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
+            if depth[i, j] >= deepest[r, 0]:
+                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
+    return deepest
