@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
 SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
-ROUNDING = 1000  # units in the last place: far more than rounding errors make
+ROUNDING = 1 << 32  # units in the last place, 1e-6: far more than rounding errors make
 SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
 
 
@@ -123,7 +123,7 @@ def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
     """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far.
 
     Branches that nobody can foresee cost more than arithmetic: the squared distances of all come first (row 4, several
-    at once), and only those that equal the largest but for rounding are looked at one by one.
+    at once, with as few divisions as can be), and only those that equal the largest but for rounding are looked at.
     """
     dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
     if dx * dx + dy * dy < 1e-12:
@@ -133,8 +133,9 @@ def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
     along, across = points[2, low + 1 : high], points[3, low + 1 : high]
     sigmas2 = points[4, low + 1 : high]
     for i in range(x.shape[0]):
-        distance2, variance = off_chord(x[i], y[i], (along[i], across[i]), chord)
-        sigmas2[i] = distance2 / variance
+        cross, ahead = dx * (y[i] - chord[1]) - dy * (x[i] - chord[0]), dx * y[i] - dy * x[i]
+        r2, steep = x[i] * x[i] + y[i] * y[i], ahead * ahead
+        sigmas2[i] = cross * cross * r2 / (along[i] * steep + across[i] * ((dx * dx + dy * dy) * r2 - steep))
     bits, largest = sigmas2.view(np.int64), 0  # numbers >= 0 are ordered as their bits are
     for i in range(x.shape[0]):
         largest = max(largest, bits[i])
