@@ -18,6 +18,7 @@ Bools = NDArray[np.bool_]
 WALL, GAP, OPEN = 0.0, 1.0, 2.0  # EdgeLabel as it stands in an array of floats
 PASSES, STOPS, SHORT = 1, 0, -1
 LINES = int(ClusterKind.LINES)
+FARTHER = 1.001  # a beam this many times longer than an edge is far ends behind it, whatever the error of `cosine`
 JAMB_DEPTH_M = 0.3  # how far off an edge the jambs of a gap in it may lie
 
 
@@ -135,9 +136,10 @@ def edge_is_cut(a: Array, b: Array, tolerance: float, view: View, limits: Limits
     size = ranges.shape[0]
     first, count = beams_between(a, b, bearings)
     needed, rules = limits.guard_beams, (limits.guard_m, 2.0 * math.pi / size)
+    behind = FARTHER * math.sqrt(max(a[0] * a[0] + a[1] * a[1], b[0] * b[0] + b[1] * b[1])) - limits.guard_m
     for probe in range(needed - 1, count, needed):
         i = first + probe if first + probe < size else first + probe - size
-        if not _in_front(ranges[i], bearings[i], edge, tolerance, rules):
+        if ranges[i] >= behind or not _in_front(ranges[i], bearings[i], edge, tolerance, rules):
             continue
         run = 0
         for step in range(probe - needed + 1, min(probe + needed, count)):
