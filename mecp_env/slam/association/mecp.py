@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,10 @@ class MecpAssociator:
     """Polygons first, globally; then everything else jointly, within the room where rooms are used."""
 
     config: AssociationConfig
+    gate: float = field(init=False)  # NIS of a single pair
+
+    def __post_init__(self) -> None:
+        self.gate = chi2_gate(2, self.config.gate_probability)
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision a corner (III-B.2)."""
@@ -38,15 +42,11 @@ class MecpAssociator:
         if not len(view.belief.ids) or not len(corners):
             settle(match, corners, view, np.full(len(corners), np.inf), self.config.ignore_gate)
             return match
-        table = pairing_table(corners, view, belief, self.config, self._gate)
+        table = pairing_table(corners, view, belief, self.config, self.gate)
         ring = self._recognise(corners, polygons, view, table.nis, belief)
         match = self._pair(match, corners, table.costs, ring, view, belief)
         settle(match, corners, view, table.nearest, self.config.ignore_gate)
         return match
-
-    @property
-    def _gate(self) -> float:
-        return chi2_gate(2, self.config.gate_probability)
 
     def _recognise(
         self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, nis: Array, belief: Filter
@@ -58,7 +58,7 @@ class MecpAssociator:
     def _pair(
         self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
     ) -> Match:
-        landmarks, gate = view.belief.ids, self._gate
+        landmarks, gate = view.belief.ids, self.gate
         fixed = np.empty(len(corners), np.int64)
         corner, row = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64)
         by_polygon = (NONE, NONE) if ring is None else (ring.corners, ring.ids)

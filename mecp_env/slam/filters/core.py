@@ -60,7 +60,8 @@ class LandmarkFilter:
         slip = 1.0 if odometry.bumper else 0.0
         lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
         increments, covs = _array(odometry.increments), _array(odometry.cov)
-        motion.predict(self.mean, self.cov, self.size, increments, covs, lateral_var, heading_var, self.invariant)
+        size = 3 + 2 * self.count
+        motion.predict(self.mean, self.cov, size, increments, covs, lateral_var, heading_var, self.invariant)
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by all pairs z[i] - ids[i] at once; z (n,2), R (2n,2n), ids (n,); FilterError: S is not positive."""
@@ -196,7 +197,8 @@ def _integers(values: Ints) -> Ints:
 
 
 def _observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
-    z, R, ids = _array(z), _array(R), _integers(ids)
+    z, R = np.ascontiguousarray(z, np.float64), np.ascontiguousarray(R, np.float64)
+    ids = np.ascontiguousarray(ids, np.int64)
     n = len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
