@@ -34,9 +34,9 @@ PUSHED_M_S = 1e-6  # a contact is what changes the velocity by more than this
 # that change a velocity by one in it; how far the robot gets in it; how near a wall pymunk moves the robot, and where
 # that is pushed out of it; how many substeps an arc has
 SPEED, TURN, MOST_DV, MOST_DW, DT, FORCE, TORQUE, STRIDE, REACH, INNER, SUBSTEPS = range(11)
-# The course (8,): the pose at the last reading; for the substep that pymunk makes next, the velocity that the wheels
-# aim at, and the force and the torque for it
-AIM_X, AIM_Y, FORCE_X, FORCE_Y, TWIST = range(3, 8)
+# The course (11,): the pose at the last reading; for the substep that pymunk makes next, the velocity that the wheels
+# aim at, and the force and the torque for it; the velocity x, y and the turn rate that came of it
+AIM_X, AIM_Y, FORCE_X, FORCE_Y, TWIST, FELT_X, FELT_Y, FELT_TURN = range(3, 11)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,11 +88,12 @@ class Simulation:
             raise ActionError(f"command: v={v!r}, w={w!r}, expected finite numbers")
         self._drive[SPEED], self._drive[TURN] = self._within_limits(v, w)
         increments, contact = np.empty((self.config.arcs, 2)), False
-        done, _, _ = self._drive_on(increments, 0)
+        robot = self._segments, self._state, self._drive, self._course, increments
+        done, _, _ = drive_on(*robot, 0)
         glided = stale = True
         while done < self._substeps:
             self._substep_in_pymunk(stale, forget=glided or done % self.config.substeps == 0)
-            reached, touched, stale = self._drive_on(increments, done + 1)
+            reached, touched, stale = drive_on(*robot, done + 1)
             glided = reached > done + 1
             contact |= touched
             done = reached
@@ -124,7 +125,8 @@ class Simulation:
         changes = config.max_acceleration_m_s2 * dt, config.max_turn_acceleration_rad_s2 * dt
         distances = stride, config.radius_m + TOUCH_M + stride, config.radius_m - TOUCH_M
         self._drive = np.array([0.0, 0.0, *changes, dt, MASS_KG / dt, moment / dt, *distances, config.substeps])
-        self._course = np.zeros(8)
+        self._course = np.zeros(11)
+        self._push, self._felt = self._course[FORCE_X : TWIST + 1], self._course[FELT_X:]
         self._substeps, self._substep_s = config.arcs * config.substeps, dt
         self._space = pymunk.Space()
         self._space.collision_slop = 0.0
@@ -140,13 +142,11 @@ class Simulation:
         v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
         return min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)
 
-    def _drive_on(self, increments: Array, done: int) -> tuple[int, bool, bool]:
-        """As the kernel `drive_on`, for the robot as it is."""
-        reached, touched, stale = drive_on(self._segments, self._state, self._drive, self._course, increments, done)
-        return reached, touched, stale
-
     def _substep_in_pymunk(self, stale: bool, forget: bool) -> None:
-        """Moves by one substep in pymunk, which does not have the state yet if `stale`, and may `forget` contacts."""
+        """One substep in pymunk, which does not have the state yet if `stale`, and may be told to `forget` contacts.
+
+        Only the velocity that comes of it is asked for: the pose follows from the velocities (see `move`).
+        """
         body = self._body
         if stale:
             x, y, body.angle, vx, vy, body.angular_velocity = self._state.tolist()
@@ -154,12 +154,12 @@ class Simulation:
         if forget:  # a shape that was taken out and in has no past
             self._space.remove(self._shape)
             self._space.add(self._shape)
-        *_, force_x, force_y, torque = self._course.tolist()
+        force_x, force_y, torque = self._push.tolist()
         body.force = force_x, force_y
         if torque:  # pymunk has none after a substep
             body.torque = torque
         self._space.step(self._substep_s)
-        self._state[:] = *body.position, body.angle, *body.velocity, body.angular_velocity
+        self._felt[:] = *body.velocity, body.angular_velocity
 
 
 @kernel
@@ -173,7 +173,8 @@ def drive_on(
     """
     touched, settled = False, True
     if done > 0:
-        touched = math.hypot(state[3] - course[AIM_X], state[4] - course[AIM_Y]) > PUSHED_M_S
+        touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S
+        move(state, drive, course[FELT_X], course[FELT_Y], course[FELT_TURN])
         settled = settle(segments, state, drive[INNER])
     reached = glide(segments, state, drive, course, increments, done)
     return reached, touched, reached > done or not settled
@@ -195,13 +196,19 @@ def glide(segments: Array, state: Array, drive: Array, course: Array, increments
             aim(state, drive, course, vx, vy, w)
             return done
         spare -= drive[STRIDE]
-        state[0] += state[3] * drive[DT]
-        state[1] += state[4] * drive[DT]
-        state[2] += state[5] * drive[DT]
-        state[3], state[4], state[5] = vx, vy, w
+        move(state, drive, vx, vy, w)
         done += 1
         read_arc(state, course, increments, done, substeps)
     return done
+
+
+@kernel
+def move(state: Array, drive: Array, vx: float, vy: float, w: float) -> None:
+    """Moves the state (6,) by a substep as pymunk does: with its velocity, which then becomes vx, vy, w."""
+    state[0] += state[3] * drive[DT]
+    state[1] += state[4] * drive[DT]
+    state[2] += state[5] * drive[DT]
+    state[3], state[4], state[5] = vx, vy, w
 
 
 @kernel

@@ -172,6 +172,22 @@ def test_pymunk_and_the_kernel_move_alike(paper: Outline) -> None:
     assert pymunk_only.get_state()["body"] == pytest.approx(kernel_only.get_state()["body"], abs=1e-11)
 
 
+def test_the_pose_in_pymunk_is_that_of_the_state(two_rooms: Outline) -> None:
+    """Of which only the velocities are asked for; against a wall, along it, and where it pushes the robot out."""
+    simulation = at(two_rooms, 1.0, 4.0, math.radians(30.0))
+    simulation._drive[REACH] = math.inf
+    body, contacts = simulation._body, 0
+    for motion in drive(simulation, 200, seed=3):
+        contacts += motion.contact
+        state = simulation.get_state()["body"]
+        assert state[2:] == pytest.approx([body.angle, *body.velocity, body.angular_velocity], abs=1e-12)
+        assert state[:2] == pytest.approx(body.position, abs=2e-3)  # pymunk is told of a push with the next substep
+    assert contacts > 20
+    for _ in range(20):
+        simulation.step(0.5, 0.1)
+    assert simulation.get_state()["body"][:2] == pytest.approx(body.position, abs=1e-12)
+
+
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf), (-math.inf, math.nan)])
 def test_commands_that_are_not_finite_change_nothing(two_rooms: Outline, command: tuple[float, float]) -> None:
     simulation = at(two_rooms, 2.0, 2.0)
