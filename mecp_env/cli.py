@@ -6,6 +6,7 @@ import difflib
 import importlib
 import os
 import sys
+import textwrap
 from typing import Any
 
 import mecp_env
@@ -16,6 +17,12 @@ ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.commands, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
+    "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),
+    "worlds generate": ("worlds_generate", "Generate", "new buildings from a specification and seeds"),
+    "worlds validate": ("worlds_files", "Validate", "whether files are sound, or what is wrong and where"),
+    "worlds convert": ("worlds_files", "Convert", "from one format to another"),
+    "worlds stats": ("worlds_stats", "Stats", "rooms, doors, loops, corners... in a table"),
 }
 GROUPS = {words.partition(" ")[0] for words in COMMANDS if " " in words}
 WIDEST = max(map(len, COMMANDS))
@@ -73,8 +80,9 @@ def overview(group: str) -> str:
     """All commands, or those of a group (`worlds`), a line each."""
     shown = [words for words in COMMANDS if words.startswith(group)]
     lines = [f"  {words:{WIDEST}}  {COMMANDS[words][2]}" for words in shown]
-    usage = f"usage: mecp-env {group + ' ' if group else ''}COMMAND [OPTIONS]"
-    return "\n".join([usage, "", ABOUT, "", *lines, "", "`mecp-env COMMAND --help` tells its options, with examples."])
+    command = f"mecp-env {group}".strip()
+    usage = f"usage: {command} COMMAND [OPTIONS]"
+    return "\n".join([usage, "", ABOUT, "", *lines, "", f"`{command} COMMAND --help` shows options and examples."])
 
 
 def load(words: str) -> type[Command]:
@@ -89,12 +97,13 @@ def parse(words: str, line: list[str]) -> Command:
     import tyro  # the overview does without
 
     kind = load(words)
+    about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class
     chosen: Command = tyro.cli(
         kind,
         prog=f"mecp-env {words}",
-        description=f"{kind.__doc__}\n\nExamples:\n{examples}",
+        description=f"{about}\n\nExamples:\n{examples}",
         args=line,
         default=default,
         config=(tyro.conf.AvoidSubcommands,),

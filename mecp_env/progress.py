@@ -27,12 +27,18 @@ def status(metrics: Mapping[str, float], steps_per_s: float) -> str:
     )
 
 
+def _name(run: Run) -> str:
+    """What the building is called; a configuration holds a shipped name, or a whole layout."""
+    layout = run.env.config.layout
+    return layout if isinstance(layout, str) else str(layout["name"])
+
+
 class Progress:
     """A bar of the share of the building that has been seen, with rooms, doors, pose error and speed."""
 
     def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
         self.watch = watch
-        self.title = f"exploring {run.env.config.layout}"
+        self.title = f"exploring {_name(run)}"
         self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
         self.task = self.bar.add_task("preparing", total=1.0)
 

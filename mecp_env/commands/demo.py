@@ -19,10 +19,11 @@ class Demo(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env demo --layout two_rooms",
         "mecp-env demo --layout office --seed 3 --render human",
+        "mecp-env demo --layout hard:7",
         "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
     )
 
-    layout: str = "paper"  # paper, two_rooms, office, twins, furnished, or the path of a layout file
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), PRESET:SEED, or the path of a file
     seed: int = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
@@ -30,13 +31,14 @@ class Demo(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
+        from mecp_env.commands.buildings import resolve
         from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
         from mecp_env.progress import Progress, say_result
         from mecp_env.render.window import require_display
         from mecp_env.stopwatch import timed_stages
 
-        folder = check_writable(self.out or Path("runs") / f"{Path(self.layout).stem}-{self.seed}")
-        config = configuration(self.layout, self.config, line)
+        folder = check_writable(self.out or Path("runs") / f"{_folder_name(self.layout)}-{self.seed}")
+        config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":
             require_display()
         run = Run.begin(config, self.seed, None if self.render == "none" else "human")
@@ -47,3 +49,7 @@ class Demo(Command):
         say_result(run.keep(folder, watch), folder)
         run.env.close()
         return INTERRUPTED if run.ended == "interrupted" else 0
+
+
+def _folder_name(layout: str) -> str:
+    return Path(layout).stem if Path(layout).exists() else layout.replace(":", "-")

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from mecp_env.config import EnvConfig, merge
+from mecp_env.world.schema import Layout
 
 PREFIX = "--config."
 
@@ -19,13 +20,14 @@ class Fields(EnvConfig):
     actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
 
 
-def configuration(layout: str | dict[str, Any], fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
+def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
     """The configuration in which only those fields are set that the command line names, to a default or not."""
-    given, chosen = fields.model_dump(mode="json"), {"layout": layout}
+    given = fields.model_dump(mode="json")
+    chosen: dict[str, Any] = {}
     for option in line:
         if option.startswith(PREFIX):
             chosen = merge(chosen, named(given, option.removeprefix(PREFIX).partition("=")[0]))
-    return EnvConfig.build(chosen | {"layout": layout})
+    return EnvConfig.build(chosen, layout=layout)
 
 
 def named(fields: Mapping[str, Any], path: str) -> dict[str, Any]:

@@ -1,0 +1,85 @@
+"""The words by which commands are told of buildings: shipped names, PRESET:SEED, PRESET:FIRST-LAST, files, folders."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.schema import Layout
+
+MOST_SEEDS = 10_000
+SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,9}})(?:-(\d{{1,9}}))?")
+ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
+
+
+def expand(word: str) -> list[str]:
+    """The single buildings that a word stands for: `medium:0-2` is three, a folder the layouts and plans in it.
+
+    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder.
+    """
+    if word in DIFFICULTIES:
+        raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
+    series = SERIES.fullmatch(word)
+    if series:
+        preset, first, last = series[1], int(series[2]), int(series[3] or series[2])
+        if not 0 <= last - first < MOST_SEEDS:
+            raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
+        return [f"{preset}:{seed}" for seed in range(first, last + 1)]
+    if Path(word).is_dir():
+        return _files(Path(word))
+    return [word]
+
+
+def expand_all(words: Sequence[str]) -> list[str]:
+    """The single buildings of all words. Raises `ConfigError` for none."""
+    if not words:
+        raise ConfigError("name at least one building; `mecp-env worlds list` tells which there are")
+    return [single for word in words for single in expand(word)]
+
+
+def resolve(word: str) -> str | Layout:
+    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short."""
+    return word if word in shipped_layouts() else load(word)
+
+
+def counted(layout: Layout) -> str:
+    """How many rooms, doors and obstacles there are, in words."""
+    parts = ((len(layout.rooms), "room"), (len(layout.doors), "door"), (len(layout.obstacles), "obstacle"))
+    return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
+
+
+def _files(folder: Path) -> list[str]:
+    found = sorted(str(path) for path in folder.iterdir() if path.suffix in ENDINGS)
+    if not found:
+        raise ConfigError(f"{folder}: a folder without a file that ends in {', '.join(ENDINGS)}")
+    return found
+
+
+def load(word: str, **options: Any) -> Layout:
+    """The checked layout of a single building; `options` are those of `load_plan`. Raises `LayoutError`."""
+    series = SERIES.fullmatch(word)
+    if series:
+        from mecp_env.world.generator import generate
+
+        return generate(GeneratorSpec.preset(series[1]), int(series[2]))
+    if word in shipped_layouts():
+        return load_layout(word)
+    if not Path(word).exists():
+        shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
+        raise LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}")
+    return plan_loader()(Path(word), **options)
+
+
+def plan_loader() -> Callable[..., Layout]:
+    """What reads a file."""
+    try:
+        loader: Callable[..., Layout] = importlib.import_module("mecp_env.world.importers").load_plan
+    except ModuleNotFoundError:
+        return load_layout
+    return loader

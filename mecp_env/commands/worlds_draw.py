@@ -1,0 +1,61 @@
+"""`mecp-env worlds draw`: floor plans as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import tyro
+
+from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.buildings import expand_all, load
+from mecp_env.errors import ConfigError
+from mecp_env.world.schema import Layout
+
+DPI = (30, 600)
+
+
+@dataclass(frozen=True)
+class Draw(Command):
+    """Draw floor plans: one building as a picture, several as a sheet."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds draw office",
+        "mecp-env worlds draw hard:0-8 --out runs/hard.png",
+        "mecp-env worlds draw my-house.json paper --out runs/two.svg",
+    )
+
+    worlds: tyro.conf.Positional[tuple[str, ...]]  # shipped names, PRESET:SEED, PRESET:FIRST-LAST, files or folders
+    out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
+    dpi: int = 150  # pixels per inch of a PNG, 30 to 600
+
+    def run(self, line: Sequence[str]) -> int:
+        """Draw, and say where the picture is."""
+        from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only here
+
+        if not DPI[0] <= self.dpi <= DPI[1]:
+            raise ConfigError(f"dpi: {self.dpi}, from {DPI[0]} to {DPI[1]}")
+        if self.out:
+            check_writable(check_format(self.out))
+        words = expand_all(self.worlds)
+        check_count(len(words))
+        layouts = [load(word) for word in words]
+        print(draw(layouts, self.out or Path("runs") / f"{self._name(layouts)}.png", self.dpi))
+        return 0
+
+    @staticmethod
+    def _name(layouts: Sequence[Layout]) -> str:
+        return Path(layouts[0].name).name if len(layouts) == 1 else "worlds"
+
+
+def draw(layouts: Sequence[Layout], path: Path, dpi: int = 150) -> Path:
+    """Draw buildings on a sheet and save it; `path` itself, whose folder is made."""
+    from mecp_env.floor_plan import floor_plan
+    from mecp_env.render.plan_figures import save_plans
+
+    plans = [floor_plan(layout) for layout in layouts]
+    check_writable(path).parent.mkdir(parents=True, exist_ok=True)
+    save_plans(plans, path, dpi)
+    return path

@@ -1,0 +1,137 @@
+"""`mecp-env worlds list | validate | convert`: what there is, whether files are sound, from one format to another."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
+from mecp_env.commands.buildings import counted, expand, expand_all, load
+from mecp_env.errors import ConfigError, MecpError
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.schema import Layout
+
+
+@dataclass(frozen=True)
+class List(Command):
+    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds."""
+
+    examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Print a table of each, and the splits."""
+        console = Console()
+        console.print(_shipped(), _presets())
+        splits = ", ".join(f"{seeds[0]} to {seeds[-1]} for {name}" for name, seeds in SPLITS.items())
+        console.print(f"Seeds, so that results compare: {splits}.")
+        return 0
+
+
+@dataclass(frozen=True)
+class Validate(Command):
+    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds validate my-house.json",
+        "mecp-env worlds validate runs/worlds",
+    )
+
+    files: tyro.conf.Positional[tuple[str, ...]]  # files, folders, or any building as for draw
+
+    def run(self, line: Sequence[str]) -> int:
+        """Check every file, a line each."""
+        wrong = [word for word in expand_all(self.files) if not sound(word)]
+        return WRONG_INPUT if wrong else 0
+
+
+def sound(word: str) -> bool:
+    """Whether a building is sound; says so, or what is wrong with it."""
+    try:
+        layout = load(word)
+    except MecpError as error:
+        print(f"wrong  {error}")
+        return False
+    print(f"ok     {word}: {counted(layout)}")
+    return True
+
+
+@dataclass(frozen=True)
+class Convert(Command):
+    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds convert plan.yaml house.json",
+        "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
+        "mecp-env worlds convert hard:3 runs/hard-3.yaml --resolution-m 0.05",
+    )
+
+    source: tyro.conf.Positional[str]  # a layout, HouseExpo JSON, map_server .yaml, an image, or as for draw
+    target: tyro.conf.Positional[Path]  # .json, .yaml or .svg
+    resolution_m: float | None = None  # metres a pixel, of an image that is read or of a map that is written
+
+    def run(self, line: Sequence[str]) -> int:
+        """Read, write, and say what was written."""
+        write = WRITERS.get(self.target.suffix.lower())
+        if write is None:
+            raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
+        if len(expand(self.source)) > 1:
+            raise ConfigError(f"source: {self.source} is {len(expand(self.source))} buildings, one is converted")
+        options = {"resolution_m": self.resolution_m} if Path(self.source).suffix.lower() in IMAGES else {}
+        layout = load(self.source, **options)
+        check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
+        write(layout, self.target, self.resolution_m)
+        print(f"{self.target}: {layout.name}, {counted(layout)}")
+        return 0
+
+
+def _write_json(layout: Layout, path: Path, resolution_m: float | None) -> None:
+    path.write_text(layout.to_json())
+
+
+def _write_map(layout: Layout, path: Path, resolution_m: float | None) -> None:
+    exporters = importlib.import_module("mecp_env.world.exporters")
+    exporters.save_map_server(layout, path.with_suffix(""), resolution_m or MAP_RESOLUTION_M)
+
+
+def _write_svg(layout: Layout, path: Path, resolution_m: float | None) -> None:
+    importlib.import_module("mecp_env.world.exporters").save_svg(layout, path)
+
+
+IMAGES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg")
+MAP_RESOLUTION_M = 0.05
+WRITERS: dict[str, Callable[[Layout, Path, float | None], None]] = {
+    ".json": _write_json,
+    ".yaml": _write_map,
+    ".svg": _write_svg,
+}
+
+
+def _shipped() -> Table:
+    """The shipped layouts, and what each is for."""
+    table = Table("building", "rooms", "doors", "what it is", title="shipped", title_justify="left")
+    for name in shipped_layouts():
+        layout = load_layout(name)
+        table.add_row(name, str(len(layout.rooms)), str(len(layout.doors)), layout.description)
+    return table
+
+
+def _presets() -> Table:
+    """The difficulties, and in what they differ from a plain specification."""
+    table = Table("building", "what is generated", title="generated: any seed from 0", title_justify="left")
+    for name in DIFFICULTIES:
+        fields = GeneratorSpec.preset(name).model_dump(exclude_unset=True)
+        table.add_row(f"{name}:SEED", ", ".join(f"{key} {_short(value)}" for key, value in fields.items()))
+    return table
+
+
+def _short(value: Any) -> str:
+    """A value of a specification as a person writes it: `0.8 to 1` for a range."""
+    return " to ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else str(value)

@@ -1,0 +1,93 @@
+"""`mecp-env worlds generate`: buildings from a specification and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal, Self
+
+import tyro
+
+from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.buildings import counted
+from mecp_env.errors import ConfigError
+from mecp_env.world.generator.spec import DIFFICULTIES, Difficulty, GeneratorSpec, split_seed
+from mecp_env.world.schema import Layout
+
+MOST = 10_000
+OPTION = "--difficulty"
+
+
+@dataclass(frozen=True)
+class Generate(Command):
+    """Generate buildings: layout files whose rooms, doors and loops are known. Every field of the specification is an
+    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it)."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds generate --difficulty hard --seed 7",
+        "mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png",
+        "mecp-env worlds generate --difficulty easy --split test --count 10",
+    )
+
+    difficulty: Difficulty = "medium"  # the preset below the other options
+    seed: int = 0  # the first seed; with a split, the first building of the split
+    count: int = 1  # so many seeds, one after the other
+    split: Literal["train", "validation", "test"] | None = None  # seeds kept apart, so that results compare
+    out: Path = Path("runs/worlds")  # folder for DIFFICULTY-SEED.json, or for one building a .json file
+    sheet: Path | None = None  # also draw all of them here, .png or .svg
+    spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
+
+    @classmethod
+    def defaults(cls, line: Sequence[str]) -> Self | None:
+        """Those of the difficulty that the line names."""
+        chosen = _value(line) or "medium"
+        return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the files, one line on each."""
+        self._check()
+        layouts = []
+        for path, layout in self._buildings():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(layout.to_json())
+            print(f"{path}: {counted(layout)}")
+            layouts += [layout] if self.sheet else []
+        if self.sheet:
+            from mecp_env.commands.worlds_draw import draw
+
+            print(draw(layouts, self.sheet))
+        return 0
+
+    def _check(self) -> None:
+        """Raise `ConfigError` for what would fail only after some of the work."""
+        if not 1 <= self.count <= MOST:
+            raise ConfigError(f"count: {self.count}, from 1 to {MOST}")
+        if self.seed < 0:
+            raise ConfigError(f"seed: {self.seed}, at least 0")
+        if self.out.suffix == ".json" and self.count > 1:
+            raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
+        check_writable(self.out)
+        if self.sheet:
+            from mecp_env.render.plan_figures import check_count, check_format
+
+            check_writable(check_format(self.sheet))
+            check_count(self.count)
+
+    def _buildings(self) -> Iterator[tuple[Path, Layout]]:
+        """Path and layout of every building."""
+        from mecp_env.world.generator import generate
+
+        for number in range(self.seed, self.seed + self.count):
+            seed = split_seed(self.split, number) if self.split else number
+            whole = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
+            yield whole, generate(self.spec, seed)
+
+
+def _value(line: Sequence[str]) -> str:
+    """The difficulty that a line names, or an empty text."""
+    for option, after in zip(line, [*line[1:], ""], strict=True):
+        name, equals, value = option.partition("=")
+        if name == OPTION:
+            return value if equals else after
+    return ""

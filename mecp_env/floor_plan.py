@@ -1,0 +1,116 @@
+"""From a layout to what its picture is drawn from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from shapely.affinity import affine_transform, rotate
+from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import nearest_points
+
+from mecp_env.render.floor_plan import LETTER, LINES, Array, FloorPlan, PlanRoom, Shape
+from mecp_env.world.outline import Outline, build_outline, obstacle_shape
+from mecp_env.world.schema import Layout
+
+CLEAR_M = 0.12  # between a name and what stands in the room
+START_M = 0.45  # names keep so far from a start
+TURNED = 1.3  # a name without enough space is turned where it can be so many times as large
+ENOUGH_M = 1.3  # height of name and area for which there is enough space
+COLOURS = (0, 1, 2, 3, 4, 5, 7, 8)  # of the palette; brown is the furniture's
+
+Label = tuple[tuple[float, float], float, float]
+
+
+def floor_plan(layout: Layout, outline: Outline | None = None) -> FloorPlan:
+    """The picture's data of a checked layout; `outline` if it is built already."""
+    outline = outline or build_outline(layout)
+    blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
+    walls = [
+        LineString(wall.points).buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
+        for wall in layout.walls
+    ]
+    return FloorPlan(
+        name=layout.name,
+        walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),
+        rooms=_rooms(outline, blocks),
+        doors=_gaps(outline),
+        obstacles=tuple(np.array(block.exterior.coords)[:-1] for block in blocks),
+        starts=outline.starts,
+        free_m2=float(outline.free_area.area),
+    )
+
+
+def _shape(part: Polygon) -> Shape:
+    return tuple(np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors))
+
+
+def _gaps(outline: Outline) -> tuple[Array, ...]:
+    """The gap (4,2) of each door in its wall."""
+    doors, gaps = outline.doors, []
+    for i, angle in enumerate(doors.normal):
+        across = np.array([np.cos(angle), np.sin(angle)]) * doors.thickness[i] / 2.0
+        along = np.array([-np.sin(angle), np.cos(angle)]) * doors.width[i] / 2.0
+        gaps.append(doors.centre[i] + np.array([-across - along, across - along, across + along, along - across]))
+    return tuple(gaps)
+
+
+def _rooms(outline: Outline, blocks: list[Polygon]) -> tuple[PlanRoom, ...]:
+    starts = [Point(start[:2]).buffer(START_M) for start in outline.starts]
+    taken = shapely.union_all([*(block.buffer(CLEAR_M) for block in blocks), *starts])
+    colours = _colours(outline.rooms)
+    return tuple(
+        _room(name, room, taken, colour)
+        for name, room, colour in zip(outline.room_names, outline.rooms, colours, strict=True)
+    )
+
+
+def _room(name: str, room: Polygon, taken: BaseGeometry, colour: int) -> PlanRoom:
+    free = room.buffer(-CLEAR_M).difference(taken)
+    free = room if free.is_empty else free
+    aspect = max(LETTER * len(name) / LINES, 1.0)
+    level, *others = (_space(free, aspect, turn) for turn in (0.0, *_directions(room)))
+    best = max(others, key=lambda label: label[1])
+    turned = level[1] < 0.9 * ENOUGH_M and best[1] > TURNED * level[1]
+    place, height, turn = best if turned else level
+    ring = np.array(room.exterior.coords)[:-1]
+    return PlanRoom(name, ring, float(room.area), colour, place, height, turn)
+
+
+def _directions(room: Polygon) -> tuple[float, float]:
+    """The directions of a room's sides, degrees: above -80, at most 100, so that a text along them can be read."""
+    a, b = np.array(room.minimum_rotated_rectangle.exterior.coords)[:2]
+    along = float(np.degrees(np.arctan2(*(b - a)[::-1])))
+    return 100.0 - (100.0 - along) % 180.0, 100.0 - (10.0 - along) % 180.0
+
+
+def _space(free: BaseGeometry, aspect: float, turn_deg: float) -> Label:
+    """Where a box `aspect` times as long as high has space, as near to the middle as it goes: place, height, turn.
+
+    A circle in a plan that is squeezed along the text is an ellipse around the text.
+    """
+    there = [1.0 / aspect, 0.0, 0.0, 1.0, 0.0, 0.0]
+    squeezed = affine_transform(rotate(free, -turn_deg, origin=(0.0, 0.0)), there)
+    largest = shapely.maximum_inscribed_circle(squeezed, tolerance=0.05)
+    enough = min(0.98 * largest.length, ENOUGH_M / math.sqrt(2.0))
+    places = squeezed.buffer(-enough, quad_segs=4)
+    middle, _ = nearest_points(places, squeezed.centroid) if not places.is_empty else (Point(largest.coords[0]), None)
+    place = rotate(Point(middle.x * aspect, middle.y), turn_deg, origin=(0.0, 0.0))
+    return (place.x, place.y), math.sqrt(2.0) * float(squeezed.boundary.distance(middle)), turn_deg
+
+
+def _colours(rooms: tuple[Polygon, ...]) -> list[int]:
+    """For each room the colour that is used least, of those that no neighbour before it has."""
+    colours: list[int] = []
+    for i, others in enumerate(_neighbours(rooms)):
+        taken = {colours[j] for j in others if j < i}
+        left = [colour for colour in COLOURS if colour not in taken] or list(COLOURS)
+        colours.append(min(left, key=colours.count))
+    return colours
+
+
+def _neighbours(rooms: tuple[Polygon, ...]) -> list[list[int]]:
+    tree = shapely.STRtree(rooms)
+    return [tree.query(room.buffer(0.1), predicate="intersects").tolist() for room in rooms]

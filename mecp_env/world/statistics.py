@@ -1,0 +1,71 @@
+"""What a building is like, in figures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry import Polygon
+
+from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.schema import Layout
+
+NARROW = 3.0  # a corridor is at least so many times as long as wide
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class BuildingFigures:
+    """Counts and measures of one building; what cannot be reached from its first start is not counted as floor."""
+
+    rooms: int
+    doors: int
+    loops: int  # doors without which every room could still be reached from the same rooms
+    floor_m2: float
+    faces: int  # straight stretches of wall or obstacle that a laser can see
+    corners: int
+    obstacles: int
+    longest_corridor_m: float  # the longest room that is narrow, 0 without one
+    width_m: float  # along x
+    height_m: float  # along y
+
+    def as_dict(self) -> dict[str, float]:
+        """Name -> figure."""
+        return asdict(self)
+
+
+def building_figures(layout: Layout, outline: Outline | None = None) -> BuildingFigures:
+    """The figures of a checked layout; `outline` if it is built already."""
+    outline = outline or build_outline(layout)
+    x0, y0, x1, y1 = outline.bounds
+    return BuildingFigures(
+        rooms=len(outline.rooms),
+        doors=len(outline.doors),
+        loops=_loops(outline),
+        floor_m2=float(outline.free_area.area),
+        faces=len(outline.segments),
+        corners=len(outline.corners),
+        obstacles=len(layout.obstacles),
+        longest_corridor_m=max(map(_corridor_m, outline.rooms)),
+        width_m=x1 - x0,
+        height_m=y1 - y0,
+    )
+
+
+def _loops(outline: Outline) -> int:
+    """Independent rings of the graph of rooms and doors."""
+    a, b = outline.doors.rooms.T
+    n = len(outline.rooms)
+    parts, _ = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    return len(outline.doors) - n + int(parts)
+
+
+def _corridor_m(room: Polygon) -> float:
+    """Length of a room that is narrow, else 0."""
+    ring = np.array(room.minimum_rotated_rectangle.exterior.coords)
+    length = float(np.linalg.norm(np.diff(ring[:3], axis=0), axis=1).max())
+    return length if length**2 >= NARROW * room.area else 0.0

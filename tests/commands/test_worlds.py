@@ -1,0 +1,182 @@
+"""`mecp-env worlds`: what each command leaves behind, and what it says of wrong input."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from mecp_env import cli
+from mecp_env.commands.buildings import expand
+from mecp_env.errors import ConfigError
+from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.layout import load_layout
+
+Said = pytest.CaptureFixture[str]
+
+
+def run(*line: str | Path) -> int:
+    return cli.main(["worlds", *map(str, line)])
+
+
+def test_the_list_names_every_shipped_layout_preset_and_split(capsys: Said) -> None:
+    assert run("list") == 0
+    said = capsys.readouterr().out
+    for word in ("paper", "two_rooms", "huge:SEED", "furniture 0.3", "2000000 to 2000999 for test"):
+        assert word in said
+
+
+@pytest.mark.parametrize("word", ["office", "hard:3"])
+def test_one_building_is_drawn(word: str, tmp_path: Path, capsys: Said) -> None:
+    path = tmp_path / "new" / "plan.png"
+    assert run("draw", word, "--out", path, "--dpi", "60") == 0
+    assert capsys.readouterr().out == f"{path}\n"
+    with Image.open(path) as picture:
+        assert picture.width > 300
+
+
+def test_pictures_have_a_place_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("draw", "two_rooms", "--dpi", "30") == 0
+    assert run("draw", "two_rooms", "easy:1", "--dpi", "30") == 0
+    assert capsys.readouterr().out == "runs/two_rooms.png\nruns/worlds.png\n"
+
+
+def test_a_series_is_drawn_as_a_sheet_of_svg(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.svg"
+    assert run("draw", "easy:0-3", "two_rooms", "--out", path) == 0
+    assert ET.parse(path).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+
+
+def test_generated_files_are_the_buildings_of_their_seeds(tmp_path: Path, capsys: Said) -> None:
+    sheet = tmp_path / "sheet.png"
+    assert (
+        run("generate", "--difficulty", "easy", "--seed", "4", "--count", "2", "--out", tmp_path, "--sheet", sheet) == 0
+    )
+    said = capsys.readouterr().out.splitlines()
+    assert said == [*(f"{tmp_path}/easy-{seed}.json: 4 rooms, 3 doors, 0 obstacles" for seed in (4, 5)), str(sheet)]
+    assert load_layout(tmp_path / "easy-5.json") == generate(GeneratorSpec.preset("easy"), 5)
+    assert sheet.stat().st_size > 10_000
+
+
+def test_every_field_of_the_specification_is_an_option_over_the_difficulty(tmp_path: Path) -> None:
+    out = tmp_path / "one.json"
+    line = ["--rooms", "6", "--door-width-m", "0.8", "1.1", "--shapes", "L", "--difficulty=medium", "--seed", "2"]
+    assert run("generate", *line, "--out", out) == 0
+    spec = GeneratorSpec.preset("medium", rooms=6, door_width_m=(0.8, 1.1), shapes=("L",))
+    assert load_layout(out) == generate(spec, 2)
+
+
+def test_a_split_has_seeds_of_its_own(tmp_path: Path) -> None:
+    assert run("generate", "--difficulty", "easy", "--split", "test", "--seed", "3", "--out", tmp_path) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["easy-2000003.json"]
+
+
+def test_validation_says_of_each_file_what_is_wrong_and_where(tmp_path: Path, capsys: Said) -> None:
+    fields = json.loads(load_layout("two_rooms").to_json())
+    (tmp_path / "a.json").write_text(json.dumps(fields))
+    fields["doors"][0]["width_m"] = 9.0
+    (tmp_path / "b.json").write_text(json.dumps(fields))
+    (tmp_path / "c.json").write_text("{")
+    assert run("validate", tmp_path) == 2
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert first == f"ok     {tmp_path}/a.json: 2 rooms, 1 door, 0 obstacles"
+    assert second.startswith(f"wrong  {tmp_path}/b.json: doors.0.width_m: 9")
+    assert third.startswith(f"wrong  {tmp_path}/c.json: no JSON")
+    assert run("validate", tmp_path / "a.json", "paper", "easy:0-1") == 0
+
+
+def test_a_building_is_converted_to_a_layout_file(tmp_path: Path, capsys: Said) -> None:
+    out = tmp_path / "deep" / "copy.json"
+    assert run("convert", "furnished", out) == 0
+    assert load_layout(out) == load_layout("furnished")
+    assert capsys.readouterr().out == f"{out}: furnished, 4 rooms, 4 doors, 11 obstacles\n"
+
+
+def test_figures_are_told_as_a_table(capsys: Said) -> None:
+    assert run("stats", "paper", "easy:0-4") == 0
+    said = capsys.readouterr().out
+    paper = next(line.split() for line in said.splitlines() if "paper" in line)
+    assert paper == ["paper", "9", "11", "3", "267", "98", "98", "3", "0.0"]
+    assert "easy:0-4" in said
+
+
+def test_figures_are_told_as_json(capsys: Said) -> None:
+    assert run("stats", "office", "easy:0-4", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["office"]["longest_corridor_m"] == pytest.approx(16.0, abs=0.1)
+    assert (told["easy:0-4"]["buildings"], told["easy:0-4"]["rooms"]["max"]) == (5, 4)
+    assert told["easy:0-4"]["floor_m2"]["min"] < told["easy:0-4"]["floor_m2"]["median"]
+
+
+def test_without_a_word_the_shipped_ones_are_measured(capsys: Said) -> None:
+    assert run("stats", "--json") == 0
+    assert json.loads(capsys.readouterr().out).keys() == {"furnished", "office", "paper", "twins", "two_rooms"}
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (["draw"], "name at least one building"),
+        (["draw", "castle"], "castle: no such file or building; there are furnished"),
+        (["draw", "medium"], "medium:0-9"),
+        (["draw", "medium:9-0"], "medium:9-0: -8 buildings, from 1"),
+        (["draw", "medium:0-99999"], "100000 buildings"),
+        (["draw", "easy:0-100"], "101 buildings cannot be drawn on one sheet"),
+        (["draw", "office", "--out", "plan.jpg"], "plan.jpg: a picture ends in .png or .svg"),
+        (["draw", "office", "--dpi", "1"], "dpi: 1, from 30 to 600"),
+        (["validate", "."], "a folder without a file that ends in .json"),
+        (["validate"], "name at least one building"),
+        (["generate", "--count", "0"], "count: 0, from 1"),
+        (["generate", "--seed", "-1"], "seed: -1, at least 0"),
+        (["generate", "--count", "2", "--out", "one.json"], "one.json is one file for 2 buildings"),
+        (["generate", "--sheet", "sheet.pdf"], "sheet.pdf"),
+        (["generate", "--count", "101", "--sheet", "sheet.png"], "101 buildings"),
+        (["generate", "--rooms", "3", "--loops", "30", "--difficulty", "easy"], "30 loops"),
+        (["generate", "--split", "test", "--seed", "1000"], "1000 buildings"),
+        (["convert", "office", "office.txt"], ".json, .yaml, .svg"),
+        (["convert", "easy:0-1", "two.json"], "2 buildings, one is converted"),
+    ],
+)
+def test_wrong_input_ends_with_2_and_one_line_and_leaves_nothing(
+    line: list[str], named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(*line) == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (["generate", "--difficulty", "brutal"], "brutal"),
+        (["generate", "--rooms", "61"], "rooms"),
+        (["generate", "--roms", "6"], "--rooms"),
+        (["drwa", "office"], "did you mean `mecp-env worlds draw`?"),
+        ([], "worlds stats"),
+    ],
+)
+def test_a_wrong_option_ends_with_2_and_names_it(line: list[str], named: str, capsys: Said) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(*line)
+    assert ended.value.code == 2
+    assert named in capsys.readouterr().err
+
+
+def test_help_shows_what_the_difficulty_has(capsys: Said) -> None:
+    with pytest.raises(SystemExit):
+        run("generate", "--difficulty", "huge", "--help")
+    assert "(default: 40)" in capsys.readouterr().out
+
+
+def test_a_series_names_its_seeds() -> None:
+    assert expand("hard:8-10") == ["hard:8", "hard:9", "hard:10"]
+    assert expand("hard:8") == ["hard:8"]
+    with pytest.raises(ConfigError, match="easy:0"):
+        expand("easy")

@@ -1,0 +1,73 @@
+"""Floor plans: names where there is space, colours of neighbours apart, the same file twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapely.geometry import Point, Polygon
+
+from mecp_env.errors import ConfigError
+from mecp_env.floor_plan import floor_plan
+from mecp_env.render import palette
+from mecp_env.render.plan_figures import plans_figure, save_plans
+from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import build_outline, obstacle_shape
+
+NAMES = ["furnished", "office", "paper", "twins", "two_rooms"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_stand_in_their_rooms_clear_of_furniture_and_starts(name: str) -> None:
+    layout = load_layout(name)
+    blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
+    for room in floor_plan(layout).rooms:
+        place = Point(room.label).buffer(0.45 * room.label_height_m)
+        assert Polygon(room.ring).contains(place), room.name
+        assert not any(block.intersects(place) for block in blocks), room.name
+        assert min(np.linalg.norm(build_outline(layout).starts[:, :2] - room.label, axis=1)) > 0.3
+
+
+def test_neighbours_have_different_colours() -> None:
+    for seed in range(5):
+        rooms = floor_plan(generate(GeneratorSpec.preset("hard"), seed)).rooms
+        for i, a in enumerate(rooms):
+            near = [b for b in rooms[:i] if Polygon(a.ring).buffer(0.05).intersects(Polygon(b.ring))]
+            assert a.colour not in {b.colour for b in near}
+
+
+def test_a_name_in_a_narrow_turned_room_is_written_along_it() -> None:
+    spec = GeneratorSpec.preset("medium", turned_deg=(40.0, 40.0), corridor_width_m=(1.6, 1.6))
+    corridor = next(room for room in floor_plan(generate(spec, 1)).rooms if room.name == "corridor 1")
+    assert corridor.label_turn_deg == pytest.approx(40.0, abs=0.01) or corridor.label_turn_deg == pytest.approx(-50.0)
+    assert corridor.label_height_m > 0.5
+
+
+def test_the_picture_shows_walls_floors_doors_furniture_and_starts(tmp_path: Path) -> None:
+    save_plans([floor_plan(load_layout("furnished"))], tmp_path / "plan.png", dpi=80)
+    with Image.open(tmp_path / "plan.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+    for colour in (palette.SOLID, palette.DOOR, palette.ESTIMATE, (212, 200, 184)):
+        assert (pixels == colour).all(axis=1).any(), colour
+
+
+@pytest.mark.parametrize("ending", [".png", ".svg"])
+def test_the_same_plans_give_the_same_file(ending: str, tmp_path: Path) -> None:
+    plans = [floor_plan(load_layout(name)) for name in NAMES[:2]]
+    for name in ("a", "b"):
+        save_plans(plans, tmp_path / f"{name}{ending}", dpi=40)
+    assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+
+
+def test_a_sheet_has_a_place_for_every_plan() -> None:
+    plan = floor_plan(load_layout("two_rooms"))
+    for count in (1, 2, 5, 9):
+        figure = plans_figure([plan] * count)
+        boxes = [axes.get_position() for axes in figure.axes]
+        assert len(boxes) == count
+        assert all(box.x0 >= 0.0 and box.x1 <= 1.0 and box.y0 >= 0.0 and box.y1 <= 1.0 for box in boxes)
+    with pytest.raises(ConfigError, match="101 buildings"):
+        plans_figure([plan] * 101)

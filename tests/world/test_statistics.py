@@ -1,0 +1,34 @@
+"""Figures of buildings: held against what was declared, and against counts by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.layout import load_layout
+from mecp_env.world.statistics import building_figures
+
+
+def test_the_figures_of_two_rooms_are_those_counted_by_hand() -> None:
+    figures = building_figures(load_layout("two_rooms"))
+    assert (figures.rooms, figures.doors, figures.loops, figures.obstacles) == (2, 1, 0, 0)
+    assert figures.faces == figures.corners == 12  # four of each room, four of the door's jambs
+    assert figures.longest_corridor_m == 0.0
+
+
+@pytest.mark.parametrize(("name", "loops"), [("office", 0), ("twins", 1), ("paper", 3), ("furnished", 1)])
+def test_loops_are_the_rings_of_rooms(name: str, loops: int) -> None:
+    assert building_figures(load_layout(name)).loops == loops
+
+
+def test_declared_loops_and_corridors_come_out() -> None:
+    for seed in range(3):
+        layout = generate(GeneratorSpec.preset("hard"), seed)
+        figures = building_figures(layout)
+        assert (figures.rooms, figures.loops, figures.obstacles) == (14, 3, len(layout.obstacles))
+        assert figures.longest_corridor_m > 6.0
+        assert figures.floor_m2 < figures.width_m * figures.height_m
+
+
+def test_only_a_narrow_room_is_a_corridor() -> None:
+    assert building_figures(load_layout("office")).longest_corridor_m == pytest.approx(16.0, abs=0.1)
