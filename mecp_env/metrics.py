@@ -121,7 +121,10 @@ class EpisodeMetrics:
         """Count one control period: the true increments (M,2) of the body and whether it touched something."""
         self.periods += 1
         self.contacts += contact
-        self.metres += float(np.add.reduce(np.abs(increments[:, 0])))
+        metres = 0.0
+        for distance in increments[:, 0].tolist():
+            metres += abs(distance)
+        self.metres += metres
 
     def coverage(self, truth: Truth) -> float:
         """Share of the true free area that the robot has seen."""
