@@ -78,21 +78,26 @@ def find_clusters(
 def join_beams(ranges: Array, bearings: Array, hit: Bools, count: Ints, threshold: Threshold) -> Bools:
     """(B,) True where the beam and the next one (the first one after the last) may lie on one line."""
     size = ranges.shape[0]
-    joined = np.zeros(size, np.bool_)
-    step = (bearings[size - 1] - bearings[0]) / max(size - 1, 1)
-    for i in range(size if size > 1 else 0):
-        j = i + 1 if i + 1 < size else 0
-        turn = bearings[j] - bearings[i] + (2.0 * math.pi if j == 0 else 0.0)
-        if not (hit[i] and hit[j]) or turn > WIDEST_STEP * step:
-            continue
-        nearer, jump = min(ranges[i], ranges[j]), abs(ranges[i] - ranges[j])
-        across = ranges[i] * ranges[j] * turn * turn
-        allowed = threshold.fixed + threshold.per_metre * nearer
-        joined[i] = jump * jump + across <= allowed * allowed
-        if threshold.sigma > 0.0 and not joined[i]:
-            allowed += threshold.sigma * math.sqrt(1.0 / count[i] + 1.0 / count[j])
-            joined[i] = jump * jump + across <= allowed * allowed
+    joined = np.empty(size, np.bool_)
+    widest = WIDEST_STEP * ((bearings[size - 1] - bearings[0]) / max(size - 1, 1))
+    for i in range(size - 1):  # without branches: several beams at once
+        turn = bearings[i + 1] - bearings[i]
+        near = may_join((ranges[i], ranges[i + 1]), turn, (count[i], count[i + 1]), threshold)
+        joined[i] = near & hit[i] & hit[i + 1] & (turn <= widest)
+    i, turn = size - 1, bearings[0] - bearings[size - 1] + 2.0 * math.pi
+    near = may_join((ranges[i], ranges[0]), turn, (count[i], count[0]), threshold)
+    joined[i] = size > 1 and near and hit[i] and hit[0] and turn <= widest
     return joined
+
+
+@kernel
+def may_join(ranges: tuple[float, float], turn: float, count: tuple[int, int], threshold: Threshold) -> bool:
+    """True when two hits, `turn` rad apart, with `count` raw beams behind them, are no farther from each other."""
+    (a, b), nearer = ranges, min(ranges[0], ranges[1])
+    jump, across = abs(a - b), a * b * turn * turn
+    allowed = threshold.fixed + threshold.per_metre * nearer
+    allowed += threshold.sigma * math.sqrt(1.0 / count[0] + 1.0 / count[1])
+    return jump * jump + across <= allowed * allowed
 
 
 @kernel

@@ -52,23 +52,24 @@ def circle_cost(points: Array, first: int, last: int) -> float:
     mx, my = 0.5 * (points[0, first] + points[0, last]), 0.5 * (points[1, first] + points[1, last])
     radius = 0.5 * math.hypot(points[0, last] - points[0, first], points[1, last] - points[1, first])
     x, y, cost = mx, my, math.inf
+    A, g = np.empty((3, 3)), np.empty(3)
     for _ in range(ITERATIONS):
-        A, g = np.zeros((3, 3)), np.zeros(3)
-        cost = add_normal_equations(points, (first, last), (x, y, radius), A, g)
-        step = solve3(A, g)
-        x, y, radius = x + step[0], y + step[1], radius + step[2]
+        cost = normal_equations(points, (first, last), (x, y, radius), A, g)
+        solve3(A, g)
+        x, y, radius = x + g[0], y + g[1], radius + g[2]
         if not 0.0 < radius < LARGEST_RADIUS_M:
             return math.inf
     return cost if math.hypot(x, y) > math.hypot(mx, my) - 0.5 * radius else math.inf
 
 
 @kernel
-def add_normal_equations(
+def normal_equations(
     points: Array, span: tuple[int, int], circle: tuple[float, float, float], A: Array, g: Array
 ) -> float:
     """Fills A and g of the step A d = g of (x, y, radius); returns the chi-square before it."""
-    cost = 0.0
-    row = np.empty(3)
+    cost, row = 0.0, np.empty(3)
+    for a in range(3):
+        g[a] = A[a, 0] = A[a, 1] = A[a, 2] = 0.0
     for i in range(span[0], span[1] + 1):
         dx, dy = points[0, i] - circle[0], points[1, i] - circle[1]
         distance = math.hypot(dx, dy) + 1e-12
@@ -86,19 +87,17 @@ def add_normal_equations(
 
 
 @kernel
-def solve3(A: Array, g: Array) -> Array:
-    """d (3,) of (A + a little) d = g for a symmetric positive A (3,3), by elimination."""
-    M, d = A.copy(), g.copy()
+def solve3(A: Array, g: Array) -> None:
+    """Replaces g (3,) by d of (A + a little) d = g for a symmetric positive A (3,3), which is spoilt: elimination."""
     for k in range(3):
-        M[k, k] *= 1.0 + 1e-6
+        A[k, k] *= 1.0 + 1e-6
     for k in range(3):
         for i in range(k + 1, 3):
-            share = M[i, k] / M[k, k]
-            d[i] -= share * d[k]
+            share = A[i, k] / A[k, k]
+            g[i] -= share * g[k]
             for j in range(k, 3):
-                M[i, j] -= share * M[k, j]
+                A[i, j] -= share * A[k, j]
     for k in range(2, -1, -1):
         for j in range(k + 1, 3):
-            d[k] -= M[k, j] * d[j]
-        d[k] /= M[k, k]
-    return d
+            g[k] -= A[k, j] * g[j]
+        g[k] /= A[k, k]
