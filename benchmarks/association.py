@@ -1,4 +1,4 @@
-"""Association in closed loop: the associators on the same breadth-first drives (maths.md 4.6).
+"""Association in closed loop: the associators on the same breadth-first drives (derivations 3.4).
 
 `mecp_paper` is the association of the paper to the letter; the rows "without" switch one part of ours off.
 

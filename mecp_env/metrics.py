@@ -25,7 +25,7 @@ MAP_PERIODS = 25  # rooms and doors are held against the truth when one is new, 
 
 @dataclass(slots=True, eq=False)
 class AssociationLog:
-    """Pairs of true corner and feature, scan by scan (maths 4.6)."""
+    """Pairs of true corner and feature, scan by scan (derivations 3.4)."""
 
     true_corners: int
     votes: NDArray[np.int32] = field(init=False)  # (F,G) how often feature f was seen as true corner g

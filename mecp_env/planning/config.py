@@ -8,7 +8,7 @@ from mecp_env.settings import Settings
 
 
 class GoalsConfig(Settings):
-    """Where there is something left to see (design 4.12)."""
+    """Where there is something left to see."""
 
     open_beyond_m: float = Field(0.4, gt=0.0, le=2.0)  # the goal lies so far beyond the middle of an open interval
     open_width_m: float = Field(0.5, gt=0.0, le=5.0)  # narrower open intervals are no goals

@@ -1,4 +1,4 @@
-"""Where goals come from (design 4.12): open edges, bare floor, rooms without a polygon, candidates, frontiers, doors.
+"""Where goals come from: open edges, bare floor, rooms without a polygon, candidates, frontiers, doors.
 
 They are few, so they are plain lists; only the cells of the grid are searched by a kernel.
 """
@@ -96,8 +96,8 @@ def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:
 def open_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
     """A goal beyond each wide open interval of a known polygon, unless another polygon covers the strip there.
 
-    Differs from the design: FREE cells do not close an open edge, or every edge would be closed by the scan that saw
-    it; the paper asks for rooms divided into polygons, so that only a polygon does (front-end notes, section 3).
+    FREE cells do not close an open edge, or every edge would be closed by the scan that saw
+    it; the paper asks for rooms divided into polygons, so that only a polygon does.
     Of those as near to each other as `apart_m` the widest.
     """
     found = strips_beyond(survey, config)

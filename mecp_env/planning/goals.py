@@ -1,4 +1,4 @@
-"""Where there is something left to see (design 4.12): open edges, door candidates, frontiers, unexplored doors.
+"""Where there is something left to see: open edges, door candidates, frontiers, unexplored doors.
 
 A goal lies in a room and has a level, so that a policy can explore breadth first. What cannot be reached, or is not
 settled by going there, is given up: closed in the `GoalBook`. Without a goal the exploration is complete, only then.
@@ -68,7 +68,7 @@ class GoalBook:
 def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
     """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
 
-    Where none can be reached, the candidates out of reach: no episode ends while a candidate remains (design 4.12).
+    Where none can be reached, the candidates out of reach: no episode ends while a candidate remains.
     """
     book.notice(report)
     if not report.grid.label.size:

@@ -1,4 +1,4 @@
-"""Two landmarks that are one corner are found, to be fused (design 4.8)."""
+"""Two landmarks that are one corner are found, to be fused."""
 
 from __future__ import annotations
 

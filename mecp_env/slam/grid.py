@@ -1,4 +1,4 @@
-"""The semantic grid (design 4.11): cells with a label, a room and the paper's polygon layer, painted from the belief.
+"""The semantic grid: cells with a label, a room and the paper's polygon layer, painted from the belief.
 
 Nothing is painted in ink: a key scan hangs on landmarks, a polygon on its vertices, a door on its jambs. When one of
 them moves by more than half a cell, its votes are taken off the grid and cast again where it is now.

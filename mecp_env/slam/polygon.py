@@ -43,7 +43,7 @@ def largest_empty_convex_polygons(
             `robot_on_edge`: from the leftmost vertex, and then inside the edges at that vertex too).
         ties: "area" or "cardinality".
 
-    With tolerance 0 vertices are strict and a point on the boundary does not block (mode `open` of maths 1.5). Exact as
+    With tolerance 0 vertices are strict and a point on the boundary does not block (mode `open` of the vectors). Exact as
     long as products of coordinate differences are exact in float64, as for integers below 2**25.
 
     Raises:
@@ -51,7 +51,7 @@ def largest_empty_convex_polygons(
         ConfigError: tolerance is negative or not finite, or ties is unknown.
 
     Source: III-A.2; Dobkin, Edelsbrunner, Overmars, "Searching for empty convex polygons", Algorithmica 5, 1990, with
-    the corrections of maths 1.3: containment by edges, left turns instead of slopes.
+    the corrections of derivations 1.3: containment by edges, left turns instead of slopes.
     """
     given = _finite("points", points, 2)
     center = None if robot is None else _finite("robot", robot, 1)
@@ -128,7 +128,7 @@ def find_polygons(
     and OPEN.
 
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
-    (maths 1.3, 1.5, 1.6).
+    (derivations 1).
     """
     if wall is None or not config.guard:
         wall = np.full(len(beams.ranges), config.guard)

@@ -1,4 +1,4 @@
-"""What the beams of a scan say of an edge around the robot: cut by a wall (maths 1.6), wall, gap or open (III-A.2)."""
+"""What the beams of a scan say of an edge: cut by a wall (derivations 1.5), wall, gap or open (III-A.2)."""
 
 from __future__ import annotations
 

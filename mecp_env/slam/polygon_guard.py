@@ -1,4 +1,4 @@
-"""The polygons of one scan: search among its corners, with beams as a guard against walls (III-A.2, maths 1.6)."""
+"""The polygons of a scan: search among its corners, with beams as a guard against walls (III-A.2, derivations 1.5)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 
 LAZY_ATTEMPTS = 3
 JAMB = int(CornerKind.JAMB)
-MATCHABLE = 4  # a triangle is no evidence of a place (maths 1.5)
+MATCHABLE = 4  # a triangle is no evidence of a place (derivations 1.4)
 
 
 @kernel
@@ -104,7 +104,7 @@ def best_free_cycles(
     beams: tuple[Array, Array, Bools],
     options: tuple[float, float, int, float, float, float, float],
 ) -> tuple[Ints, Ints]:
-    """`best_cycles` of the empty ones, none of whose edges is cut by a wall: the lazy guard of maths 1.6.
+    """`best_cycles` of the empty ones, none of whose edges is cut by a wall: the lazy guard of derivations 1.5.
 
     Solve, hold the edges of the result against the beams, forbid those that are cut, solve again. In a scan where that
     does not come to an end soon, all edges are tested. Points (n,2) are sorted as by `order_by_bearing`; the tolerance

@@ -79,7 +79,7 @@ def order_by_bearing(points: Array) -> Ints:
 
 @kernel
 def visible_edges(points: Array, tolerance: float) -> Bools:
-    """Which edges i -> j (n,n) an empty polygon around the origin may have: maths 1.2, robot-centred form.
+    """Which edges i -> j (n,n) an empty polygon around the origin may have: the robot-centred form of derivations 1.2.
 
     The edge spans less than 180 degrees and no site in the triangle (origin, i, j), its two sides to the origin
     included, lies more than `tolerance` inside it. Points are sorted as by `order_by_bearing`.

@@ -1,4 +1,4 @@
-"""Exhaustive search for the largest empty convex polygons: all optima, with or without a robot (maths 1.1, 1.2)."""
+"""Exhaustive search for the largest empty convex polygons: all optima, with or without a robot (derivations 1)."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_a_noisy_flat_wall_is_one_cluster_only_with_the_noise_term():
     beams = [merge_sweeps(scan, PAPER) for scan in scans]
     assert np.mean([len(cluster_beams(b, ClusteringConfig(), PAPER).first) for b in beams]) < 1.5
     cuts = np.mean([len(cluster_beams(b, PAPER_RULE, PAPER).first) for b in beams])
-    assert cuts > 20  # maths 1.4: a fifth of the pairs
+    assert cuts > 20  # derivations 2: a fifth of the pairs
 
 
 def test_a_wall_across_the_wrap_is_one_run():

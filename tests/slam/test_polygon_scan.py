@@ -48,7 +48,7 @@ def ring_of(polygon, corners, pose):
     ("name", "walls", "points", "poses"), list(rooms()), ids=lambda value: value if isinstance(value, str) else ""
 )
 def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, walls, points, poses):
-    """The theorem of maths 1.6, without guard; the guard changes nothing then."""
+    """The theorem of derivations 1.5, without guard; the guard changes nothing then."""
     for pose in poses:
         corners = corners_of(points[sees(walls, pose[:2], points)], pose)
         beams = beams_of(walls, pose)
@@ -74,7 +74,7 @@ def test_every_vertex_is_visible_from_everywhere_in_the_polygon(name):
 
 
 def test_all_corners_of_the_room_as_sites_would_let_walls_in():
-    """Why sites are the corners seen in this scan (maths 1.6, first row of the table)."""
+    """Why sites are the corners seen in this scan (derivations 1.5, first row of the table)."""
     walls, points = walls_of(ROOMS["T"]), np.array(ROOMS["T"], float)
     crossed = 0
     for pose in poses_in(ROOMS["T"], 60, np.random.default_rng(2)):
@@ -233,7 +233,7 @@ def test_too_few_corners_give_no_polygon(count):
 
 
 def test_tolerance_makes_polygons_repeatable_where_corners_are_collinear():
-    """maths 1.5: two scans of one place share their vertex set; raw they often do not."""
+    """derivations 1.4: two scans of one place share their vertex set; raw they often do not."""
     points = np.array([*RECTANGLE, (3.0, 0.0), (2.0, 4.0), (6.0, 2.5)])
     walls, rng = walls_of(RECTANGLE), np.random.default_rng(6)
     same = {0.0: 0, 2.5: 0}

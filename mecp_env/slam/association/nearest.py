@@ -1,4 +1,4 @@
-"""The plain rival: gated nearest neighbour over the whole map, one to one (maths.md 4.4, ICNN)."""
+"""The plain rival: gated nearest neighbour over the whole map, one to one (individually compatible, ICNN)."""
 
 from __future__ import annotations
 

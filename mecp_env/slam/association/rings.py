@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LANDMARK = int(FeatureState.LANDMARK)
-AMBIGUITY_GAP = 9.21  # maths.md 4.2: the second best must be this much worse
+AMBIGUITY_GAP = 9.21  # 99 % of chi-square with 2: the second best must be this much worse (derivations 3.2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -108,7 +108,7 @@ class LandmarkFilter:
         return nis
 
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
-        """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and landmarks (maths 4.2)."""
+        """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
         z, R, ids = _observations(z, R, ids)
         mean, cov, slot_ids, count = self.mean, self.cov, self.slot_ids, self.count
         nis = compatibility.joint_cost(mean, cov, slot_ids, count, ids, z, R, self.invariant, iterations)

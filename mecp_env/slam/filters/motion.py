@@ -1,4 +1,4 @@
-"""Dead reckoning of one control period: the new pose and the noise it picked up (maths: MOTION, u and L)."""
+"""Dead reckoning of one control period: the new pose and the noise it picked up (derivations 4: u and L)."""
 
 from __future__ import annotations
 

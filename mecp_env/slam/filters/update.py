@@ -1,4 +1,4 @@
-"""The batch update of a whole scan, one-shot or iterated (maths: UPDATE, ITERATED), and the fusion of two landmarks."""
+"""The batch update of a whole scan, one-shot or iterated (derivations 4), and the fusion of two landmarks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the covariance tell the truth? NEES over many runs, and positivity over many steps (maths 5)."""
+"""Does the covariance tell the truth? NEES over many runs, and positivity over many steps (derivations 4.3)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def riekf() -> ring.Runs:
 
 @pytest.fixture(scope="module")
 def rough() -> ring.Runs:
-    """The literal reading of the paper's sigmas, with .25 m steps: the worst case of maths 5."""
+    """The literal reading of the paper's sigmas, with .25 m steps: the worst case of derivations 4.3."""
     return ring.monte_carlo(RIEKF, TWO_LAPS, QUICK, variance=ring.per_step)
 
 
