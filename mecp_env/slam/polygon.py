@@ -43,7 +43,7 @@ def largest_empty_convex_polygons(
             `robot_on_edge`: from the leftmost vertex, and then inside the edges at that vertex too).
         ties: "area" or "cardinality".
 
-    With tolerance 0 vertices are strict and a point on the boundary does not block (mode `open` of the vectors). Exact as
+    With tolerance 0 vertices are strict and a point on the boundary does not block (mode `open`). Exact as
     long as products of coordinate differences are exact in float64, as for integers below 2**25.
 
     Raises:
