@@ -14,12 +14,14 @@ UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no disp
 FIX = "start it on a desktop, or with DISPLAY set (ssh -X, xvfb-run), or go without a window: pictures need none"
 
 
-def require_display() -> None:
-    """Raise `ConfigError` where a window could not be opened or seen; SDL_VIDEODRIVER may ask for an unseen one."""
+def require_display() -> str:
+    """SDL's driver of windows. Raises `ConfigError` where none could be seen, unless SDL_VIDEODRIVER asks for that."""
     try:
         pygame.display.init()
-        if pygame.display.get_driver() in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
+        driver = pygame.display.get_driver()
+        if driver in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
             raise pygame.error("there is no display")
+        return driver
     except pygame.error as error:
         raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
     finally:
