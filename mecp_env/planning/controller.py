@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,21 @@ SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # of the wanted speed, tried from the fast
 BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the wanted curvature where the way is blocked
 STEP_M = 0.05
 
+Limits = tuple[float, float, float, float, float, float, float]  # as from `limits_of`
+
+
+def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
+    """What the kernels of the controller need to know."""
+    return (
+        control.lookahead_m,
+        math.radians(control.turn_first_deg),
+        control.speed_m_s,
+        control.acceleration_m_s2,
+        control.period_s,
+        control.turn_rad_s,
+        body.radius_m + control.guard_m,
+    )
+
 
 def follow(
     path: Array, T_map_robot: Array, beams: Beams, control: ControlConfig, body: PathsConfig
@@ -25,14 +39,26 @@ def follow(
 
     (0, w) turns on the spot; (0, 0) says that something seen bars every way on.
     """
-    x, y, left = look_ahead(path, T_map_robot, control.lookahead_m)
+    seen = (beams.ranges, beams.bearings, beams.hit)
+    v, w = follow_path(path, T_map_robot, seen, limits_of(control, body))
+    return v, w
+
+
+@kernel
+def follow_path(
+    path: Array, T_map_robot: Array, beams: tuple[Array, Array, NDArray[np.bool_]], limits: Limits
+) -> tuple[float, float]:
+    """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
+    lookahead, turn_first, top_speed, acceleration, period, top_turn, _ = limits
+    x, y, left = look_ahead(path, T_map_robot, lookahead)
     bearing = math.atan2(y, x)
-    if abs(bearing) > math.radians(control.turn_first_deg):
-        return 0.0, turn_rate(bearing, control)
-    speed = min(control.speed_m_s, math.sqrt(control.acceleration_m_s2 * left), max(left, 0.05) / control.period_s)
+    if abs(bearing) > turn_first:
+        return 0.0, turn_rate(bearing, period, top_turn)
+    speed = min(top_speed, math.sqrt(acceleration * left), max(left, 0.05) / period)
     curvature = 2.0 * y / max(x * x + y * y, 0.01)
-    speed = min(speed * math.cos(bearing), 0.8 * control.turn_rad_s / max(abs(curvature), 1e-6))
-    return safe_command(speed, curvature, seen_points(beams), control, body)
+    speed = min(speed * math.cos(bearing), 0.8 * top_turn / max(abs(curvature), 1e-6))
+    ranges, bearings, hit = beams
+    return safe_command(speed, curvature, near_points(ranges, bearings, hit, NEAR_M), limits)
 
 
 def coast(
@@ -50,26 +76,30 @@ def coast(
     return command if safe else (0.0, 0.5 * w)
 
 
-def turn_rate(bearing: float, control: ControlConfig) -> float:
+@kernel
+def turn_rate(bearing: float, period: float, top_turn: float) -> float:
     """Turn rate that turns the robot to a bearing within about a period."""
-    return min(max(bearing / control.period_s, -control.turn_rad_s), control.turn_rad_s)
+    return min(max(bearing / period, -top_turn), top_turn)
 
 
-def safe_command(
-    speed: float, curvature: float, p_robot: Array, control: ControlConfig, body: PathsConfig
-) -> tuple[float, float]:
+@kernel
+def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits) -> tuple[float, float]:
     """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
-    keep_off = body.radius_m + control.guard_m
-    for share, bend in product(SHARES, BENDS):
-        v, bent = share * speed, curvature + bend
-        if abs(v * bent) <= control.turn_rad_s and is_safe(p_robot, v, bent, keep_off, stop_path(v, control)):
-            return v, v * bent
+    _, _, _, acceleration, period, top_turn, keep_off = limits
+    for i in range(len(SHARES)):
+        v = SHARES[i] * speed
+        for k in range(len(BENDS)):
+            bent = curvature + BENDS[k]
+            length = stop_path(v, period, acceleration)
+            if abs(v * bent) <= top_turn and is_safe(p_robot, v, bent, keep_off, length):
+                return v, v * bent
     return 0.0, 0.0
 
 
-def stop_path(v: float, control: ControlConfig) -> float:
+@kernel
+def stop_path(v: float, period: float, acceleration: float) -> float:
     """Length of the way driven in a period at speed v, and to stop after it, m."""
-    return abs(v) * control.period_s + v * v / (2.0 * control.acceleration_m_s2)
+    return abs(v) * period + v * v / (2.0 * acceleration)
 
 
 def seen_points(beams: Beams) -> Array:

@@ -11,10 +11,10 @@ import numpy as np
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
-from mecp_env.planning.goal_list import GoalKind, Goals
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals
 from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import NO_ID, Array, Cell, Door, StepReport
+from mecp_env.slam.data import NO_ID, Array, Cell, Door, SemanticGrid, StepReport
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
 APPROACH_M = 0.6  # a door is entered along its normal from so far
@@ -22,6 +22,7 @@ BACK_M_S = 0.2
 BACK_PERIODS = 4
 TRIES = 3  # plans without a way before the goal is refused
 STOP = (0.0, 0.0)
+UNKNOWN = int(Cell.UNKNOWN)
 
 
 class Outcome(IntEnum):
@@ -95,9 +96,9 @@ class Navigator:
 
     def _there(self, target: Target, report: StepReport) -> bool:
         """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
-        here, reached_m = report.belief.T_map_robot[:2], self.config.navigator.reached_m
-        end = self.path[-1] if len(self.path) and target.kind != GoalKind.DOOR else target.p_map
-        return bool(min(np.hypot(*(here - end)), np.hypot(*(here - target.p_map))) < reached_m)
+        here, goal = report.belief.T_map_robot.tolist()[:2], target.p_map.tolist()
+        end = self.path[-1].tolist() if len(self.path) and target.kind != DOOR else goal
+        return min(math.dist(here, end), math.dist(here, goal)) < self.config.navigator.reached_m
 
     def _must_plan(self, report: StepReport) -> bool:
         """True without a path, off it, when it is old, or when a wall appeared on it."""
@@ -152,27 +153,29 @@ class Navigator:
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
         keep_off = self.config.paths.radius_m + self.config.control.guard_m
-        length = stop_path(BACK_M_S, self.config.control)
+        control = self.config.control
+        length = stop_path(BACK_M_S, control.period_s, control.acceleration_m_s2)
         safe = is_safe(seen_points(report.beams), -BACK_M_S, side, keep_off, length)
         return (-BACK_M_S, -side * BACK_M_S) if safe else (0.0, side * self.config.control.turn_rad_s / 2)
 
 
 def settled(target: Target, report: StepReport) -> bool:
     """True when a goal has nothing more to show: covered, confirmed, known, or gone."""
-    if target.kind == GoalKind.OPEN:
+    if target.kind == OPEN:
         return covered(target, report)
-    if target.kind == GoalKind.FRONTIER:
+    if target.kind == FRONTIER:
         return not unknown_near(target.p_map, report)
-    if target.kind == GoalKind.CANDIDATE:
-        gaps = [candidate.ends.mean(axis=0) for candidate in report.graph.candidates]
-        return not any(float(np.hypot(*(gap - target.p_map))) < 3.0 for gap in gaps)
+    if target.kind == CANDIDATE:
+        goal = target.p_map.tolist()
+        gaps = (candidate.ends.mean(axis=0).tolist() for candidate in report.graph.candidates)
+        return not any(math.dist(gap, goal) < 3.0 for gap in gaps)
     return door_of(target, report) is None
 
 
 def covered(target: Target, report: StepReport) -> bool:
     """True when a polygon of the target's room covers it."""
     grid = report.grid
-    column, row = np.floor((target.p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
+    row, column = cell_of(target.p_map, grid)
     if not (0 <= row < grid.polygon.shape[0] and 0 <= column < grid.polygon.shape[1]):
         return False
     return bool(grid.polygon[row, column] and grid.room[row, column] == report.graph.resolve(target.room))
@@ -180,10 +183,15 @@ def covered(target: Target, report: StepReport) -> bool:
 
 def unknown_near(p_map: Array, report: StepReport) -> bool:
     """True when a cell beside the one at `p_map` (2,) is unknown."""
-    grid = report.grid
-    column, row = np.floor((p_map - grid.origin) / grid.resolution_m).astype(int).tolist()
-    around = grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-    return bool((around == int(Cell.UNKNOWN)).any())
+    row, column = cell_of(p_map, report.grid)
+    around = report.grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    return bool((around == UNKNOWN).any())
+
+
+def cell_of(p_map: Array, grid: SemanticGrid) -> tuple[int, int]:
+    """Row and column of the cell at a place (2,) m."""
+    (x, y), (left, low) = p_map.tolist(), grid.origin.tolist()
+    return math.floor((y - low) / grid.resolution_m), math.floor((x - left) / grid.resolution_m)
 
 
 def door_of(target: Target, report: StepReport) -> Door | None:
@@ -195,14 +203,13 @@ def door_of(target: Target, report: StepReport) -> Door | None:
 def blocked(path: Array, report: StepReport, config: PlanningConfig) -> bool:
     """True when a wall lies nearer to the path (n,2) than the robot's radius."""
     grid = report.grid
-    cells = (path - grid.origin) / grid.resolution_m
-    return bool(kernels.wall_on_path(grid.label, cells, config.paths.radius_m / grid.resolution_m))
+    return bool(kernels.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 
 
 def plan(target: Target, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
     """A path (n,2) m, map frame, to a target; empty when there is no way."""
     door = door_of(target, report)
-    if target.kind == GoalKind.DOOR and door is not None:
+    if target.kind == DOOR and door is not None:
         return plan_through(door, report, ways, config)
     cell = ways.nearest(target.p_map, config.goals.reach_m)
     return np.empty((0, 2)) if cell is None else ways.path(cell)

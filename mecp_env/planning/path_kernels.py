@@ -245,6 +245,15 @@ def clear_line(distance: Distances, x0: float, y0: float, x1: float, y1: float, 
 
 
 @kernel
+def wall_on_way(label: Bytes, path: Array, origin: Array, resolution: float, radius_m: float) -> bool:
+    """True when the centre of an OCCUPIED cell lies within `radius_m` of the path (n,2) m, map frame."""
+    cells = np.empty(path.shape)
+    for i in range(path.shape[0]):
+        cells[i, 0], cells[i, 1] = (path[i, 0] - origin[0]) / resolution, (path[i, 1] - origin[1]) / resolution
+    return wall_on_path(label, cells, radius_m / resolution)
+
+
+@kernel
 def wall_on_path(label: Bytes, path: Array, radius: float) -> bool:
     """True when the centre of an OCCUPIED cell lies within `radius` of the path (n,2), in cells."""
     near = math.ceil(radius)

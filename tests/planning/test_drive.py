@@ -15,6 +15,7 @@ from mecp_env.planning.controller import (
     coast,
     follow,
     is_safe,
+    limits_of,
     look_ahead,
     near_points,
     safe_command,
@@ -171,8 +172,8 @@ def test_speed_falls_towards_the_end_of_the_path() -> None:
 def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
     y = np.linspace(-1.0, 1.0, 201)
     wall = np.stack([np.full_like(y, distance), y], axis=1)
-    v, w = safe_command(0.75, 0.0, wall, CONTROL, BODY)
-    reach = stop_path(v, CONTROL)
+    v, w = safe_command(0.75, 0.0, wall, limits_of(CONTROL, BODY))
+    reach = stop_path(v, CONTROL.period_s, CONTROL.acceleration_m_s2)
     end = reach if w == 0.0 else math.sin(reach * w / v) * v / w
     assert end <= max(distance - BODY.radius_m - CONTROL.guard_m, 0.0) + 1e-9
     assert v > 0.0 or distance < 0.5
