@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "3: nogil, inner kernels linked unoptimised, numpy errors"  # changes with the options of `kernel`
+FORMAT = "4: nogil, inner kernels optimised by function, numpy errors"  # changes with the options of `kernel`
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
