@@ -17,6 +17,7 @@ ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.commands, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "play": ("play", "Play", "drive by keyboard: left the world, right the belief"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
     "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),

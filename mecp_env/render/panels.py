@@ -35,6 +35,13 @@ def draw_world(brush: Brush, view: View, box: Box) -> None:
     draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
 
 
+def draw_nothing(brush: Brush, view: View, box: Box) -> None:
+    """An empty half in the place of the world."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [box.width, box.height] + np.array([box.left, box.top])
+    brush.area(corners, palette.UNSEEN)
+    brush.text("hidden", (box.middle[0], box.middle[1] - 10), 28, palette.FAINT, align=0.5)
+
+
 def draw_belief(brush: Brush, view: View, box: Box) -> None:
     """Grid, polygons, doors, landmarks, goals, the estimated way and pose, laid over the place of the world."""
     camera = Camera.fit(view.bounds, box)

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush, Image
-from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_world
+from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_nothing, draw_world
 from mecp_env.render.text import summary
 from mecp_env.render.view import View
 from mecp_env.settings import Settings
@@ -37,12 +37,12 @@ class Screen:
     def __init__(self, config: ScreenConfig | None = None) -> None:
         self.config = config or ScreenConfig()
 
-    def frame(self, view: View) -> Image:
-        """The picture of one moment, uint8 (height, width, 3)."""
+    def frame(self, view: View, hide_world: bool = False) -> Image:
+        """The picture of one moment, uint8 (height, width, 3); the world can be left out."""
         brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
         world, belief = self._panels()
         with brush.inside(world):
-            draw_world(brush, view, world)
+            (draw_nothing if hide_world else draw_world)(brush, view, world)
         with brush.inside(belief):
             draw_belief(brush, view, belief)
         brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.FAINT)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mecp_env.errors import ConfigError
 
 UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; nobody sees their windows
-FIX = "start it on a desktop, or with DISPLAY set (ssh -X, xvfb-run), or go without a window: pictures need none"
+FIX = "start it on a desktop or with DISPLAY set (ssh -X, xvfb-run), or do without the window"
 
 
 def require_display() -> str:
@@ -37,7 +37,12 @@ class Window:
         self._surface: pygame.Surface | None = None
 
     def show(self, frame: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3), opening the window before the first one.
+        """Draw a picture as `draw` does, and see whether the user closes the window."""
+        self.draw(frame)
+        self.events()
+
+    def draw(self, frame: NDArray[np.uint8]) -> None:
+        """Draw a picture (height, width, 3), opening the window before the first one.
 
         Raises `ConfigError` where no window can be opened.
         """
@@ -46,8 +51,13 @@ class Window:
         surface = self._surface or self._open(frame.shape[1], frame.shape[0])
         pygame.surfarray.blit_array(surface, frame.transpose(1, 0, 2))
         pygame.display.flip()
-        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+
+    def events(self) -> list[pygame.event.Event]:
+        """What the user did since the last call; closing the window is done, too."""
+        events = [] if self.closed else pygame.event.get()
+        if any(event.type == pygame.QUIT for event in events):
             self.close()
+        return events
 
     def close(self) -> None:
         """Close the window; may be called twice, and without a window."""
