@@ -24,16 +24,16 @@ COLOURS = (0, 1, 2, 3, 4, 5, 7, 8)  # of the palette; brown is the furniture's
 Label = tuple[tuple[float, float], float, float]
 
 
-def floor_plan(layout: Layout, outline: Outline | None = None) -> FloorPlan:
-    """The picture's data of a checked layout; `outline` if it is built already."""
-    outline = outline or build_outline(layout)
+def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
+    """The picture's data of a checked layout, under its own name or another title."""
+    outline = build_outline(layout)
     blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
     walls = [
         LineString(wall.points).buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
         for wall in layout.walls
     ]
     return FloorPlan(
-        name=layout.name,
+        name=title or layout.name,
         walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),
         rooms=_rooms(outline, blocks),
         doors=_gaps(outline),

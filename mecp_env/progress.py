@@ -13,6 +13,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from mecp_env.demo import Run
+from mecp_env.render.text import readable
 from mecp_env.stopwatch import Stopwatch
 
 EVERY = 10  # periods between two updates
@@ -38,7 +39,7 @@ class Progress:
 
     def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
         self.watch = watch
-        self.title = f"exploring {_name(run)}"
+        self.title = f"exploring {readable(_name(run))}"
         self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
         self.task = self.bar.add_task("preparing", total=1.0)
 
@@ -50,7 +51,7 @@ class Progress:
         self.bar.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
 
     def __enter__(self) -> Self:
-        self.bar.console.print(self.title, style="bold")
+        self.bar.console.print(self.title, style="bold", markup=False)
         self.bar.start()
         return self
 

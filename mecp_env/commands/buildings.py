@@ -48,6 +48,11 @@ def resolve(word: str) -> str | Layout:
     return word if word in shipped_layouts() else load(word)
 
 
+def stem(word: str) -> str:
+    """A name for what is kept of a building: `hard-7` for `hard:7`, of a file its name without ending."""
+    return Path(word).stem if Path(word).exists() else word.replace(":", "-")
+
+
 def counted(layout: Layout) -> str:
     """How many rooms, doors and obstacles there are, in words."""
     parts = ((len(layout.rooms), "room"), (len(layout.doors), "door"), (len(layout.obstacles), "obstacle"))

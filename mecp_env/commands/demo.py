@@ -31,13 +31,13 @@ class Demo(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-        from mecp_env.commands.buildings import resolve
+        from mecp_env.commands.buildings import resolve, stem
         from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
         from mecp_env.progress import Progress, say_result
         from mecp_env.render.window import require_display
         from mecp_env.stopwatch import timed_stages
 
-        folder = check_writable(self.out or Path("runs") / f"{_folder_name(self.layout)}-{self.seed}")
+        folder = check_writable(self.out or Path("runs") / f"{stem(self.layout)}-{self.seed}")
         config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":
             require_display()
@@ -49,7 +49,3 @@ class Demo(Command):
         say_result(run.keep(folder, watch), folder)
         run.env.close()
         return INTERRUPTED if run.ended == "interrupted" else 0
-
-
-def _folder_name(layout: str) -> str:
-    return Path(layout).stem if Path(layout).exists() else layout.replace(":", "-")

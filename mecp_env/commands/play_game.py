@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,6 +36,7 @@ KEYS: tuple[KeyHelp, ...] = (
 )
 TURN, SLOWLY = 0.5, 0.35  # shares of the largest turn rate, and of both when slow
 AT_REST_M = 1e-3  # the robot has stopped when it moved, or turned (rad), less than this in a period
+NOT_IN_NAMES = re.compile(r"[^\w]+")  # of files: the building's own name may hold anything
 HELP = "Time stands still while no key is held. Find every room and door; green rings are what is left to see."
 
 
@@ -110,7 +112,7 @@ class Game:
 
     def keep_picture(self) -> None:
         """Write the present frame as PNG; where it cannot be written, say so in the window."""
-        path = self.folder / f"{self.view.title.replace(', ', '-').replace(' ', '-')}.png"
+        path = self.folder / f"{NOT_IN_NAMES.sub('-', self.view.title).strip('-')}.png"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             Pictures.fromarray(self.frame()).save(path)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import tyro
 
 from mecp_env.commands.base import Command, check_writable
-from mecp_env.commands.buildings import expand_all, load
+from mecp_env.commands.buildings import expand_all, load, stem
 from mecp_env.errors import ConfigError
 from mecp_env.world.schema import Layout
 
@@ -41,21 +41,23 @@ class Draw(Command):
             check_writable(check_format(self.out))
         words = expand_all(self.worlds)
         check_count(len(words))
-        layouts = [load(word) for word in words]
-        print(draw(layouts, self.out or Path("runs") / f"{self._name(layouts)}.png", self.dpi))
+        buildings = [(title(word), load(word)) for word in words]
+        path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
+        print(draw(buildings, path, self.dpi))
         return 0
 
-    @staticmethod
-    def _name(layouts: Sequence[Layout]) -> str:
-        return Path(layouts[0].name).name if len(layouts) == 1 else "worlds"
+
+def title(word: str) -> str:
+    """What a building is called in a picture: as it was asked for, of a file its name."""
+    return Path(word).stem if Path(word).exists() else word
 
 
-def draw(layouts: Sequence[Layout], path: Path, dpi: int = 150) -> Path:
-    """Draw buildings on a sheet and save it; `path` itself, whose folder is made."""
+def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 150) -> Path:
+    """Draw buildings, each with its title, on a sheet and save it; `path` itself, whose folder is made."""
     from mecp_env.floor_plan import floor_plan
     from mecp_env.render.plan_figures import save_plans
 
-    plans = [floor_plan(layout) for layout in layouts]
+    plans = [floor_plan(layout, title) for title, layout in buildings]
     check_writable(path).parent.mkdir(parents=True, exist_ok=True)
     save_plans(plans, path, dpi)
     return path

@@ -15,6 +15,7 @@ from rich.table import Table
 from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
 from mecp_env.commands.buildings import counted, expand, expand_all, load
 from mecp_env.errors import ConfigError, MecpError
+from mecp_env.render.text import readable
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
@@ -88,7 +89,7 @@ class Convert(Command):
         layout = load(self.source, **options)
         check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
         write(layout, self.target, self.resolution_m)
-        print(f"{self.target}: {layout.name}, {counted(layout)}")
+        print(f"{self.target}: {readable(layout.name)}, {counted(layout)}")
         return 0
 
 

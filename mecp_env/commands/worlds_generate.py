@@ -47,16 +47,16 @@ class Generate(Command):
     def run(self, line: Sequence[str]) -> int:
         """Write the files, one line on each."""
         self._check()
-        layouts = []
+        drawn = []
         for path, layout in self._buildings():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(layout.to_json())
             print(f"{path}: {counted(layout)}")
-            layouts += [layout] if self.sheet else []
+            drawn += [(path.stem, layout)] if self.sheet else []
         if self.sheet:
             from mecp_env.commands.worlds_draw import draw
 
-            print(draw(layouts, self.sheet))
+            print(draw(drawn, self.sheet))
         return 0
 
     def _check(self) -> None:

@@ -13,6 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from rich.text import Text
 
 from mecp_env.commands.base import Command
 from mecp_env.commands.buildings import expand, load
@@ -28,6 +29,7 @@ COLUMNS = {  # figure -> heading, format
     "longest_corridor_m": ("corridor\nm", "{:.1f}"),
 }
 MANY = 20  # buildings from which on a bar shows how far it is
+NAME_WIDTH = 20  # with the figures it fits into 80 columns
 
 Figures = Mapping[str, float]
 
@@ -89,11 +91,12 @@ def _rounded(figures: Figures) -> dict[str, float]:
 
 def _print_table(measured: Mapping[str, Sequence[Figures]]) -> None:
     table = Table(box=SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
-    table.add_column("building", no_wrap=True)
+    table.add_column("building", overflow="fold", max_width=NAME_WIDTH)
     for heading, _ in COLUMNS.values():
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for word, figures in measured.items():
-        table.add_row(word, *(_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items()))
+        entries = (_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items())
+        table.add_row(Text(word), *entries)
     Console().print(table)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
-from mecp_env.render.text import summary
+from mecp_env.render.text import readable, summary
 from mecp_env.render.view import View, loops, signed_area
 from mecp_env.slam.geometry import to_map
 
@@ -27,7 +29,16 @@ TRUTH_GREY = (0.72, 0.73, 0.75)
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
     """Write a figure as PNG without the date, so that the same figure gives the same file."""
-    figure.savefig(path, dpi=dpi, metadata={"Software": None})
+    with boxes_for_missing_glyphs():
+        figure.savefig(path, dpi=dpi, metadata={"Software": None})
+
+
+@contextmanager
+def boxes_for_missing_glyphs() -> Iterator[None]:
+    """Names in any script: matplotlib draws a box for what its font has not, and need not warn."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        yield
 
 
 def map_figure(view: View) -> Figure:
@@ -44,7 +55,7 @@ def map_figure(view: View) -> Figure:
     _name_rooms(axes, view)
     _draw_scale(axes, view.bounds)
     _plain(axes, view.bounds)
-    figure.suptitle(_caption(view), x=0.01, ha="left", fontsize=13)
+    figure.suptitle(readable(_caption(view)), x=0.01, ha="left", fontsize=13, parse_math=False)
     figure.legend(handles=_map_legend(), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
     return figure
 

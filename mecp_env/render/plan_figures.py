@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from mecp_env.errors import ConfigError
 from mecp_env.render import palette
+from mecp_env.render.figures import boxes_for_missing_glyphs
 from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
 from mecp_env.render.palette import unit
+from mecp_env.render.text import readable
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ def check_count(count: int) -> None:
 def save_plans(plans: Sequence[FloorPlan], path: FilePath, dpi: int = 150) -> None:
     """Draw plans and write them as PNG or SVG, by the ending of `path`; without date."""
     check_format(path)
-    with mpl.rc_context({"svg.hashsalt": "mecp_env"}):
+    with mpl.rc_context({"svg.hashsalt": "mecp_env"}), boxes_for_missing_glyphs():
         figure = plans_figure(plans)
         nameless = {"Date": None, "Creator": None} if path.suffix.lower() == ".svg" else {"Software": None}
         figure.savefig(path, dpi=dpi, metadata=nameless)
@@ -156,10 +158,11 @@ def _name_room(cell: Cell, room: PlanRoom) -> None:
     ink = unit(palette.mix(palette.ROOMS[room.colour % len(palette.ROOMS)], palette.INK, 0.6))
     angle = math.radians(room.label_turn_deg)
     up = np.array([-math.sin(angle), math.cos(angle)])
-    for words, lift, points in ((room.name, 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, 0.75 * size)):
+    for words, lift, points in ((readable(room.name), 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, 0.75 * size)):
         dx, dy = lift * size * up
         text = cell.axes.annotate(words, room.label, (dx, dy), textcoords="offset points", fontsize=points, color=ink)
         text.set(ha="center", va="center_baseline", rotation=room.label_turn_deg, rotation_mode="anchor")
+        text.set_parse_math(False)
 
 
 def _draw_bar(cell: Cell, bounds: Array) -> None:
@@ -177,7 +180,8 @@ def _write_title(figure: Figure, plan: FloorPlan, place: Array, alone: bool) -> 
     big, small = (14.0, 9.0) if alone else (10.0, 7.0)
     x, y = place
     line = big * 1.45 / POINTS_PER_INCH / figure.get_figheight()
-    figure.text(x, y, plan.name, fontsize=big, fontweight="bold", va="top", color=unit(palette.INK))
+    name = figure.text(x, y, readable(plan.name), fontsize=big, fontweight="bold", va="top", color=unit(palette.INK))
+    name.set_parse_math(False)
     figure.text(
         x, y - line, plan.summary, fontsize=small, va="top", color=unit(palette.mix(palette.INK, palette.FREE, 0.4))
     )

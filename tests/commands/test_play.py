@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,12 @@ def test_a_picture_is_kept_or_the_window_says_why_not(game: Game, tmp_path: Path
     game.folder = picture / "below-a-file"
     press(game, pygame.K_p)
     assert "--out" in game.message
+
+
+def test_a_picture_stays_in_its_folder_whatever_the_building_is_called(game: Game, tmp_path: Path) -> None:
+    game.view = replace(game.view, title="../../up, slam, period 3")
+    press(game, pygame.K_p)
+    assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["up-slam-period-3.png"]
 
 
 def test_every_key_is_listed_in_the_strip() -> None:

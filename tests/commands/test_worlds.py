@@ -104,6 +104,15 @@ def test_figures_are_told_as_a_table(capsys: Said) -> None:
     assert "easy:0-4" in said
 
 
+def test_a_long_path_leaves_space_for_the_figures(tmp_path: Path, capsys: Said) -> None:
+    path = tmp_path / ("long-" * 20 + "name.json")
+    path.write_text(load_layout("paper").to_json())
+    assert run("stats", path) == 0
+    said = capsys.readouterr().out
+    assert "corridor" in said
+    assert "267" in said
+
+
 def test_figures_are_told_as_json(capsys: Said) -> None:
     assert run("stats", "office", "easy:0-4", "--json") == 0
     told = json.loads(capsys.readouterr().out)
@@ -173,6 +182,22 @@ def test_help_shows_what_the_difficulty_has(capsys: Said) -> None:
     with pytest.raises(SystemExit):
         run("generate", "--difficulty", "huge", "--help")
     assert "(default: 40)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["a$b_$^{", "nul\0l", "部屋 <&--> é", "two\nlines", "[red]markup[/]", "x" * 80])
+def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Said) -> None:
+    fields = json.loads(load_layout("two_rooms").to_json())
+    old, fields["name"], fields["rooms"][0]["name"] = fields["rooms"][0]["name"], name, name
+    fields["doors"][0]["rooms"] = [name if room == old else room for room in fields["doors"][0]["rooms"]]
+    path, svg, out = tmp_path / "[b]odd.json", tmp_path / "odd.svg", tmp_path / "odd"
+    path.write_text(json.dumps(fields))
+    assert run("draw", path, "--out", svg) == 0
+    assert ET.parse(svg).getroot() is not None
+    assert run("convert", path, tmp_path / "copy.json") == 0
+    assert run("stats", path) == 0
+    assert cli.main(["demo", "--layout", str(path), "--config.max-periods", "3", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "\0" not in said
 
 
 def test_a_series_names_its_seeds() -> None:
