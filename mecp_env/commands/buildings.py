@@ -14,8 +14,9 @@ from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
 
 MOST_SEEDS = 10_000
-SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,9}})(?:-(\d{{1,9}}))?")
+SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
 ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
+NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
 
 
 def expand(word: str) -> list[str]:
@@ -31,7 +32,7 @@ def expand(word: str) -> list[str]:
         if not 0 <= last - first < MOST_SEEDS:
             raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
         return [f"{preset}:{seed}" for seed in range(first, last + 1)]
-    if Path(word).is_dir():
+    if word and Path(word).is_dir():
         return _files(Path(word))
     return [word]
 
@@ -39,7 +40,7 @@ def expand(word: str) -> list[str]:
 def expand_all(words: Sequence[str]) -> list[str]:
     """The single buildings of all words. Raises `ConfigError` for none."""
     if not words:
-        raise ConfigError("name at least one building; `mecp-env worlds list` tells which there are")
+        raise ConfigError(NONE_GIVEN)
     return [single for word in words for single in expand(word)]
 
 
@@ -60,7 +61,7 @@ def counted(layout: Layout) -> str:
 
 
 def _files(folder: Path) -> list[str]:
-    found = sorted(str(path) for path in folder.iterdir() if path.suffix in ENDINGS)
+    found = sorted(str(path) for path in folder.iterdir() if path.suffix in ENDINGS and path.is_file())
     if not found:
         raise ConfigError(f"{folder}: a folder without a file that ends in {', '.join(ENDINGS)}")
     return found

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
-from mecp_env.commands.buildings import counted, expand, expand_all, load
+from mecp_env.commands.buildings import NONE_GIVEN, counted, expand, load
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.render.text import readable
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
@@ -49,18 +49,22 @@ class Validate(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Check every file, a line each."""
-        wrong = [word for word in expand_all(self.files) if not sound(word)]
-        return WRONG_INPUT if wrong else 0
+        if not self.files:
+            raise ConfigError(NONE_GIVEN)
+        found = [sound(word) for word in self.files]
+        return 0 if all(found) else WRONG_INPUT
 
 
 def sound(word: str) -> bool:
-    """Whether a building is sound; says so, or what is wrong with it."""
+    """Whether a building is sound, or all of a series or folder; says so of each, or what is wrong with it."""
     try:
-        layout = load(word)
+        singles = expand(word)
+        if singles != [word]:
+            return not [single for single in singles if not sound(single)]
+        print(f"ok     {word}: {counted(load(word))}")
     except MecpError as error:
-        print(f"wrong  {error}")
+        print(f"wrong  {readable(str(error))}")
         return False
-    print(f"ok     {word}: {counted(layout)}")
     return True
 
 

@@ -87,6 +87,9 @@ def test_validation_says_of_each_file_what_is_wrong_and_where(tmp_path: Path, ca
     assert second.startswith(f"wrong  {tmp_path}/b.json: doors.0.width_m: 9")
     assert third.startswith(f"wrong  {tmp_path}/c.json: no JSON")
     assert run("validate", tmp_path / "a.json", "paper", "easy:0-1") == 0
+    (tmp_path / "empty").mkdir()
+    assert run("validate", tmp_path / "empty", "", "no\nfile", "paper") == 2
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[-4:]] == ["wrong"] * 3 + ["ok"]
 
 
 def test_a_building_is_converted_to_a_layout_file(tmp_path: Path, capsys: Said) -> None:
@@ -137,7 +140,7 @@ def test_without_a_word_the_shipped_ones_are_measured(capsys: Said) -> None:
         (["draw", "easy:0-100"], "101 buildings cannot be drawn on one sheet"),
         (["draw", "office", "--out", "plan.jpg"], "plan.jpg: a picture ends in .png or .svg"),
         (["draw", "office", "--dpi", "1"], "dpi: 1, from 30 to 600"),
-        (["validate", "."], "a folder without a file that ends in .json"),
+        (["draw", "."], "a folder without a file that ends in .json"),
         (["validate"], "name at least one building"),
         (["generate", "--count", "0"], "count: 0, from 1"),
         (["generate", "--seed", "-1"], "seed: -1, at least 0"),
