@@ -9,6 +9,7 @@ import shapely
 from shapely.affinity import affine_transform, rotate
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
+from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 
 from mecp_env.render.floor_plan import LETTER, LINES, Array, FloorPlan, PlanRoom, Shape
@@ -35,7 +36,7 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
     return FloorPlan(
         name=title or layout.name,
         walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),
-        rooms=_rooms(outline, blocks),
+        rooms=_rooms(outline),
         doors=_gaps(outline),
         obstacles=tuple(np.array(block.exterior.coords)[:-1] for block in blocks),
         starts=outline.starts,
@@ -44,6 +45,8 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
 
 
 def _shape(part: Polygon) -> Shape:
+    """Its rings, the holes the other way round than the outside, so that they are not filled."""
+    part = orient(part)
     return tuple(np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors))
 
 
@@ -57,19 +60,19 @@ def _gaps(outline: Outline) -> tuple[Array, ...]:
     return tuple(gaps)
 
 
-def _rooms(outline: Outline, blocks: list[Polygon]) -> tuple[PlanRoom, ...]:
+def _rooms(outline: Outline) -> tuple[PlanRoom, ...]:
     starts = [Point(start[:2]).buffer(START_M) for start in outline.starts]
-    taken = shapely.union_all([*(block.buffer(CLEAR_M) for block in blocks), *starts])
+    clear = outline.free_area.buffer(-CLEAR_M).difference(shapely.union_all(starts))
     colours = _colours(outline.rooms)
     return tuple(
-        _room(name, room, taken, colour)
+        _room(name, room, clear, colour)
         for name, room, colour in zip(outline.room_names, outline.rooms, colours, strict=True)
     )
 
 
-def _room(name: str, room: Polygon, taken: BaseGeometry, colour: int) -> PlanRoom:
-    free = room.buffer(-CLEAR_M).difference(taken)
-    free = room if free.is_empty else free
+def _room(name: str, room: Polygon, clear: BaseGeometry, colour: int) -> PlanRoom:
+    free = room.buffer(-CLEAR_M).intersection(clear)
+    free = free if free.area > 0.0 else room
     aspect = max(LETTER * len(name) / LINES, 1.0)
     level, *others = (_space(free, aspect, turn) for turn in (0.0, *_directions(room)))
     best = max(others, key=lambda label: label[1])
