@@ -16,7 +16,7 @@ from mecp_env.render.floor_plan import LETTER, LINES, Array, FloorPlan, PlanRoom
 from mecp_env.world.outline import Outline, build_outline, obstacle_shape
 from mecp_env.world.schema import Layout
 
-CLEAR_M = 0.12  # between a name and what stands in the room
+CLEAR_M = 0.06  # between a name and walls or furniture
 START_M = 0.45  # names keep so far from a start
 TURNED = 1.3  # a name without enough space is turned where it can be so many times as large
 ENOUGH_M = 1.3  # height of name and area for which there is enough space
@@ -71,7 +71,7 @@ def _rooms(outline: Outline) -> tuple[PlanRoom, ...]:
 
 
 def _room(name: str, room: Polygon, clear: BaseGeometry, colour: int) -> PlanRoom:
-    free = room.buffer(-CLEAR_M).intersection(clear)
+    free = room.intersection(clear)
     free = free if free.area > 0.0 else room
     aspect = max(LETTER * len(name) / LINES, 1.0)
     level, *others = (_space(free, aspect, turn) for turn in (0.0, *_directions(room)))
