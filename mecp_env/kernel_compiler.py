@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, _LowerResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -38,6 +39,11 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
                 return super().compile(sig)
             finally:
                 _compiling.pop()
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What a kernel that calls this one must know: one compilation for all constants as arguments, not one each."""
+        plain = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
+        return super().get_call_template(tuple(map(types.unliteral, args)), plain)
 
     def add_overload(self, cres: Any) -> None:
         """Keep a compilation; one without machine code is kept from calls by Python."""

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "4: nogil, inner kernels optimised by function, numpy errors"  # changes with the options of `kernel`
+# changes with the options of `kernel`
+FORMAT = "5: nogil, numpy errors, inner kernels optimised by function, constants as arguments compiled once"
 
 
 def fingerprint(function: Callable[..., Any]) -> str:

@@ -27,7 +27,9 @@ def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: i
     """
     rows, cols = label.shape
     padded = np.zeros((rows + 2, cols + 2), np.uint8)
-    padded[1:-1, 1:-1] = label
+    for i in range(rows):  # not by slices: for their error messages numba compiles its strings, three seconds long
+        for j in range(cols):
+            padded[i + 1, j + 1] = label[i, j]
     codes = np.empty((rows, cols), np.uint8)
     nobody = current < 0
     for i in range(rows):
