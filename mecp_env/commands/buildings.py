@@ -1,12 +1,15 @@
-"""The words by which commands are told of buildings: shipped names, PRESET:SEED, PRESET:FIRST-LAST, files, folders."""
+"""The words by which commands are told of buildings: shipped names, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, files, folders."""
 
 from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
+
+import tyro
 
 from mecp_env.errors import ConfigError, LayoutError
 from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
@@ -17,6 +20,20 @@ MOST_SEEDS = 10_000
 SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
 ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
 NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
+
+Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
+Buildings = Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...")]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files are read, where they do not say it themselves."""
+
+    resolution_m: float | None = None  # metres a pixel, of an image without a map_server yaml
+    kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
+
+
+ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
 
 
 def expand(word: str) -> list[str]:
@@ -67,8 +84,8 @@ def _files(folder: Path) -> list[str]:
     return found
 
 
-def load(word: str, **options: Any) -> Layout:
-    """The checked layout of a single building; `options` are those of `load_plan`. Raises `LayoutError`."""
+def load(word: str, reading: Reading | None = None) -> Layout:
+    """The checked layout of a single building. Raises `LayoutError`, or `ConfigError` for a wrong way of reading."""
     series = SERIES.fullmatch(word)
     if series:
         from mecp_env.world.generator import generate
@@ -79,13 +96,13 @@ def load(word: str, **options: Any) -> Layout:
     if not Path(word).exists():
         shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
         raise LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}")
-    return plan_loader()(Path(word), **options)
+    return _read(Path(word), reading or Reading())
 
 
-def plan_loader() -> Callable[..., Layout]:
-    """What reads a file."""
+def _read(path: Path, reading: Reading) -> Layout:
     try:
-        loader: Callable[..., Layout] = importlib.import_module("mecp_env.world.importers").load_plan
+        importers = importlib.import_module("mecp_env.world.importers")
     except ModuleNotFoundError:
-        return load_layout
-    return loader
+        return load_layout(path)
+    layout: Layout = importers.load_plan(path, kind=reading.kind, resolution_m=reading.resolution_m)
+    return layout

@@ -23,7 +23,7 @@ class Demo(Command):
         "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
     )
 
-    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), PRESET:SEED, or the path of a file
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a file
     seed: int = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED

@@ -32,7 +32,7 @@ class Play(Command):
         "mecp-env play --layout office --config.slam.filter.kind ekf --config.start random",
     )
 
-    layout: str = "two_rooms"  # a shipped name (paper, two_rooms, ...), PRESET:SEED, or the path of a file
+    layout: str = "two_rooms"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a file
     seed: int = 0  # of the noise
     rate: float = 6.0  # control periods of 0.4 s a second, while a key is held; 2.5 is real time
     out: Path = Path("runs/play")  # folder for pictures (P)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-import tyro
-
 from mecp_env.commands.base import Command, check_writable
-from mecp_env.commands.buildings import expand_all, load, stem
+from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand_all, load, stem
 from mecp_env.errors import ConfigError
 from mecp_env.world.schema import Layout
 
@@ -25,11 +23,13 @@ class Draw(Command):
         "mecp-env worlds draw office",
         "mecp-env worlds draw hard:0-8 --out runs/hard.png",
         "mecp-env worlds draw my-house.json paper --out runs/two.svg",
+        "mecp-env worlds draw scan.png --resolution-m 0.05",
     )
 
-    worlds: tyro.conf.Positional[tuple[str, ...]]  # shipped names, PRESET:SEED, PRESET:FIRST-LAST, files or folders
+    worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
     dpi: int = 150  # pixels per inch of a PNG, 30 to 600
+    reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Draw, and say where the picture is."""
@@ -41,7 +41,7 @@ class Draw(Command):
             check_writable(check_format(self.out))
         words = expand_all(self.worlds)
         check_count(len(words))
-        buildings = [(title(word), load(word)) for word in words]
+        buildings = [(title(word), load(word, self.reading)) for word in words]
         path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
         print(draw(buildings, path, self.dpi))
         return 0

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
 from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
-from mecp_env.commands.buildings import NONE_GIVEN, counted, expand, load
+from mecp_env.commands.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.render.text import readable
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
+
+In = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")]
+Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
 
 
 @dataclass(frozen=True)
@@ -45,23 +48,24 @@ class Validate(Command):
         "mecp-env worlds validate runs/worlds",
     )
 
-    files: tyro.conf.Positional[tuple[str, ...]]  # files, folders, or any building as for draw
+    files: Buildings  # files, folders, or any building as for draw
+    reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Check every file, a line each."""
         if not self.files:
             raise ConfigError(NONE_GIVEN)
-        found = [sound(word) for word in self.files]
+        found = [sound(word, self.reading) for word in self.files]
         return 0 if all(found) else WRONG_INPUT
 
 
-def sound(word: str) -> bool:
+def sound(word: str, reading: Reading) -> bool:
     """Whether a building is sound, or all of a series or folder; says so of each, or what is wrong with it."""
     try:
         singles = expand(word)
         if singles != [word]:
-            return not [single for single in singles if not sound(single)]
-        print(f"ok     {word}: {counted(load(word))}")
+            return not [single for single in singles if not sound(single, reading)]
+        print(f"ok     {word}: {counted(load(word, reading))}")
     except MecpError as error:
         print(f"wrong  {readable(str(error))}")
         return False
@@ -75,44 +79,45 @@ class Convert(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env worlds convert plan.yaml house.json",
         "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
-        "mecp-env worlds convert hard:3 runs/hard-3.yaml --resolution-m 0.05",
+        "mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1",
     )
 
-    source: tyro.conf.Positional[str]  # a layout, HouseExpo JSON, map_server .yaml, an image, or as for draw
-    target: tyro.conf.Positional[Path]  # .json, .yaml or .svg
-    resolution_m: float | None = None  # metres a pixel, of an image that is read or of a map that is written
+    source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
+        tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")
+    ]  # a layout, HouseExpo JSON, map_server .yaml, an image, or as for draw
+    target: Out  # .json, .yaml or .svg
+    map_resolution_m: float = 0.05  # metres a pixel of a .yaml map that is written
+    reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Read, write, and say what was written."""
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
             raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
-        if len(expand(self.source)) > 1:
-            raise ConfigError(f"source: {self.source} is {len(expand(self.source))} buildings, one is converted")
-        options = {"resolution_m": self.resolution_m} if Path(self.source).suffix.lower() in IMAGES else {}
-        layout = load(self.source, **options)
+        source, *others = expand(self.source)
+        if others:
+            raise ConfigError(f"source: {source} and {len(others)} more, one building is converted")
+        layout = load(source, self.reading)
         check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
-        write(layout, self.target, self.resolution_m)
+        write(layout, self.target, self.map_resolution_m)
         print(f"{self.target}: {readable(layout.name)}, {counted(layout)}")
         return 0
 
 
-def _write_json(layout: Layout, path: Path, resolution_m: float | None) -> None:
+def _write_json(layout: Layout, path: Path, resolution_m: float) -> None:
     path.write_text(layout.to_json())
 
 
-def _write_map(layout: Layout, path: Path, resolution_m: float | None) -> None:
+def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
     exporters = importlib.import_module("mecp_env.world.exporters")
-    exporters.save_map_server(layout, path.with_suffix(""), resolution_m or MAP_RESOLUTION_M)
+    exporters.save_map_server(layout, path.with_suffix(""), resolution_m)
 
 
-def _write_svg(layout: Layout, path: Path, resolution_m: float | None) -> None:
+def _write_svg(layout: Layout, path: Path, resolution_m: float) -> None:
     importlib.import_module("mecp_env.world.exporters").save_svg(layout, path)
 
 
-IMAGES = (".png", ".pgm", ".bmp", ".jpg", ".jpeg")
-MAP_RESOLUTION_M = 0.05
-WRITERS: dict[str, Callable[[Layout, Path, float | None], None]] = {
+WRITERS: dict[str, Callable[[Layout, Path, float], None]] = {
     ".json": _write_json,
     ".yaml": _write_map,
     ".svg": _write_svg,

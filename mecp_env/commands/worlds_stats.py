@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import fmean, median
 from typing import Any, ClassVar
 
-import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import track
@@ -16,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mecp_env.commands.base import Command
-from mecp_env.commands.buildings import expand, load
+from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand, load
 
 COLUMNS = {  # figure -> heading, format
     "rooms": ("rooms", "{:.0f}"),
@@ -45,15 +44,16 @@ class Stats(Command):
         "mecp-env worlds stats easy:0-99 medium:0-99 --json",
     )
 
-    worlds: tyro.conf.Positional[tuple[str, ...]] = ()  # as for draw; none: all that are shipped
+    worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure
+    reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Measure, and print a table or JSON."""
         from mecp_env.world.layout import shipped_layouts
 
         words = {word: expand(word) for word in self.worlds or shipped_layouts()}
-        measured = measure(words)
+        measured = measure(words, self.reading)
         if self.json:
             print(json.dumps({word: together(figures) for word, figures in measured.items()}, indent=2))
         else:
@@ -61,7 +61,7 @@ class Stats(Command):
         return 0
 
 
-def measure(words: Mapping[str, Sequence[str]]) -> dict[str, list[Figures]]:
+def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
     """The figures of all buildings of each word."""
     from mecp_env.world.statistics import building_figures
 
@@ -69,7 +69,7 @@ def measure(words: Mapping[str, Sequence[str]]) -> dict[str, list[Figures]]:
     quiet = len(single) < MANY
     found: dict[str, list[Figures]] = {word: [] for word in words}
     for word, one in track(single, "measuring", console=Console(stderr=True), transient=True, disable=quiet):
-        found[word].append(building_figures(load(one)).as_dict())
+        found[word].append(building_figures(load(one, reading)).as_dict())
     return found
 
 

@@ -150,7 +150,7 @@ def test_without_a_word_the_shipped_ones_are_measured(capsys: Said) -> None:
         (["generate", "--rooms", "3", "--loops", "30", "--difficulty", "easy"], "30 loops"),
         (["generate", "--split", "test", "--seed", "1000"], "1000 buildings"),
         (["convert", "office", "office.txt"], ".json, .yaml, .svg"),
-        (["convert", "easy:0-1", "two.json"], "2 buildings, one is converted"),
+        (["convert", "easy:0-1", "two.json"], "easy:0 and 1 more, one building is converted"),
     ],
 )
 def test_wrong_input_ends_with_2_and_one_line_and_leaves_nothing(
