@@ -1,4 +1,4 @@
-"""The words by which commands are told of buildings: shipped names, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, files, folders."""
+"""The words by which commands are told of buildings: shipped names, hard:7, hard:0-9, files, folders."""
 
 from __future__ import annotations
 

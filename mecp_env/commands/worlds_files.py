@@ -83,8 +83,6 @@ class Convert(Command):
     )
 
     source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
-        tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")
-    ]  # a layout, HouseExpo JSON, map_server .yaml, an image, or as for draw
     target: Out  # .json, .yaml or .svg
     map_resolution_m: float = 0.05  # metres a pixel of a .yaml map that is written
     reading: ReadingOptions = field(default_factory=Reading)
