@@ -14,7 +14,7 @@ from mecp_env.errors import ConfigError
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.settings import Settings, no_bool
 from mecp_env.slam.config import SlamConfig
-from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
+from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 
 
 class ObservationConfig(Settings):
@@ -65,6 +65,8 @@ class EnvConfig(Settings):
     robot: RobotConfig = RobotConfig()
     laser: LaserConfig = LaserConfig()
     odometry: OdometryConfig = OdometryConfig()
+    crowd: CrowdConfig = CrowdConfig()
+    clutter: ClutterConfig = ClutterConfig()
     slam: SlamConfig = SlamConfig()
     planning: PlanningConfig = PlanningConfig()
     goal_periods: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every period)

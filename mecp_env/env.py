@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from mecp_env.actions import make_actions
 from mecp_env.config import EnvConfig, merge, plain, plain_value
-from mecp_env.episode import STATE_FORMAT, STATE_VERSION, Episode, check_parts, check_state, goals_key, nearest_goal
+from mecp_env.episode import (
+    PARTS,
+    STATE_FORMAT,
+    STATE_VERSION,
+    Episode,
+    check_parts,
+    check_state,
+    goals_key,
+    nearest_goal,
+)
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
 from mecp_env.observations import Observer
@@ -28,11 +37,14 @@ from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.start import Start, check_start, parse_options, start_pose
 from mecp_env.state import StateError, decode, encode, generator_data, make_generator
 from mecp_env.truth import CELL_M, Truth
+from mecp_env.world.closing import close_doors, draw_closed
 from mecp_env.world.laser import Laser
+from mecp_env.world.movers import Movers, Moving, no_movers, wants_movers
 from mecp_env.world.odometry import measure
-from mecp_env.world.outline import build_outline
+from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.simulation import Motion, Simulation
 from mecp_env.world.source import GENERATE, check_building, draw_building, generator_keywords, make_source
+from mecp_env.world.ways import Ways
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -93,8 +105,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
     as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
-    `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `layout` is a shipped name, a path, a dict or a
-    `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split` and the
+    `crowd`, `clutter`, `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `crowd={"people": 4}` lets
+    people walk about, `clutter` has boxes to push and doors that are closed. `layout` is a shipped name, a path, a dict
+    or a `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split` and the
     fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
     association is told the true identities, with `"truth"` the filter is told the true pose. Unknown names, and values
     with which nothing can be explored, raise `ConfigError`.
@@ -146,7 +159,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         start = self._checked_start(start)
         super().reset(seed=seed)
         self._move_to(draw_building(self._source, self.np_random) if building is None else building)
-        self._simulation.reset(start_pose(start, self._outline, self.config.robot, self.np_random))
+        pose = start_pose(start, self._outline, self.config.robot, self.np_random)
+        self._populate(pose)
+        self._simulation.reset(pose)
         self._observer = self._new_observer()
         episode = self._begin()
         observation = self._observe(episode)
@@ -199,6 +214,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "random": generator_data(self.np_random),
             "seed": self._np_random_seed,
             "simulation": encode(self._simulation.get_state()),
+            "moving": encode(self._movers.state),
             "episode": encode(self._episode),
         }
 
@@ -209,13 +225,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """
         check_state(state, self.config)
         building = self._building_of(state)
-        generator, body, episode = (
-            make_generator(state["random"]),
-            decode(state["simulation"]),
-            decode(state["episode"]),
-        )
-        check_parts(state["seed"], body, episode, SlamPipeline(self._slam))
+        generator = make_generator(state["random"])
+        body, moving, episode = (decode(state[part]) for part in PARTS)
+        check_parts(state["seed"], body, moving, episode, SlamPipeline(self._slam))
         self._move_to(building)
+        self._admit(moving)
         self._simulation.set_state(body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
@@ -226,6 +240,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return View(
             segments=self._outline.segments,
             T_world_robot=self._simulation.T_world_robot,
+            moving=self._movers.faces,
             T_world_map=episode.metrics.T_world_map,
             path_world=episode.path_world.points[: episode.path_world.count].copy(),
             path_map=episode.path_map.points[: episode.path_map.count].copy(),
@@ -311,12 +326,41 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _move_to(self, building: int) -> None:
         """Be in the building of that number."""
         if building == getattr(self, "_building", None):
+            if self._outline is not self._open:
+                self._enter(self._open)
             return
         self._building = building
-        self._outline = build_outline(self._source.layout(building))
-        self._truth = Truth(self._outline, self.config.laser.max_range_m)
-        self._laser = Laser(self._outline, self.config.laser)
-        self._simulation = Simulation(self._outline, self.config.robot)
+        self._open: Outline = build_outline(self._source.layout(building))
+        self._enter(self._open)
+
+    def _enter(self, outline: Outline) -> None:
+        """Be among these walls."""
+        self._outline = outline
+        self._truth = Truth(outline, self.config.laser.max_range_m)
+        self._laser = Laser(outline, self.config.laser)
+        self._simulation = Simulation(outline, self.config.robot)
+        self._movers = no_movers(self.config.robot)
+        self._ways: Ways | None = None  # of people, where there are any
+
+    def _populate(self, start: Array) -> None:
+        """Close doors and let people and boxes in, for an episode that starts at a pose (3,)."""
+        clutter = self.config.clutter
+        closed = draw_closed(self._outline.doors, start, clutter.closed_doors, self.np_random)
+        self._admit(Moving(closed=closed, start=start[:2].copy()))
+        if wants_movers(self.config.crowd, clutter):
+            self._movers.populate(self._outline, clutter, self.np_random)
+            self._simulation.admit(self._movers)
+
+    def _admit(self, moving: Moving) -> None:
+        """Be in the building with these doors closed, among these people and boxes."""
+        if len(moving.closed):
+            layout = close_doors(self._source.layout(self._building), moving.closed, moving.start)
+            self._enter(build_outline(layout))
+        crowd = self.config.crowd
+        if self._ways is None and wants_movers(crowd, self.config.clutter):
+            self._ways = Ways(self._truth.free, self._truth.corner, CELL_M, crowd.radius_m[1])
+        self._movers = Movers(self._ways, crowd, self.config.robot, moving)
+        self._simulation.admit(self._movers)
 
     def _building_of(self, state: dict[str, Any]) -> int:
         """The building of a state. Raises `StateError`."""
@@ -329,7 +373,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """`start` if an episode may start so. Raises `ConfigError`; a pose belongs to one building."""
         if self._source.count > 1 and not isinstance(start, str):
             raise ConfigError(f'start: {start!r:.80}, in buildings that change only "layout" or "random"')
-        return check_start(start, self._outline, self.config.robot)
+        return check_start(start, self._open, self.config.robot)
 
     def _begin(self) -> Episode:
         """A new episode at the simulation's pose, with its scans at rest."""
@@ -337,7 +381,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose)
         for _ in range(SCANS_AT_REST):
             report = pipeline.start(self._look(pose), identities=self._identities(pose))
-            metrics.look(self._truth, pose, report)
+            metrics.look(self._truth, pose, report, self._movers.faces)
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
         remember(episode.memory, report.belief, report.grid, self._true_area(episode))
@@ -357,18 +401,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
-        return self._laser.scan(T_world_robot, self.np_random)
+        return self._laser.scan(T_world_robot, self.np_random, self._movers.faces)
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
         """What odometry and laser measure of a period."""
         odometry = measure(motion, self.config.odometry, self.np_random)
-        return odometry, self._laser.scan(T_world_robot, self.np_random)
+        return odometry, self._look(T_world_robot)
 
     def _identities(self, T_world_robot: Array) -> Callable[[Corners], Ints] | None:
         """How to identify corners, where the estimator is told."""
         if self.config.estimator != "known":
             return None
-        return partial(self._truth.identify, T_world_robot=T_world_robot)
+        return partial(self._truth.identify, T_world_robot=T_world_robot, faces=self._movers.faces)
 
     def _find_goals(self, episode: Episode) -> None:
         """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
@@ -388,7 +432,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Hold the belief against the truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
-        episode.metrics.look(self._truth, T_world_robot, episode.report)
+        episode.metrics.look(self._truth, T_world_robot, episode.report, self._movers.faces)
         self._follow(episode, T_world_robot)
 
     def _follow(self, episode: Episode, T_world_robot: Array) -> None:

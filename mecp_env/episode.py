@@ -17,10 +17,12 @@ from mecp_env.slam.data import StepReport
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.state import StateError
 from mecp_env.state_check import check_fields, examples_of
+from mecp_env.world.movers import Moving, is_whole
 
 Array = NDArray[np.float64]
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 2
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 3
+PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 
 @dataclass(slots=True, eq=False)
@@ -63,16 +65,19 @@ def check_state(state: Any, config: EnvConfig) -> None:
         raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
     if state.get("version") != STATE_VERSION:
         raise StateError(f"state.version: {state.get('version')!r}, this is version {STATE_VERSION}")
-    missing = {"config", "building", "random", "seed", "simulation", "episode"} - set(state)
+    missing = {"config", "building", "random", "seed", *PARTS} - set(state)
     if missing:
         raise StateError(f"state: without {', '.join(sorted(missing))}")
     if state["config"] != config.to_json():
         raise StateError("state.config: the state is of an environment with another configuration")
 
 
-def check_parts(seed: Any, body: Any, episode: Any, fresh: SlamPipeline) -> None:
+def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipeline) -> None:
     """Raise `StateError` unless the parts of a state are of their types; `fresh` is a pipeline just made."""
     examples = examples_of(fresh)
     check_fields(seed, int | None, "state.seed", examples)
     check_fields(body, dict[str, Array], "state.simulation", examples)
+    check_fields(moving, Moving, "state.moving", examples)
+    if not is_whole(moving):
+        raise StateError("state.moving: arrays of the wrong shape")
     check_fields(episode, Episode, "state.episode", examples)

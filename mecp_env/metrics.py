@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mecp_env import metric_kernels as kernels
 from mecp_env.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
 from mecp_env.slam.data import Belief, StepReport
-from mecp_env.truth import Truth, identify
+from mecp_env.truth import NO_FACES, Truth, identify
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
 
@@ -109,11 +109,11 @@ class EpisodeMetrics:
             T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), AssociationLog(len(truth.outline.corners))
         )
 
-    def look(self, truth: Truth, T_world_robot: Array, report: StepReport) -> None:
-        """Take in what the robot sees and believes at the true pose (3,)."""
+    def look(self, truth: Truth, T_world_robot: Array, report: StepReport, faces: Array = NO_FACES) -> None:
+        """Take in what the robot sees and believes at the true pose (3,) among moving faces (m,2,2)."""
         self.T_map_robot = self.in_map(T_world_robot)
         self._sweep(truth, T_world_robot)
-        self.association.record(report, truth.identify(report.corners, T_world_robot))
+        self.association.record(report, truth.identify(report.corners, T_world_robot, faces))
         self._compare_pose(report.belief)
         self.compare_map(truth, report, due=report.period % MAP_PERIODS == 0)
 

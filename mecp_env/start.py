@@ -13,8 +13,8 @@ from mecp_env.config import unknown
 from mecp_env.errors import ConfigError, LayoutError
 from mecp_env.settings import no_bool
 from mecp_env.world.config import RobotConfig
+from mecp_env.world.drive_kernels import wall_distance
 from mecp_env.world.outline import Outline, random_free_pose
-from mecp_env.world.simulation import wall_distance
 
 Array = NDArray[np.float64]
 Start = str | tuple[float, float, float]

@@ -26,14 +26,17 @@ BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
 DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
 NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
 IDENTITY_GATE_M = 0.3
+NO_FACES = np.empty((0, 2, 2))
 
 
-def identify(corners: Corners, T_world_robot: Array, outline: Outline) -> Ints:
+def identify(corners: Corners, T_world_robot: Array, outline: Outline, faces: Array = NO_FACES) -> Ints:
     """(n,) index of the true corner that each corner of a scan is, or -1 for a spurious one.
 
-    The nearest true corner that is visible from the true pose and within 0.3 m, one to one.
+    The nearest true corner that is visible from the true pose, past moving faces (m,2,2), and within 0.3 m, one to one.
     """
     true, segments = outline.corners.p_world, outline.segments
+    if len(faces):
+        segments = np.concatenate([segments, faces])
     return kernels.identify_corners(corners.z, T_world_robot, true, segments, IDENTITY_GATE_M)
 
 
@@ -94,6 +97,6 @@ class Truth:
         scan = self.laser.scan(level, NO_NOISE)
         return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
 
-    def identify(self, corners: Corners, T_world_robot: Array) -> Ints:
+    def identify(self, corners: Corners, T_world_robot: Array, faces: Array = NO_FACES) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""
-        return identify(corners, T_world_robot, self.outline)
+        return identify(corners, T_world_robot, self.outline, faces)

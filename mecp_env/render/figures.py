@@ -99,6 +99,8 @@ def _draw_truth(axes: Axes, view: View) -> None:
     for ring in loops(view.segments):
         solid = signed_area(ring) < 0.0
         axes.add_patch(Polygon(ring, facecolor=TRUTH_GREY if solid else "white", edgecolor="none"))
+    for ring in loops(view.moving):
+        axes.add_patch(Polygon(ring, facecolor=unit(palette.MOVER), edgecolor="none", alpha=0.6, zorder=3.0))
 
 
 def _draw_rooms(axes: Axes, view: View) -> None:

@@ -32,6 +32,8 @@ def draw_world(brush: Brush, view: View, box: Box) -> None:
     brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
     for pixel in camera.pixels(ends[hit]):
         brush.dot(pixel, 1.3, palette.HIT)
+    for ring in loops(view.moving):
+        brush.area(camera.pixels(ring), palette.MOVER)
     draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
 
 

@@ -13,7 +13,8 @@ from mecp_env.render.view import View
 from mecp_env.settings import Settings
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
-LEGEND = (
+Legend = tuple[tuple[str, palette.RGB, str], ...]
+LEGEND: Legend = (
     ("true path", palette.TRUTH, "line"),
     ("laser hit", palette.HIT, "dot"),
     ("estimated path", palette.ESTIMATE, "line"),
@@ -22,6 +23,7 @@ LEGEND = (
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
+MOVER_LEGEND: Legend = (("person, box", palette.MOVER, "dot"),)
 
 
 class ScreenConfig(Settings):
@@ -48,7 +50,7 @@ class Screen:
         brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.FAINT)
         brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.FAINT)
         self._header(brush, view)
-        self._legend(brush)
+        self._legend(brush, LEGEND + (MOVER_LEGEND if len(view.moving) else ()))
         return brush.image()
 
     def _panels(self) -> tuple[Box, Box]:
@@ -63,9 +65,9 @@ class Screen:
             x -= brush.text(value, (x, 11), 22, align=1.0) + 5
             x -= brush.text(name, (x, 13), 18, palette.FAINT, align=1.0) + 16
 
-    def _legend(self, brush: Brush) -> None:
+    def _legend(self, brush: Brush, legend: Legend) -> None:
         x, y = float(MARGIN), self.config.height_px - FOOTER + 6
-        for name, colour, kind in LEGEND:
+        for name, colour, kind in legend:
             if kind == "dot":
                 brush.dot((x + 6, y + 6), 3.5, colour)
             else:

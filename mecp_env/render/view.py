@@ -24,6 +24,7 @@ class View:
     path_world: Array  # (n,2) m, world frame: where the robot has been
     path_map: Array  # (n,2) m, map frame: where it believed to be
     report: StepReport
+    moving: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (m,2,2) m, world: faces of people and boxes
     robot_radius_m: float = 0.22
     p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
     goal_kinds: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind

@@ -1,13 +1,27 @@
-"""Configuration of the true world: the robot, its laser and its odometry."""
+"""Configuration of the true world: the robot, its laser, its odometry, and what moves beside it."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from mecp_env.settings import Settings
+
+
+def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError(f"expected least <= most, given {limits[0]:g}, {limits[1]:g}")
+    return limits
+
+
+Metres = Annotated[float, Field(ge=0.1, le=2.0)]
+Speed = Annotated[float, Field(ge=0.05, le=2.0)]
+Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
+Sizes = Annotated[tuple[Metres, Metres], AfterValidator(_ordered)]
+Speeds = Annotated[tuple[Speed, Speed], AfterValidator(_ordered)]
+Times = Annotated[tuple[Seconds, Seconds], AfterValidator(_ordered)]
 
 RANGE_SIGMA_M = {"paper": 0.05, "lms200": 0.01, "ideal": 0.0}  # IV: sigma_r of the paper's SICK laser is 0.05 m
 BEARING_SIGMA_DEG = {"paper": 0.3, "lms200": 0.0, "ideal": 0.0}  # IV: sigma_theta = 0.3 deg, on every beam
@@ -78,3 +92,21 @@ class OdometryConfig(Settings):
     @property
     def turn_sigma_rad(self) -> float:
         return math.radians(self.turn_sigma_deg)
+
+
+class CrowdConfig(Settings):
+    """People: round, each with a size and a speed of its own, who walk from room to room along shortest ways."""
+
+    people: int = Field(0, ge=0, le=50)
+    radius_m: Sizes = (0.2, 0.3)
+    speed_m_s: Speeds = (0.3, 1.2)
+    pause_s: Times = (0.0, 5.0)  # how long one stands where he wanted to go
+    polite: bool = True  # they make way for each other and for the robot; else they walk until they bump
+
+
+class ClutterConfig(Settings):
+    """What else is not as the plan has it: boxes that the robot can push, doors that are closed for an episode."""
+
+    movable_boxes: int = Field(0, ge=0, le=50)
+    box_m: Sizes = (0.3, 0.6)  # length of a side
+    closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door

@@ -49,10 +49,12 @@ class Laser:
             [config.bearing_sigma_rad, config.range_sigma_m, config.max_range_m, float(config.sweeps)]
         )
 
-    def scan(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
-        """A burst taken at the true pose (3,); the noise comes from `rng`."""
-        draws = self._draw(rng)
-        ranges, hit = _burst(self._segments, T_world_robot, self._table, draws, self._normals, self._optics)
+    def scan(self, T_world_robot: Array, rng: np.random.Generator, faces: Array | None = None) -> Scan:
+        """A burst taken at the true pose (3,), noise from `rng`; beside the walls it sees the faces (m,2,2)."""
+        draws, segments = self._draw(rng), self._segments
+        if faces is not None and len(faces):
+            segments = np.concatenate([segments, faces])
+        ranges, hit = _burst(segments, T_world_robot, self._table, draws, self._normals, self._optics)
         return Scan(ranges, self._bearings, hit, self.config.max_range_m)
 
     def visible(self, p_world: Array, T_world_robot: Array) -> Bools:

@@ -1,0 +1,38 @@
+"""Doors that are closed for an episode: wall, and what lies behind them is no part of the building."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+
+from mecp_env.world.outline import Doors, build_outline
+from mecp_env.world.schema import Layout, Start
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+START_M = 0.6  # a door nearer to the start, beyond half its width, stays open
+LEAST_M2 = 0.05  # a room of which less is in reach is out of reach
+
+
+def draw_closed(doors: Doors, start: Array, share: float, rng: np.random.Generator) -> Ints:
+    """Which doors are closed, each with the probability `share`; 0 draws nothing from `rng`."""
+    if share == 0.0:
+        return np.empty(0, np.int64)
+    far = np.hypot(*(doors.centre - start[:2]).T) > START_M + 0.5 * doors.width
+    return np.flatnonzero((rng.random(len(doors)) < share) & far)
+
+
+def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
+    """The layout without those doors, and without the rooms that are then out of reach from `start` (2,) m."""
+    if not len(closed):
+        return layout
+    shut = set(closed.tolist())
+    doors = tuple(door for i, door in enumerate(layout.doors) if i not in shut)
+    starts = (Start(point=(float(start[0]), float(start[1]))),)
+    rest = layout.model_copy(update={"doors": doors, "starts": starts})
+    free = build_outline(rest).free_area
+    rooms = tuple(room for room in layout.rooms if Polygon(room.polygon).intersection(free).area > LEAST_M2)
+    names = {room.name for room in rooms}
+    return rest.model_copy(update={"rooms": rooms, "doors": tuple(d for d in doors if names.issuperset(d.rooms))})

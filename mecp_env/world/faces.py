@@ -1,0 +1,56 @@
+"""Kernels of faces: how far a point is from them, and the faces of what moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.kernel import kernel
+
+Array = NDArray[np.float64]
+
+SIDES = 16  # of the polygon that stands for a person before the laser
+
+
+@kernel
+def from_face(segments: Array, k: int, x: float, y: float) -> tuple[float, float]:
+    """Vector to (x, y) from the nearest point of face k."""
+    ax, ay = segments[k, 0, 0], segments[k, 0, 1]
+    ux, uy = segments[k, 1, 0] - ax, segments[k, 1, 1] - ay
+    share = min(max(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0), 1.0)
+    return x - ax - share * ux, y - ay - share * uy
+
+
+@kernel
+def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
+    """Faces (m,2,2) of discs (n,3), as polygons of 16 sides, and of boxes (b,>=3) of sizes (b,2); free to the left.
+
+    Discs: place, radius; boxes: place, turn.
+    """
+    faces = np.empty((SIDES * discs.shape[0] + 4 * boxes.shape[0], 2, 2))
+    n = 0
+    for i in range(discs.shape[0]):
+        for k in range(SIDES):
+            for end in range(2):
+                angle = -(k + end) * (2.0 * math.pi / SIDES)
+                faces[n, end, 0] = discs[i, 0] + discs[i, 2] * math.cos(angle)
+                faces[n, end, 1] = discs[i, 1] + discs[i, 2] * math.sin(angle)
+            n += 1
+    for i in range(boxes.shape[0]):
+        for k in range(4):
+            for end in range(2):
+                x, y = box_corner(boxes[i], sizes[i], (8 - k - end) % 4)
+                faces[n, end, 0], faces[n, end, 1] = x, y
+            n += 1
+    return faces
+
+
+@kernel
+def box_corner(box: Array, size: Array, k: int) -> tuple[float, float]:
+    """Corner k, counter-clockwise, of a box (>=3,) of a size (2,)."""
+    along = 0.5 * size[0] if k in (1, 2) else -0.5 * size[0]
+    aside = 0.5 * size[1] if k in (2, 3) else -0.5 * size[1]
+    c, s = math.cos(box[2]), math.sin(box[2])
+    return box[0] + c * along - s * aside, box[1] + s * along + c * aside

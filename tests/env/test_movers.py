@@ -1,0 +1,85 @@
+"""What moves, seen from the environment: seeds, states, doors that are closed, the pictures."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mecp_env.state import StateError
+from tests.env.helpers import drive, make, same
+
+BUSY = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.3}, "layout": "paper"}
+
+
+def test_the_seed_says_what_moves() -> None:
+    one, two, other = make(**BUSY), make(**BUSY), make(**BUSY)
+    for env, seed in ((one, 1), (two, 1), (other, 2)):
+        env.reset(seed=seed)
+    a, b, c = (env.unwrapped._movers.state for env in (one, two, other))
+    assert same(a.people, b.people)
+    assert not same(a.people, c.people)
+    assert same(drive(one, 40), drive(two, 40))
+
+
+def test_nothing_is_drawn_where_nothing_moves() -> None:
+    still, named = make(), make(crowd={"people": 0}, clutter={"closed_doors": 0.0})
+    assert same(still.reset(seed=3), named.reset(seed=3))
+    assert same(drive(still, 20), drive(named, 20))
+
+
+def test_a_state_continues_bit_for_bit_among_people_and_boxes() -> None:
+    env, twin = make(**BUSY), make(**BUSY)
+    env.reset(seed=4)
+    drive(env, 30)
+    state = env.unwrapped.get_state()
+    twin.reset(seed=9)
+    twin.unwrapped.set_state(state)
+    assert same(drive(env, 80, seed=1), drive(twin, 80, seed=1))
+    assert same(env.unwrapped.get_state(), twin.unwrapped.get_state())
+
+
+def test_a_torn_state_is_refused_and_changes_nothing() -> None:
+    env, twin = make(**BUSY), make(**BUSY)
+    env.reset(seed=4)
+    twin.reset(seed=4)
+    state = env.unwrapped.get_state()
+    state["moving"]["@object"][1]["people"]["@array"][0] = np.zeros((2, 3))
+    with pytest.raises(StateError, match="moving"):
+        env.unwrapped.set_state(state)
+    assert same(drive(env, 10), drive(twin, 10))
+
+
+def test_rooms_behind_closed_doors_do_not_count() -> None:
+    env = make(clutter={"closed_doors": 1.0})
+    _, info = env.reset(seed=0)
+    assert info["rooms"] == 1
+    assert info["doors"] == 0
+    free = env.unwrapped._truth.free_cells
+    open_env = make()
+    open_env.reset(seed=0)
+    assert free < 0.7 * open_env.unwrapped._truth.free_cells
+    assert env.reset(options={"start": (8.0, 3.0, 0.0)})[1]["rooms"] == 1
+
+
+def test_an_explorer_ends_behind_closed_doors() -> None:
+    env = gymnasium.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", clutter={"closed_doors": 1.0})
+    env.reset(seed=0)
+    terminated = False
+    for _ in range(30):
+        _, _, terminated, truncated, info = env.step(0)
+        if terminated or truncated:
+            break
+    assert terminated
+    assert info["coverage"] > 0.99
+
+
+def test_pictures_show_what_moves() -> None:
+    env = make(**BUSY, render_mode="rgb_array")
+    env.reset(seed=5)
+    before = env.render()
+    view = env.unwrapped.view()
+    assert len(view.moving) == 4 * 16 + 4 * len(env.unwrapped._movers.state.boxes)
+    for _ in range(5):
+        env.step(np.zeros(2, np.float32))
+    assert (env.render() != before).any()

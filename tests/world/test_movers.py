@@ -1,0 +1,236 @@
+"""What moves: people keep out of walls and of each other, polite ones off the robot; boxes slide; doors close."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from mecp_env.errors import ConfigError
+from mecp_env.truth import CELL_M, Truth
+from mecp_env.world import crowd_kernels as crowd
+from mecp_env.world.closing import close_doors, draw_closed
+from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
+from mecp_env.world.crowd_kernels import clear_leg
+from mecp_env.world.drive_kernels import wall_distance
+from mecp_env.world.faces import box_corner, moving_faces
+from mecp_env.world.laser import Laser, cast_rays
+from mecp_env.world.layout import load_layout
+from mecp_env.world.movers import Movers, Moving, is_whole
+from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.simulation import Simulation
+from mecp_env.world.ways import Ways
+from tests.world.conftest import OUTLINES
+
+Array = NDArray[np.float64]
+ROBOT = RobotConfig()
+
+
+def world(name: str, seed: int = 0, **fields: Any) -> tuple[Simulation, Movers]:
+    """A simulation with people and boxes in a shipped layout, the robot at its first start."""
+    outline = OUTLINES[name]
+    config = CrowdConfig(**{"people": 6} | {k: v for k, v in fields.items() if k in CrowdConfig.model_fields})
+    clutter = ClutterConfig(**{k: v for k, v in fields.items() if k in ClutterConfig.model_fields})
+    truth = Truth(outline, 30.0)
+    ways = Ways(truth.free, truth.corner, CELL_M, config.radius_m[1])
+    movers = Movers(ways, config, ROBOT, Moving(start=outline.starts[0, :2].copy()))
+    movers.populate(outline, clutter, np.random.default_rng(seed))
+    simulation = Simulation(outline, ROBOT, movers)
+    return simulation, movers
+
+
+def with_box(outline: Outline, box: list[float], size: list[float], robot: list[float]) -> tuple[Simulation, Movers]:
+    """One box of a size, and the robot."""
+    state = Moving(boxes=np.array([[*box, 0.0, 0.0, 0.0]]), sizes=np.array([size]))
+    movers = Movers(None, CrowdConfig(), ROBOT, state)
+    simulation = Simulation(outline, ROBOT, movers)
+    simulation.reset(np.array(robot))
+    return simulation, movers
+
+
+def gaps(movers: Movers, p_robot: Array) -> tuple[Array, Array]:
+    """(n,) m from the skin of each person to the robot's, and to the nearest other person's."""
+    people = movers.state.people
+    p, radius = people[:, :2], people[:, crowd.RADIUS]
+    apart = np.hypot(*(p[:, None] - p[None]).T) - radius[:, None] - radius[None]
+    np.fill_diagonal(apart, np.inf)
+    return np.hypot(*(p - p_robot).T) - radius - ROBOT.radius_m, apart.min(axis=0)
+
+
+def random_drive(simulation: Simulation, periods: int, seed: int = 0) -> Any:
+    """Commands of a robot that looks at nothing; yields after each period whether something was touched."""
+    rng = np.random.default_rng(seed)
+    v = w = 0.0
+    for period in range(periods):
+        if period % 8 == 0:
+            v, w = rng.uniform(-0.2, 0.75), rng.uniform(-1.0, 1.0)
+        yield simulation.step(v, w).contact
+
+
+@pytest.mark.parametrize("polite", [True, False])
+@pytest.mark.parametrize("name", ["paper", "furnished", "office"])
+def test_nobody_walks_through_walls_or_people(name: str, polite: bool) -> None:
+    simulation, movers = world(name, polite=polite)
+    walked = np.zeros(len(movers.state.people))
+    for _ in random_drive(simulation, 400):
+        people = movers.state.people
+        for person in people:
+            assert wall_distance(OUTLINES[name].segments, person[0], person[1]) > person[crowd.RADIUS] - 1e-9
+            assert OUTLINES[name].free_area.contains(shapely.Point(person[:2]))
+        assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
+        walked += np.hypot(*(people[:, :2] - people[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
+    assert walked.mean() > 20.0  # m in 160 s: they do walk
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_polite_people_never_touch_a_robot_that_stands(seed: int) -> None:
+    simulation, movers = world("two_rooms", seed, people=5)
+    for _ in range(400):
+        assert not simulation.step(0.0, 0.0).contact
+        assert gaps(movers, simulation.T_world_robot[:2])[0].min() > 0.2
+
+
+def test_polite_people_never_step_up_to_a_robot_that_drives() -> None:
+    simulation, movers = world("paper", 3, people=10)
+    for _ in random_drive(simulation, 600):
+        near, _ = gaps(movers, simulation.T_world_robot[:2])
+        steps = movers.state.people[:, crowd.MOVES] > 0.0
+        towards = simulation.T_world_robot[:2] - movers.state.people[:, :2]
+        closing = (towards * movers.state.people[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
+        assert not (steps & closing & (near < crowd.POLITE_M - 0.03)).any()
+
+
+def test_people_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
+    simulation, movers = world("two_rooms", 1, people=6, polite=False, speed_m_s=(0.8, 1.2))
+    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # in everybody's way
+    touched, deepest = 0, np.inf
+    for _ in range(600):
+        touched += simulation.step(0.0, 0.0).contact
+        deepest = min(deepest, gaps(movers, simulation.T_world_robot[:2])[0].min())
+        x, y, _ = simulation.T_world_robot
+        assert wall_distance(OUTLINES["two_rooms"].segments, x, y) > ROBOT.radius_m - 0.01
+    assert touched > 0
+    assert deepest > -0.12
+
+
+def test_a_person_is_an_obstacle_for_the_robot() -> None:
+    outline = OUTLINES["paper"]
+    people = np.zeros((1, crowd.PERSON))
+    people[0, [crowd.X, crowd.Y, crowd.RADIUS, crowd.PACE, crowd.PAUSE]] = 3.0, 2.0, 0.25, 1.0, 1e6
+    state = Moving(people=people, routes=np.zeros((1, 96, 2)), legs=np.zeros((1, 2), np.int64), places=np.zeros((1, 2)))
+    simulation = Simulation(outline, ROBOT, Movers(None, CrowdConfig(polite=False), ROBOT, state))
+    simulation.reset(np.array([1.5, 2.0, 0.0]))
+    felt = [simulation.step(0.75, 0.0).contact for _ in range(12)]
+    assert felt[-1]
+    assert simulation.T_world_robot[0] == pytest.approx(3.0 - 0.25 - 0.22, abs=0.02)
+
+
+def test_people_go_from_room_to_room_through_doors() -> None:
+    simulation, movers = world("paper", 2, people=4)
+    rooms = [set() for _ in range(4)]
+    for _ in range(900):
+        simulation.step(0.0, 0.0)
+        for seen, room in zip(rooms, OUTLINES["paper"].room_at(movers.state.people[:, :2]), strict=True):
+            seen.add(int(room))
+    assert min(len(seen - {-1}) for seen in rooms) >= 2
+
+
+def test_the_same_state_gives_the_same_people() -> None:
+    simulation, movers = world("furnished", 5, movable_boxes=4)
+    for _ in random_drive(simulation, 60):
+        pass
+    twin = copy.deepcopy(simulation)
+    other = twin._movers
+    for _ in zip(random_drive(simulation, 120, 7), random_drive(twin, 120, 7), strict=True):
+        assert movers.state.people.tobytes() == other.state.people.tobytes()
+        assert movers.state.boxes.tobytes() == other.state.boxes.tobytes()
+        assert simulation.get_state()["body"].tobytes() == twin.get_state()["body"].tobytes()
+
+
+def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
+    outline = OUTLINES["two_rooms"]
+    simulation, movers = with_box(outline, [2.5, 3.5, 0.3], [0.4, 0.5], [1.0, 3.5, 0.0])
+    for _ in range(5):
+        simulation.step(0.75, 0.0)
+    for period in range(40):
+        simulation.step(0.75, 0.0)
+        corners = [box_corner(movers.state.boxes[0], movers.state.sizes[0], k) for k in range(4)]
+        assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), period
+    assert movers.state.boxes[0, 0] > 3.5
+    for _ in range(10):
+        simulation.step(-0.2, 0.0)
+    resting = movers.state.boxes.copy()
+    assert not resting[0, 3:].any()
+    simulation.step(0.0, 0.0)
+    assert movers.state.boxes.tobytes() == resting.tobytes()
+
+
+def test_the_robot_does_not_enter_a_box_before_a_wall() -> None:
+    simulation, movers = with_box(OUTLINES["two_rooms"], [4.6, 3.5, 0.0], [0.5, 0.5], [2.5, 3.5, 0.0])
+    for _ in range(60):
+        simulation.step(0.75, 0.0)
+    box = movers.state.boxes[0]
+    assert box[0] == pytest.approx(4.94 - 0.25, abs=0.03)
+    assert box[0] - simulation.T_world_robot[0] > 0.25 + ROBOT.radius_m - 0.02
+
+
+def test_the_laser_sees_people_and_boxes() -> None:
+    outline = OUTLINES["paper"]
+    faces = moving_faces(np.array([[3.0, 2.0, 0.25]]), np.array([[2.0, 3.0, 0.0]]), np.array([[0.4, 0.2]]))
+    assert faces.shape == (20, 2, 2)
+    pose = np.array([2.0, 2.0, 0.0])
+    laser = Laser(outline, LaserConfig(preset="ideal", sweeps=1))
+    scan = laser.scan(pose, np.random.default_rng(0), faces)
+    ahead, left = np.argmin(np.abs(scan.bearings[0])), np.argmin(np.abs(scan.bearings[0] - np.pi / 2.0))
+    assert scan.ranges[0, ahead] == pytest.approx(0.75, abs=0.01)
+    assert scan.ranges[0, left] == pytest.approx(0.9, abs=0.01)
+    exact = cast_rays(np.concatenate([outline.segments, faces]), pose)
+    assert scan.ranges[0] == pytest.approx(np.minimum(exact, 30.0))
+
+
+def test_closed_doors_are_wall_and_what_is_behind_is_gone() -> None:
+    layout = load_layout("two_rooms")
+    start = np.array(layout.starts[0].point)
+    shut = close_doors(layout, np.array([0]), start)
+    outline = build_outline(shut)
+    assert len(outline.rooms) == 1
+    assert len(outline.doors) == 0
+    assert outline.free_area.area < 0.7 * OUTLINES["two_rooms"].free_area.area
+    assert close_doors(layout, np.empty(0, np.int64), start) is layout
+
+
+def test_doors_are_drawn_by_their_probability_and_not_beside_the_start() -> None:
+    doors, rng = OUTLINES["paper"].doors, np.random.default_rng(0)
+    state = rng.bit_generator.state
+    assert not len(draw_closed(doors, np.zeros(3), 0.0, rng))
+    assert rng.bit_generator.state == state
+    counts = [len(draw_closed(doors, np.array([1.0, 1.0, 0.0]), 0.5, rng)) for _ in range(200)]
+    assert np.mean(counts) == pytest.approx(0.5 * len(doors), rel=0.15)
+    assert 2 not in draw_closed(doors, np.array([*doors.centre[2], 0.0]), 1.0, rng)
+
+
+def test_a_leg_is_clear_when_no_face_comes_near() -> None:
+    outline, rng = OUTLINES["furnished"], np.random.default_rng(1)
+    walls = shapely.MultiLineString(outline.segments.tolist())
+    x0, y0, x1, y1 = outline.bounds
+    for _ in range(300):
+        a = rng.uniform((x0, y0), (x1, y1))
+        b = a + rng.uniform(-1.5, 1.5, 2)
+        far = shapely.distance(walls, shapely.LineString([a, b]))
+        if abs(far - 0.25) > 1e-6:
+            assert clear_leg(outline.segments, *a, *b, 0.25) == (far > 0.25)
+
+
+def test_wrong_fields_and_torn_states_are_refused() -> None:
+    with pytest.raises(ConfigError, match="least <= most"):
+        CrowdConfig(speed_m_s=(1.0, 0.5))
+    with pytest.raises(ConfigError, match="people"):
+        CrowdConfig(people=-1)
+    _, movers = world("two_rooms")
+    assert is_whole(movers.state)
+    movers.state.routes = movers.state.routes[:2]
+    assert not is_whole(movers.state)
