@@ -106,9 +106,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
     as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
     `crowd`, `clutter`, `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `crowd={"people": 4}` lets
-    people walk about, `clutter` has boxes to push and doors that are closed. `layout` is a shipped name, a path, a dict
-    or a `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split` and the
-    fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
+    people walk about, `clutter` has boxes to push and doors that are closed. `layout` is a shipped name, a path, a
+    dict or a `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split`
+    and the fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
     association is told the true identities, with `"truth"` the filter is told the true pose. Unknown names, and values
     with which nothing can be explored, raise `ConfigError`.
 

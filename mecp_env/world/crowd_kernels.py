@@ -25,6 +25,7 @@ POLITE_M = 0.3  # a polite person comes no nearer to the robot, nor to where it 
 PRESS_M = 0.04  # one who is not walks on until he is so deep in the robot
 THERE_M = 0.15  # a place is reached
 SEE_M = 0.01  # to spare beside a leg
+SOONEST_S = 0.5  # what is nearer already can be mended no sooner
 HORIZON_S, BERTH_M = 2.0, 0.3  # others are looked out for so far ahead, and given so wide a berth
 PATIENCE_S = 3.0  # one who gets nowhere for so long wants to go elsewhere
 SLOW = 0.3  # less than this share of the own speed is getting nowhere
@@ -158,7 +159,7 @@ def nearness(ahead: tuple[float, float], closing: tuple[float, float], apart: fl
     """
     speed2 = closing[0] * closing[0] + closing[1] * closing[1]
     time = (ahead[0] * closing[0] + ahead[1] * closing[1]) / speed2 if speed2 > 1e-12 else 0.0
-    time = min(max(time, 0.0), HORIZON_S)
+    time = min(max(time, SOONEST_S), HORIZON_S)
     gap = math.hypot(ahead[0] - time * closing[0], ahead[1] - time * closing[1]) - apart
     if gap >= berth:
         return 0.0

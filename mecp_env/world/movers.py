@@ -27,6 +27,8 @@ OFF_DOORS_M = 1.0  # nobody stands nearer to a door on purpose
 BOX_OFF_DOORS_M = 1.2
 OFF_ROBOT_M = 1.2  # at the start, between skins
 APART_M = 0.1
+CHOICES = 6  # places that one who gets nowhere thinks of
+STEP_M = 0.3  # along a route, by which it is told where it leads
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
 
@@ -84,26 +86,42 @@ class Movers:
         boxes, period = self.round_boxes(), self.robot.period_s
         stands = kernels.steer(state.people, state.routes, state.legs, segments, boxes, robot, config.polite, period)
         for i in np.flatnonzero(stands).tolist():
-            self._redirect(i, rest=stands[i] == kernels.ARRIVED)
+            if stands[i] == kernels.ARRIVED:
+                self._rest(i)
+            else:
+                self._turn_away(i, robot[:2])
 
-    def _redirect(self, i: int, rest: bool) -> None:
-        """Person i is where he wanted to go (`rest`), or gets nowhere: he wants to go elsewhere, to another room."""
+    def _rest(self, i: int) -> None:
+        """Person i is where he wanted to go: he stays a while, and then wants to go to another room."""
+        self.state.people[i, kernels.PAUSE] = self.state.random.uniform(*self.config.pause_s)
+        self._go_to_another_room(i)
+
+    def _go_to_another_room(self, i: int) -> None:
         state = self.state
-        state.people[i, kernels.STUCK] = 0.0
-        if rest:
-            state.people[i, kernels.PAUSE] = state.random.uniform(*self.config.pause_s)
         here = int(np.argmin(np.hypot(*(state.places - state.people[i, :2]).T)))
         elsewhere = np.flatnonzero(state.rooms != state.rooms[here])
         chosen = state.random.choice(elsewhere) if len(elsewhere) else state.random.integers(len(state.places))
-        self._set_out(i, state.places[chosen])
+        self._set_out(i, self._route(i, int(chosen)))
 
-    def _set_out(self, i: int, place: Array) -> None:
-        """Person i takes the shortest way to a place (2,)."""
-        assert self._ways is not None
+    def _turn_away(self, i: int, p_robot: Array) -> None:
+        """Person i gets nowhere: he wants to go elsewhere, on a way that does not begin past the robot (2,)."""
         state = self.state
-        route = self._ways.route(state.people[i, :2], place)[:LEGS]
-        state.routes[i, : len(route)] = route
-        state.legs[i] = 0, len(route)
+        state.people[i, kernels.STUCK] = 0.0
+        for place in state.random.permutation(len(state.places))[:CHOICES].tolist():
+            route = self._route(i, place)
+            if leads_away(state.people[i, :2], route, p_robot):
+                break
+        self._set_out(i, route)
+
+    def _route(self, i: int, place: int) -> Array:
+        """(n,2) m: the shortest way of person i to a place."""
+        assert self._ways is not None
+        return self._ways.route(self.state.people[i, :2], self.state.places[place])[:LEGS]
+
+    def _set_out(self, i: int, route: Array) -> None:
+        """Person i goes along a route (n,2)."""
+        self.state.routes[i, : len(route)] = route
+        self.state.legs[i] = 0, len(route)
 
     def populate(self, outline: Outline, clutter: ClutterConfig, rng: np.random.Generator) -> None:
         """Draw boxes and people around the start; one number is drawn from `rng`."""
@@ -153,7 +171,7 @@ class Movers:
             state.people = np.vstack([state.people, person])
             state.routes = np.concatenate([state.routes, np.zeros((1, LEGS, 2))])
             state.legs = np.vstack([state.legs, [0, 0]])
-            self._redirect(i, rest=False)
+            self._go_to_another_room(i)
 
     def _draw_cell(self, cells: Array, reach: float) -> Array | None:
         """One of the places (n,2) at which something of that reach touches nothing that is there already, or None."""
@@ -182,6 +200,12 @@ def is_whole(moving: Moving) -> bool:
 def no_movers(robot: RobotConfig) -> Movers:
     """Nothing moves."""
     return Movers(None, CrowdConfig(), robot, Moving())
+
+
+def leads_away(p_world: Array, route: Array, p_robot: Array) -> bool:
+    """True when the way from `p_world` (2,) along a route (n,2) begins with a step away from the robot (2,)."""
+    aside = np.hypot(*(route - p_world).T) > STEP_M
+    return bool(aside.any()) and bool((route[int(np.argmax(aside))] - p_world) @ (p_robot - p_world) <= 0.0)
 
 
 def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Array:
