@@ -24,6 +24,7 @@ ROBOT = 6
 POLITE_M = 0.3  # a polite person comes no nearer to the robot, nor to where it can stop, by steps of his own
 PRESS_M = 0.04  # one who is not walks on until he is so deep in the robot
 THERE_M = 0.15  # a place is reached
+ROUNDING_M = 1e-9
 SEE_M = 0.01  # to spare beside a leg
 SOONEST_S = 0.5  # what is nearer already can be mended no sooner
 HORIZON_S, BERTH_M = 2.0, 0.3  # others are looked out for so far ahead, and given so wide a berth
@@ -168,7 +169,10 @@ def nearness(ahead: tuple[float, float], closing: tuple[float, float], apart: fl
 
 @kernel
 def clear_leg(segments: Array, x0: float, y0: float, x1: float, y1: float, radius: float) -> bool:
-    """True when a disc that goes straight from (x0, y0) to (x1, y1) touches none of the faces (S,2,2)."""
+    """True when a disc that goes straight from (x0, y0) to (x1, y1) touches none of the faces (S,2,2).
+
+    Begun nearer to a face than its radius, it comes no nearer.
+    """
     dx, dy = x1 - x0, y1 - y0
     length2 = dx * dx + dy * dy
     reach = radius + math.sqrt(length2)
@@ -177,15 +181,14 @@ def clear_leg(segments: Array, x0: float, y0: float, x1: float, y1: float, radiu
         square = to_x * to_x + to_y * to_y
         if square >= reach * reach:
             continue
-        if square < radius * radius or crosses(segments[k], x0, y0, x1, y1):
-            return False
+        least = min(radius, math.sqrt(square)) - ROUNDING_M
         to_x, to_y = from_face(segments, k, x1, y1)
-        if to_x * to_x + to_y * to_y < radius * radius:
+        if math.hypot(to_x, to_y) < least or crosses(segments[k], x0, y0, x1, y1):
             return False
         for end in range(2):
             px, py = segments[k, end, 0] - x0, segments[k, end, 1] - y0
             share = min(max((px * dx + py * dy) / max(length2, 1e-12), 0.0), 1.0)
-            if math.hypot(px - share * dx, py - share * dy) < radius:
+            if math.hypot(px - share * dx, py - share * dy) < least:
                 return False
     return True
 

