@@ -95,6 +95,8 @@ class Convert(Command):
         source, *others = expand(self.source)
         if others:
             raise ConfigError(f"source: {source} and {len(others)} more, one building is converted")
+        if self.target.exists() and Path(source).exists() and self.target.samefile(source):
+            raise ConfigError(f"target: {self.target} is the source, name another file")
         layout = load(source, self.reading)
         check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
         write(layout, self.target, self.map_resolution_m)

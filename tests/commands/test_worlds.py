@@ -99,6 +99,43 @@ def test_a_building_is_converted_to_a_layout_file(tmp_path: Path, capsys: Said) 
     assert capsys.readouterr().out == f"{out}: furnished, 4 rooms, 4 doors, 11 obstacles\n"
 
 
+def test_a_file_is_not_converted_onto_itself(tmp_path: Path, capsys: Said) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(load_layout("paper").to_json())
+    assert run("convert", path, path) == 2
+    assert "name another file" in capsys.readouterr().err
+
+
+def test_a_map_for_ros_and_back(tmp_path: Path) -> None:
+    pytest.importorskip("mecp_env.world.importers")
+    assert run("convert", "twins", tmp_path / "twins.yaml", "--map-resolution-m", "0.05") == 0
+    assert {path.suffix for path in tmp_path.iterdir()} == {".yaml", ".pgm"}
+    assert run("convert", tmp_path / "twins.yaml", tmp_path / "twins.json") == 0
+    back = load_layout(tmp_path / "twins.json")
+    assert (len(back.rooms), len(back.doors)) == (8, 8)
+    assert run("draw", tmp_path / "twins.yaml", "--out", tmp_path / "twins.png", "--dpi", "50") == 0
+
+
+def test_an_image_is_told_its_resolution(tmp_path: Path, capsys: Said) -> None:
+    pytest.importorskip("mecp_env.world.importers")
+    assert run("convert", "two_rooms", tmp_path / "map.yaml") == 0
+    (tmp_path / "map.yaml").unlink()
+    image, out = tmp_path / "map.pgm", tmp_path / "map.json"
+    assert run("convert", image, out) == 2
+    assert "resolution_m" in capsys.readouterr().err
+    assert run("convert", image, out, "--resolution-m", "0.05") == 0
+    assert len(load_layout(out).rooms) == 2
+    assert run("validate", image, "--resolution-m", "0.05") == 0
+    assert run("stats", image, "--resolution-m", "99") == 2
+    assert "resolution_m" in capsys.readouterr().err
+
+
+def test_a_drawing_to_scale(tmp_path: Path) -> None:
+    pytest.importorskip("mecp_env.world.exporters")
+    assert run("convert", "paper", tmp_path / "paper.svg") == 0
+    assert ET.parse(tmp_path / "paper.svg").getroot().tag.endswith("svg")
+
+
 def test_figures_are_told_as_a_table(capsys: Said) -> None:
     assert run("stats", "paper", "easy:0-4") == 0
     said = capsys.readouterr().out
