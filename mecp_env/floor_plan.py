@@ -33,6 +33,7 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
         LineString(wall.points).buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
         for wall in layout.walls
     ]
+    walls += [Polygon(solid.outer, solid.holes) for solid in getattr(layout, "solids", ())]
     return FloorPlan(
         name=title or layout.name,
         walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),
