@@ -9,7 +9,18 @@ import shapely
 from shapely.geometry import LineString, Point, Polygon
 
 from mecp_env.errors import LayoutError
-from mecp_env.world.outline import ROBOT_RADIUS_M, Outline, build_outline, obstacle_shape, reachable, wall_lines
+from mecp_env.world.outline import (
+    GAP_POST_M,
+    ROBOT_RADIUS_M,
+    Outline,
+    build_outline,
+    door_ring,
+    obstacle_shape,
+    reachable,
+    require_walls,
+    solid_shape,
+    wall_lines,
+)
 from mecp_env.world.schema import Door, Layout, Pillar
 
 ON_LINE_M = 0.01
@@ -19,16 +30,19 @@ GRID_M = 1e-6  # without one, GEOS finds rooms that touch along a slanted wall t
 DOORSTEP_M = 0.15  # what lies so near to a room's border may be its doorway
 MAX_PAIRS = 200_000  # every wall counts with itself, and every pair twice
 CHUNK = 100
+OPEN_SHARE = 0.9  # of a doorway that is a gap
 
 
 def check_geometry(layout: Layout) -> Layout:
     """`layout` itself. Raises LayoutError with the field, the value and the bound of what is impossible."""
     _check_rooms(layout)
+    _check_solids(layout)
     _check_obstacles(layout)
     _check_crowding(layout)
     _check_doors(layout)
     try:
         outline = build_outline(layout)
+        _check_gaps(layout, outline)
         _check_starts(layout, outline)
         _check_reach(layout, outline)
     except shapely.errors.GEOSException as error:
@@ -49,6 +63,11 @@ def _check_rooms(layout: Layout) -> None:
             raise LayoutError(f"rooms.{i}.polygon: shares {shared:.2f} m2 with rooms.{j}, at most {OVERLAP_M2} m2")
 
 
+def _check_solids(layout: Layout) -> None:
+    for i, solid in enumerate(layout.solids):
+        _require_simple(solid_shape(solid), f"solids.{i}")
+
+
 def _check_obstacles(layout: Layout) -> None:
     for i, obstacle in enumerate(layout.obstacles):
         if not isinstance(obstacle, Pillar):
@@ -57,7 +76,7 @@ def _check_obstacles(layout: Layout) -> None:
 
 def _check_crowding(layout: Layout) -> None:
     """The boxes around walls and obstacles overlap seldom enough for their union to be quick."""
-    shapes = [*wall_lines(layout)[0], *map(obstacle_shape, layout.obstacles)]
+    shapes = [*wall_lines(layout)[0], *map(obstacle_shape, layout.obstacles), *map(solid_shape, layout.solids)]
     tree, pairs = shapely.STRtree(shapes), 0
     for first in range(0, len(shapes), CHUNK):
         pairs += tree.query(shapes[first : first + CHUNK]).shape[1]
@@ -71,10 +90,14 @@ def _require_simple(shape: Polygon, field: str) -> None:
 
 
 def _check_doors(layout: Layout) -> None:
+    require_walls(layout)
     lines, thickness = wall_lines(layout)
     tree = shapely.STRtree(lines)
     for i, door in enumerate(layout.doors):
         _check_door_rooms(layout, door, i)
+        if door.depth_m is not None:
+            _check_door_sides(layout, door, door.depth_m, i)
+            continue
         nearest = int(tree.nearest(Point(door.centre)))
         _check_door_wall(door, lines[nearest], i)
         _check_door_sides(layout, door, thickness[nearest], i)
@@ -114,6 +137,19 @@ def _check_door_sides(layout: Layout, door: Door, thickness: float, index: int) 
         if not Polygon(room.polygon).contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
             raise LayoutError(f"doors.{index}.centre: {door.centre} is not between its rooms, {beside}")
+
+
+def _check_gaps(layout: Layout, outline: Outline) -> None:
+    """A gap is open, and there is a wall at either end of its width."""
+    for i in np.flatnonzero(outline.doors.gap).tolist():
+        ring = door_ring(outline.doors, i, 0.0)
+        open_share = Polygon(ring).intersection(outline.free_area).area / Polygon(ring).area
+        if open_share < OPEN_SHARE:
+            raise LayoutError(f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}")
+        ends = shapely.points([ring[:2].mean(axis=0), ring[2:].mean(axis=0)])
+        off = float(outline.free_area.boundary.distance(ends).max())
+        if off > GAP_POST_M:
+            raise LayoutError(f"doors.{i}.width_m: an end is {off:.2f} m from a wall, at most {GAP_POST_M} m")
 
 
 def _check_starts(layout: Layout, outline: Outline) -> None:

@@ -19,7 +19,7 @@ from shapely.geometry.polygon import orient
 
 from mecp_env.errors import LayoutError
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.world.schema import Box, Layout, Obstacle, Pillar
+from mecp_env.world.schema import Box, Layout, Obstacle, Pillar, Solid
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,6 +28,7 @@ Bools = NDArray[np.bool_]
 ROBOT_RADIUS_M = 0.22  # the paper's robot
 SNAP_M = 1e-6  # the free area is rounded to this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
+GAP_POST_M = 0.12  # between a corner of a gap and the convex corner that is its post
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 CIRCLE_SIDES = 32  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
 
@@ -56,7 +57,8 @@ class Doors:
     width: Array  # (d,) m
     normal: Array  # (d,) rad, heading of a walk from rooms[:, 0] to rooms[:, 1]
     rooms: Ints  # (d,2) room indices
-    thickness: Array  # (d,) m, of the wall it is cut from
+    thickness: Array  # (d,) m, of the wall it is cut from, or the depth of the gap
+    gap: Bools  # (d,) a gap of the solids, not cut
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -161,24 +163,46 @@ def _rotation(angle: float) -> Array:
 
 
 def _doors(layout: Layout) -> Doors:
-    """The doors with the thickness of the wall that each is cut from."""
-    lines, thickness = wall_lines(layout)
+    """The doors with the thickness of the wall that each is cut from. Raises LayoutError for a cut without a wall."""
     centres = np.array([door.centre for door in layout.doors]).reshape(-1, 2)
-    _, nearest = shapely.STRtree(lines).query_nearest(shapely.points(centres), all_matches=False)
     rooms = [(layout.room_index(door.rooms[0]), layout.room_index(door.rooms[1])) for door in layout.doors]
     return Doors(
         centre=centres,
         width=np.array([door.width_m for door in layout.doors]),
         normal=np.array([wrap_angle(math.radians(door.direction_deg)) for door in layout.doors]),
         rooms=np.array(rooms, dtype=np.int64).reshape(-1, 2),
-        thickness=thickness[nearest],
+        thickness=_door_thickness(layout, centres),
+        gap=np.array([door.opening == "gap" for door in layout.doors], dtype=np.bool_),
     )
+
+
+def _door_thickness(layout: Layout, centres: Array) -> Array:
+    """Thickness (d,) of the wall nearest to each door; of a gap its depth."""
+    lines, thickness = wall_lines(layout)
+    depth = np.array([door.depth_m or 0.0 for door in layout.doors])
+    if not lines:
+        require_walls(layout)
+        return depth
+    _, nearest = shapely.STRtree(lines).query_nearest(shapely.points(centres), all_matches=False)
+    return np.where(depth > 0.0, depth, thickness[nearest])
+
+
+def require_walls(layout: Layout) -> None:
+    """Raises LayoutError for a door that is cut out of a wall where the layout has none."""
+    cut = next((i for i, door in enumerate(layout.doors) if door.opening == "cut" and not layout.walls), None)
+    if cut is not None:
+        raise LayoutError(f"doors.{cut}.opening: cut, but there is no wall to cut it from; solids have gaps")
+
+
+def solid_shape(solid: Solid) -> Polygon:
+    """The wall material of a solid."""
+    return Polygon(solid.outer, solid.holes)
 
 
 def _free_area(layout: Layout, doors: Doors) -> Polygon:
     """The free space around the first start."""
-    cuts = [Polygon(_door_ring(doors, i, 0.02)) for i in range(len(doors))]
-    blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
+    cuts = [Polygon(door_ring(doors, i, 0.02)) for i in np.flatnonzero(~doors.gap).tolist()]
+    blocks = [*map(obstacle_shape, layout.obstacles), *map(solid_shape, layout.solids)]
     solids = shapely.difference(shapely.union_all(_wall_solids(layout)), shapely.union_all(cuts))
     solids = shapely.union(solids, shapely.union_all(blocks))
     x0, y0, x1, y1 = solids.bounds
@@ -189,14 +213,14 @@ def _free_area(layout: Layout, doors: Doors) -> Polygon:
 
 def _wall_solids(layout: Layout) -> NDArray[np.object_]:
     """The solid of each wall, with square ends and mitred corners."""
-    lines = np.array([LineString(wall.points) for wall in layout.walls])
+    lines = np.array([LineString(wall.points) for wall in layout.walls], dtype=np.object_)
     half = np.array([wall.thickness_m / 2.0 for wall in layout.walls])
     solids: NDArray[np.object_] = shapely.buffer(lines, half, cap_style="square", join_style="mitre")
     return solids
 
 
-def _door_ring(doors: Doors, index: int, overhang_m: float) -> Array:
-    """Corners (4,2) of the cut of a door; `overhang_m` beyond either face of the wall."""
+def door_ring(doors: Doors, index: int, overhang_m: float) -> Array:
+    """Corners (4,2) of the doorway; `overhang_m` beyond either face of the wall."""
     half = np.array([doors.thickness[index] / 2.0 + overhang_m, doors.width[index] / 2.0])
     ring = SQUARE * half
     turned: Array = doors.centre[index] + ring @ _rotation(float(doors.normal[index])).T
@@ -248,10 +272,11 @@ def _corners(segments: Array, before: Ints, is_round: Bools, doors: Doors, rooms
     p_world = np.ascontiguousarray(second[:, 0])
     normals = np.column_stack([np.arctan2(u[:, 0], -u[:, 1]), np.arctan2(v[:, 0], -v[:, 1])])
     towards_free = np.column_stack([np.cos(normals).sum(axis=1), np.sin(normals).sum(axis=1)])
-    door = _door_of(p_world, doors)
+    convex = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0
+    door = _door_of(p_world, convex, doors)
     return TrueCorners(
         p_world=p_world,
-        convex=u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0,
+        convex=convex,
         faces=np.column_stack([np.hypot(*u.T), np.hypot(*v.T)]),
         jamb=door >= 0,
         normals=normals,
@@ -260,12 +285,18 @@ def _corners(segments: Array, before: Ints, is_round: Bools, doors: Doors, rooms
     )
 
 
-def _door_of(p_world: Array, doors: Doors) -> Ints:
-    """Index (n,) of the door that has a post at each point, or -1."""
+def _door_of(p_world: Array, convex: Bools, doors: Doors) -> Ints:
+    """Index (n,) of the door that has a post at each point, or -1.
+
+    The posts of a gap are the convex corners nearest to its own four: what was drawn or measured is not quite square.
+    """
     door = np.full(len(p_world), -1, dtype=np.int64)
     for index in range(len(doors)):
-        gaps = np.linalg.norm(p_world[:, None] - _door_ring(doors, index, 0.0)[None], axis=2)
-        door[np.any(gaps < SAME_M, axis=1)] = index
+        far = np.linalg.norm(p_world[:, None] - door_ring(doors, index, 0.0)[None], axis=2)
+        if doors.gap[index]:
+            far[~convex] = np.inf
+            far[far > far.min(axis=0, initial=GAP_POST_M)] = np.inf
+        door[np.any(far < (GAP_POST_M if doors.gap[index] else SAME_M), axis=1)] = index
     return door
 
 

@@ -5,19 +5,30 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from mecp_env.errors import LayoutError
 from mecp_env.settings import describe
 
 EXTENT_M = 1000.0
 MAX_WALLS = 10_000
+MAX_SOLID_POINTS = 20_000
 
 Length = Annotated[float, Strict(), Field(ge=-EXTENT_M, le=EXTENT_M)]
 Size = Annotated[float, Strict(), Field(ge=0.02, le=EXTENT_M)]
 Degrees = Annotated[float, Strict(), Field(ge=-360.0, le=360.0)]
 Point = tuple[Length, Length]
 Ring = Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)]
+LongRing = Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_SOLID_POINTS)]
 Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 
@@ -39,6 +50,13 @@ class Wall(_Part):
         return self
 
 
+class Solid(_Part):
+    """Wall material of any shape: what lies inside of `outer` and in none of the holes."""
+
+    outer: LongRing
+    holes: Annotated[tuple[LongRing, ...], Field(max_length=MAX_WALLS)] = ()
+
+
 class Room(_Part):
     """A room: its name and the polygon of its floor, drawn up to the middle of its walls."""
 
@@ -47,12 +65,20 @@ class Room(_Part):
 
 
 class Door(_Part):
-    """A doorway cut out of a wall."""
+    """A doorway: cut out of a wall, or a gap that the solids leave open."""
 
-    centre: Point  # on the middle line of a wall
+    centre: Point  # on the middle line of a wall; the middle of a gap
     width_m: Annotated[float, Strict(), Field(ge=0.1, le=20.0)] = 0.9
     rooms: tuple[Name, Name]
     direction_deg: Degrees  # heading of somebody who walks from the first room to the second
+    opening: Literal["cut", "gap"] = "cut"
+    depth_m: Annotated[float, Strict(), Field(ge=0.01, le=5.0)] | None = None  # of a gap: how thick its wall is
+
+    @model_validator(mode="after")
+    def _has_depth(self) -> Self:
+        if (self.opening == "gap") != (self.depth_m is not None):
+            raise ValueError("a gap has depth_m, a cut has none: its wall has a thickness")
+        return self
 
 
 class Box(_Part):
@@ -96,7 +122,8 @@ class Layout(_Part):
     version: Literal[1] = 1
     name: Name
     description: Annotated[str, Field(max_length=2000)] = ""
-    walls: Annotated[tuple[Wall, ...], Field(min_length=1, max_length=MAX_WALLS)]
+    solids: Annotated[tuple[Solid, ...], Field(max_length=MAX_WALLS)] = ()
+    walls: Annotated[tuple[Wall, ...], Field(max_length=MAX_WALLS)]
     rooms: Annotated[tuple[Room, ...], Field(min_length=1, max_length=1000)]
     doors: Annotated[tuple[Door, ...], Field(max_length=2000)] = ()
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MAX_WALLS)] = ()
@@ -108,6 +135,21 @@ class Layout(_Part):
         except ValidationError as error:
             raise LayoutError(describe(error, "layout")) from None
 
+    @field_validator("solids")
+    @classmethod
+    def _are_few_points(cls, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
+        points = sum(len(ring) for solid in solids for ring in (solid.outer, *solid.holes))
+        if points > MAX_SOLID_POINTS:
+            raise ValueError(f"{points} points, at most {MAX_SOLID_POINTS}")
+        return solids
+
+    @field_validator("walls")
+    @classmethod
+    def _has_some_material(cls, walls: tuple[Wall, ...], info: ValidationInfo) -> tuple[Wall, ...]:
+        if not walls and not info.data.get("solids"):
+            raise ValueError("Tuple should have at least 1 item, for there are no solids")
+        return walls
+
     def room_index(self, name: str) -> int:
         """Index of the room called `name`, or -1."""
         return next((i for i, room in enumerate(self.rooms) if room.name == name), -1)
@@ -115,8 +157,16 @@ class Layout(_Part):
     def to_json(self) -> str:
         """The layout as a JSON text that a person can read: one wall, room, door, obstacle or start a line."""
         document = self.model_dump(mode="json")
+        document |= {"doors": [_without_defaults(door) for door in document["doors"]]}
+        if not document["solids"]:
+            del document["solids"]
         parts = [f"  {json.dumps(key)}: {_lines(value)}" for key, value in document.items()]
         return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _without_defaults(door: dict[str, Any]) -> dict[str, Any]:
+    """The JSON of a door; one that is cut is written as it was before there were gaps."""
+    return {key: value for key, value in door.items() if door["opening"] == "gap" or key not in ("opening", "depth_m")}
 
 
 def _lines(value: Any) -> str:
