@@ -141,13 +141,15 @@ def _check_door_sides(layout: Layout, door: Door, thickness: float, index: int) 
 
 def _check_gaps(layout: Layout, outline: Outline) -> None:
     """A gap is open, and there is a wall at either end of its width."""
+    free = outline.free_area
+    shapely.prepare(free)
     for i in np.flatnonzero(outline.doors.gap).tolist():
         ring = door_ring(outline.doors, i, 0.0)
-        open_share = Polygon(ring).intersection(outline.free_area).area / Polygon(ring).area
+        open_share = 1.0 if free.covers(Polygon(ring)) else Polygon(ring).intersection(free).area / Polygon(ring).area
         if open_share < OPEN_SHARE:
             raise LayoutError(f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}")
         ends = shapely.points([ring[:2].mean(axis=0), ring[2:].mean(axis=0)])
-        off = float(outline.free_area.boundary.distance(ends).max())
+        off = float(free.boundary.distance(ends).max())
         if off > GAP_POST_M:
             raise LayoutError(f"doors.{i}.width_m: an end is {off:.2f} m from a wall, at most {GAP_POST_M} m")
 

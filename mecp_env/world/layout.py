@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,10 @@ def _parse(given: str | Path | dict[str, Any] | Layout) -> Layout:
     if isinstance(given, Layout):
         return given
     if isinstance(given, str | Path):
-        given = _decode(_read(given))
+        given = decode_json(_read(given))
     if not isinstance(given, dict):
         raise LayoutError(f"expected a name, a path, a dict or a Layout, given {type(given).__name__}")
-    _check_depth(given)
+    check_depth(given)
     if not all(isinstance(key, str) for key in given):
         raise LayoutError("keys of a layout are strings")
     return Layout(**given)
@@ -66,26 +67,31 @@ def _read(given: str | Path) -> bytes:
         raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
 
 
-def _decode(data: bytes) -> Any:
+def decode_json(data: bytes) -> dict[str, Any]:
+    """The object of a JSON text. Raises LayoutError for other JSON, keys given twice and nesting too deep."""
     try:
-        return json.loads(data.decode("utf-8"), object_pairs_hook=_unique)
+        document = json.loads(data.decode("utf-8"), object_pairs_hook=_unique)
     except LayoutError:
         raise
     except RecursionError:
         raise LayoutError(f"nested too deeply, at most {MAX_DEPTH} levels") from None
     except ValueError as error:  # neither UTF-8 nor JSON
         raise LayoutError(f"no JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise LayoutError(f"expected an object, given {type(document).__name__}")
+    check_depth(document)
+    return document
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     document = dict(pairs)
     if len(document) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise LayoutError(f"{next(key for key in keys if keys.count(key) > 1)}: given twice")
+        raise LayoutError(f"{Counter(key for key, _ in pairs).most_common(1)[0][0]:.80}: given twice")
     return document
 
 
-def _check_depth(document: dict[str, Any]) -> None:
+def check_depth(document: dict[str, Any]) -> None:
+    """Raises LayoutError for an object nested too deeply."""
     level: list[Any] = [document]
     for _ in range(MAX_DEPTH):
         level = [child for parent in level for child in _children(parent)]

@@ -18,6 +18,7 @@ from shapely.geometry import Polygon
 
 from mecp_env.errors import LayoutError, MecpError
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
+from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Box, Pillar
 from tests.world.conftest import DOCUMENTS
 
@@ -276,3 +277,67 @@ def test_the_schema_is_public() -> None:
     schema = Layout.model_json_schema()
     assert set(schema["required"]) == {"name", "walls", "rooms", "starts"}
     assert schema["additionalProperties"] is False
+
+
+def solid_house() -> Document:
+    """Two rooms of 4 x 3 m in one solid, the wall of 0.1 m between them with a gap of 0.9 m."""
+    west = [[4, 1.9], [4, 3], [0, 3], [0, 0], [4, 0], [4, 1]]
+    floor = [*west, [4.1, 1], [4.1, 0], [8.1, 0], [8.1, 3], [4.1, 3], [4.1, 1.9]]
+    gap = {"centre": [4.05, 1.45], "width_m": 0.9, "rooms": ["west", "east"], "direction_deg": 0}
+    return {
+        "name": "solid",
+        "solids": [{"outer": [[-1, -1], [9, -1], [9, 4], [-1, 4]], "holes": [floor]}],
+        "walls": [],
+        "rooms": [
+            {"name": "west", "polygon": [[0, 0], [4.05, 0], [4.05, 3], [0, 3]]},
+            {"name": "east", "polygon": [[4.05, 0], [8.1, 0], [8.1, 3], [4.05, 3]]},
+        ],
+        "doors": [gap | {"opening": "gap", "depth_m": 0.1}],
+        "starts": [{"point": [2, 1.5]}],
+    }
+
+
+def test_solids_with_a_gap_are_as_good_as_walls_with_a_cut() -> None:
+    layout = load_layout(solid_house())
+    outline = build_outline(layout)
+    assert (len(outline.segments), outline.corners.jamb.sum()) == (12, 4)
+    assert outline.doors.thickness == pytest.approx([0.1])
+    assert outline.free_area.area == pytest.approx(24.09)
+    assert load_layout(json.loads(layout.to_json())) == layout
+
+
+def test_posts_of_a_gap_may_be_a_little_off() -> None:
+    document = solid_house()
+    replace("solids.0.holes.0.5", [4, 1.05])(document)
+    replace("doors.0.width_m", 0.87)(document)
+    assert build_outline(load_layout(document)).corners.jamb.sum() == 4
+
+
+BAD_SOLIDS = {
+    "crosses itself": (replace("solids.0.holes.0", BOW_TIE), r"solids\.0: not a simple polygon"),
+    "hole outside": (replace("solids.0.holes.0.3", [-3, 0]), r"solids\.0: not a simple polygon"),
+    "nothing at all": (replace("solids", []), r"layout\.walls: .*at least 1 item"),
+    "too many points": (replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2), r"solids: .*24000 points"),
+    "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
+    "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
+    "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
+    "gap in the open": (replace("doors.0.width_m", 0.5), r"doors\.0\.width_m: an end is 0\.20 m from a wall, at most"),
+    "gap to nowhere": (replace("doors.0.rooms.1", "north"), r"doors\.0\.rooms\.1: no room is called 'north'"),
+    "gap the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre: .*not between its rooms"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_SOLIDS)
+def test_bad_solids_are_refused_with_their_field(name: str) -> None:
+    document = solid_house()
+    spoil, message = BAD_SOLIDS[name]
+    spoil(document)
+    with pytest.raises(LayoutError, match=message):
+        load_layout(document)
+
+
+def test_a_cut_needs_a_wall() -> None:
+    document = solid_house()
+    document["doors"][0] |= {"opening": "cut", "depth_m": None}
+    with pytest.raises(LayoutError, match=r"doors\.0\.opening: cut, but there is no wall"):
+        load_layout(document)
