@@ -1,0 +1,141 @@
+"""From the floor that an importer read to a layout: cleaned, straightened, parted into rooms, walled in."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import shapely
+from shapely.geometry import Point, Polygon
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.checks import check_geometry
+from mecp_env.world.importers.clean import largest_part, reachable_floor
+from mecp_env.world.importers.doors_of import Gap, Walls, find_doors, is_between_walls, measure, without_furniture
+from mecp_env.world.importers.options import FreeSpace, PlanOptions
+from mecp_env.world.importers.rooms_of import split
+from mecp_env.world.importers.straighten import directions, straightened, thinned
+from mecp_env.world.outline import ROBOT_RADIUS_M
+from mecp_env.world.schema import Layout
+
+MAX_VERTICES = 50_000  # of a floor as it was read
+MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
+RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
+MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
+MAX_FACES = 2_500  # of a floor drawn as coarsely as that
+MANY_CORNERS = 900  # of a room
+WALL_M = 0.15  # thickness of the walls around the building
+MOST_STARTS = 4
+START_CLEAR_M = 0.4  # between a start and every wall, where there is room
+MATCH = 0.3  # share of overlap from which a room has the name of a box
+
+
+def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
+    """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
+    _require_few(plan.area, MAX_VERTICES)
+    _require_few(thinned(plan.area, plan.noise_m), MAX_THINNED)
+    area = _drawn(reachable_floor(plan.area), plan.noise_m, options)
+    axes = directions(area)
+    rooms = split(area, _doors(area, axes, plan, options), options)
+    names = _names(rooms.floors, plan.labels)
+    return check_geometry(
+        Layout(
+            name=plan.name,
+            description=plan.description,
+            solids=_solids(area),
+            walls=[],
+            rooms=[{"name": n, "polygon": _outline(f)} for n, f in zip(names, rooms.floors, strict=True)],
+            doors=[_door(door, (names[a], names[b])) for door, (a, b) in zip(rooms.doors, rooms.sides, strict=True)],
+            starts=_starts(area, rooms.floors),
+        )
+    )
+
+
+def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
+    """`floor` with straight edges; a ragged one is drawn more coarsely. Raises LayoutError when it stays ragged."""
+    noises = [noise_m, *(noise for noise in RAGGED_NOISES_M if noise > noise_m)]
+    _require_few(thinned(floor, noises[-1]), MAX_FACES)
+    chosen = next((noise for noise in noises if not _is_ragged(thinned(floor, noise))), noises[-1])
+    return reachable_floor(straightened(floor, chosen, options.straighten))
+
+
+def _is_ragged(floor: Polygon) -> bool:
+    """Whether its edges are many and short."""
+    count = int(shapely.get_num_coordinates(floor))
+    return count > MANY_FACES and floor.length / count < SHORT_EDGE_M
+
+
+def _require_few(area: Polygon, most: int) -> None:
+    count = int(shapely.get_num_coordinates(area))
+    if count > most:
+        raise LayoutError(f"the floor has {count} vertices, at most {most}")
+
+
+def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: PlanOptions) -> list[Gap]:
+    """The doors that the plan names, or else those that are found; the robot can drive through each."""
+    if plan.crossings is None:
+        gaps = find_doors(area, axes, options)
+    else:
+        walls = Walls.around(without_furniture(area))
+        gaps = [gap for crossing in plan.crossings if (gap := measure(crossing, walls, axes, options))]
+    reach = area.buffer(-ROBOT_RADIUS_M, quad_segs=4)
+    return [gap for gap in gaps if is_between_walls(gap, area) and reach.intersects(Point(gap.centre))]
+
+
+def _names(floors: list[Polygon], labels: tuple[tuple[str, Polygon], ...]) -> list[str]:
+    """A name for each floor: of the label that it overlaps best, numbered where there are more; else room 1, 2, ..."""
+    plain = [_best_label(floor, labels) or f"room {i}" for i, floor in enumerate(floors, 1)]
+    seen: Counter[str] = Counter()
+    names = []
+    for name in plain:
+        seen[name] += 1
+        names.append(name if seen[name] == 1 else f"{name} {seen[name]}")
+    return names
+
+
+def _best_label(floor: Polygon, labels: tuple[tuple[str, Polygon], ...]) -> str | None:
+    shares = [floor.intersection(box).area / floor.union(box).area for _, box in labels]
+    best = int(np.argmax(shares)) if shares else -1
+    return labels[best][0] if shares and shares[best] >= MATCH else None
+
+
+def _ring(ring: shapely.LinearRing) -> list[tuple[float, float]]:
+    return [(x, y) for x, y in np.array(ring.coords)[:-1].tolist()]
+
+
+def _outline(floor: Polygon) -> list[tuple[float, float]]:
+    """The ring of a room, of a ragged one as coarsely as a layout needs."""
+    step = 0.0
+    while len(floor.exterior.coords) > MANY_CORNERS:
+        step += 0.05
+        floor = floor.simplify(step)
+    return _ring(floor.exterior)
+
+
+def _solids(area: Polygon) -> list[dict[str, object]]:
+    """A wall around the floor, and what stands in it."""
+    around = largest_part(Polygon(area.exterior).buffer(WALL_M, join_style="mitre", mitre_limit=2.0))
+    walls: dict[str, object] = {"outer": _ring(around.exterior), "holes": [_ring(area.exterior)]}
+    islands: list[dict[str, object]] = [{"outer": _ring(hole)} for hole in area.interiors]
+    return [walls, *islands]
+
+
+def _door(gap: Gap, rooms: tuple[str, str]) -> dict[str, object]:
+    heading = math.degrees(math.atan2(gap.through[1], gap.through[0]))
+    return {
+        "centre": tuple(gap.centre.tolist()),
+        "width_m": gap.width_m,
+        "rooms": rooms,
+        "direction_deg": heading,
+        "opening": "gap",
+        "depth_m": gap.depth_m,
+    }
+
+
+def _starts(area: Polygon, floors: list[Polygon]) -> list[dict[str, object]]:
+    """The middle of each of the largest rooms; the first is the widest place of all that can be reached."""
+    largest = sorted(floors, key=lambda floor: -floor.area)[:MOST_STARTS]
+    circles = [shapely.maximum_inscribed_circle(floor.intersection(area), tolerance=0.05) for floor in largest]
+    wide = [circle for circle in circles if circle.length >= START_CLEAR_M] or circles[:1]
+    return [{"point": circle.coords[0], "heading_deg": 0.0} for circle in wide]

@@ -1,0 +1,102 @@
+"""Labelled images: black is wall, white a closed door, every other colour a room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.importers.files import read_image
+from mecp_env.world.importers.options import Crossing, FreeSpace, PlanOptions
+from mecp_env.world.importers.vectorise import MAX_CELLS, Placement, floor_polygon
+
+MAX_PARTS = 2_000  # rooms, or doors, of an image
+SMALLEST_CELLS = 12  # a patch of fewer pixels is the blurred edge of another
+
+Labels = NDArray[np.int64]
+WALL, DOOR = 0, 1  # rooms are 2, 3, ...
+
+
+def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
+    """The floor of a labelled image, and its doors: white patches that part two rooms.
+
+    Raises LayoutError where two rooms touch without a door, and for a door that does not join two rooms.
+    """
+    if options.resolution_m is None:
+        raise LayoutError("resolution_m: metres a pixel are missing; give them")
+    image = read_image(path)
+    if image.width * image.height > MAX_CELLS:
+        raise LayoutError(f"image: {image.width} x {image.height} pixels, at most {MAX_CELLS} with labels")
+    labels = _labels(image)
+    _check_closed(labels)
+    placement = Placement(options.resolution_m)
+    area = floor_polygon(labels != WALL, placement)
+    note = f"From {path.name}, labelled: {options.resolution_m:g} m a pixel."
+    return FreeSpace(path.stem, note, area, placement.noise_m, crossings=_crossings(labels, placement))
+
+
+def _labels(image: Image.Image) -> Labels:
+    """The label (h,w) of each pixel; patches of one colour that do not touch are two rooms."""
+    channels = np.asarray(image.convert("RGBA")).astype(np.int64)
+    colour = (channels[..., 0] << 16) + (channels[..., 1] << 8) + channels[..., 2]
+    colour[channels[..., 3] < 255] = 0
+    values, codes = np.unique(colour, return_inverse=True)
+    if len(values) > MAX_PARTS:
+        raise LayoutError(f"image: {len(values)} colours, at most {MAX_PARTS}; save it without blur or compression")
+    labels = np.where(colour == 0xFFFFFF, DOOR, WALL).astype(np.int64)
+    code_of = np.where((values != 0) & (values != 0xFFFFFF), np.arange(1, len(values) + 1), 0)
+    boxes = ndimage.find_objects(code_of[codes.reshape(colour.shape)])
+    for code, place in enumerate(boxes, 1):
+        if place is not None:
+            _number_patches(labels[place], codes.reshape(colour.shape)[place] == code - 1, int(labels.max()))
+    return labels
+
+
+def _number_patches(labels: Labels, here: NDArray[np.bool_], last: int) -> None:
+    """Give each patch of `here` (h,w) a number of its own above `last`, in place; the small ones stay walls."""
+    patches, count = ndimage.label(here)
+    if last + count > MAX_PARTS:
+        raise LayoutError(f"image: more than {MAX_PARTS} rooms")
+    sizes = np.bincount(patches.ravel())
+    number = np.where(sizes >= SMALLEST_CELLS, np.arange(len(sizes)) + max(last, DOOR), WALL)
+    labels[here] = number[patches[here]]
+
+
+def _check_closed(labels: Labels) -> None:
+    """Rooms touch no other room."""
+    for first, second in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+        open_edge = (first > DOOR) & (second > DOOR) & (first != second)
+        if open_edge.any():
+            row, column = np.argwhere(open_edge)[0].tolist()
+            raise LayoutError(f"image: two rooms touch at column {column}, row {row}; close them by a white door line")
+
+
+def _crossings(labels: Labels, placement: Placement) -> tuple[Crossing, ...]:
+    doors, count = ndimage.label(labels == DOOR, structure=np.ones((3, 3)))
+    if count > MAX_PARTS:
+        raise LayoutError(f"image: {count} doors, at most {MAX_PARTS}")
+    found: list[Any] = [_crossing(labels, doors, i, place) for i, place in enumerate(ndimage.find_objects(doors), 1)]
+    to_world = np.array([1.0, -1.0]), np.array([0.5, len(labels) - 0.5])  # row from above to row from below
+    return tuple(
+        Crossing(placement.to_world((middle * to_world[0] + to_world[1])[None])[0], along * to_world[0])
+        for middle, along in found
+    )
+
+
+def _crossing(labels: Labels, doors: Any, index: int, place: Any) -> tuple[Any, Any]:
+    """Middle and direction, column and row, of a door: along the edges that it shares with its two rooms."""
+    top, left = max(place[0].start - 1, 0), max(place[1].start - 1, 0)
+    window = np.s_[top : place[0].stop + 1, left : place[1].stop + 1]
+    beside = ndimage.binary_dilation(doors[window] == index, np.ones((3, 3), dtype=np.bool_)) & (labels[window] > DOOR)
+    rooms = np.unique(labels[window][beside])
+    if len(rooms) != 2:
+        raise LayoutError(f"image: the door at column {left + 1}, row {top + 1} joins {len(rooms)} rooms, 2 expected")
+    edges = [np.argwhere(beside & (labels[window] == room))[:, ::-1].astype(np.float64) for room in rooms]
+    spread = np.concatenate([edge - edge.mean(axis=0) for edge in edges])
+    along = np.linalg.eigh(spread.T @ spread)[1][:, -1]
+    return (edges[0].mean(axis=0) + edges[1].mean(axis=0)) / 2.0 + (left, top), along

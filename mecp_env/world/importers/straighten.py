@@ -1,0 +1,225 @@
+"""Edges as a draughtsman would draw them: staircases made straight, edges turned to the building's directions.
+
+A ring is thinned (Douglas-Peucker), each of its edges becomes a line: along a direction of the building where that
+stays near to what was drawn, else through its two ends. Lines that go the same way at nearly the same offset are one.
+The corners are where neighbouring lines cross.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+from shapely.geometry.polygon import orient
+
+Array = NDArray[np.float64]
+
+BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
+THIN = 0.75  # of the noise, for the vertices that stay
+AXES = 3  # directions that a building may have, each with its square
+AXIS_SHARE = 0.12  # of the length of all edges, for a direction to be one of the building
+ONE_AXIS, OTHER_AXIS = math.radians(2.0), math.radians(10.0)  # edges nearer are of one, further of another direction
+BINS, SPREAD = 360, 6  # of a quarter of a degree; a peak is so many bins wide on either side
+LEVEL = math.radians(0.25)  # a building turned by less stands along x and y
+NEAR_AXIS = math.radians(40.0)  # no edge is turned by more
+BLUNT = math.radians(20.0)  # lines that meet at less have their corner where it was drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """An edge on its way to be straight."""
+
+    angle: float  # rad, along the ring
+    offset: float  # m, of the line from the origin, to the left of its direction
+    length: float  # m
+    middle: Array  # (2,) m, of what was drawn
+    end: Array  # (2,) m, the corner drawn between this edge and the next
+    on_axis: bool
+
+
+def straightened(area: Polygon, noise_m: float, turn: bool = True) -> Polygon:
+    """`area` with straight edges, none further than about twice `noise_m` from where it was; `turn` to directions."""
+    drawn = _from_corners(area)
+    thin = thinned(drawn, noise_m)
+    if not turn:
+        return thin
+    axes = directions(thin)
+    rings = [_lines(chains, noise_m, axes) for chains in map(_chains, _rings(drawn), _rings(thin))]
+    rings = _aligned([_merged(_squared(lines, noise_m), noise_m) for lines in rings], noise_m)
+    corners = [_corners(lines, noise_m) for lines in rings]
+    return _checked(corners, thin, noise_m)
+
+
+def thinned(area: Polygon, noise_m: float) -> Polygon:
+    """`area` without the vertices that lie less than a share of `noise_m` beside its edges."""
+    return orient(shapely.simplify(area, THIN * noise_m), 1.0)
+
+
+def directions(area: Polygon) -> tuple[float, ...]:
+    """Directions (rad, modulo a right angle) that most edges of `area` have; the main one first."""
+    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
+    length, angle = np.hypot(*edges.T), _quarter(np.arctan2(edges[:, 1], edges[:, 0]))
+    weight = length**2 / (length + 0.5)  # a short edge says little about a direction
+    found: list[float] = []
+    for _ in range(AXES):
+        near = np.abs(_quarter(angle - _peak(angle, weight))) < ONE_AXIS
+        if weight[near].sum() < AXIS_SHARE * length.sum():
+            break
+        first = angle[near][int(np.argmax(weight[near]))]
+        axis = float(_quarter(first + np.average(_quarter(angle[near] - first), weights=weight[near])))
+        found.append(0.0 if abs(axis) < LEVEL else axis)
+        weight = np.where(np.abs(_quarter(angle - axis)) < OTHER_AXIS, 0.0, weight)
+    return tuple(found)
+
+
+def _peak(angle: Array, weight: Array) -> float:
+    """The direction around which most `weight` (n,) lies."""
+    bins = ((angle + math.pi / 4.0) * (BINS / (math.pi / 2.0))).astype(np.int64) % BINS
+    counts = np.bincount(bins, weights=weight, minlength=BINS)
+    spread = sum(np.roll(counts, shift) for shift in range(-SPREAD, SPREAD + 1))
+    return float((int(np.argmax(spread)) + 0.5) * (math.pi / 2.0) / BINS - math.pi / 4.0)
+
+
+def _quarter(angle: Any) -> Any:
+    """`angle` modulo a right angle, in [-pi/4, pi/4)."""
+    return np.mod(angle + math.pi / 4.0, math.pi / 2.0) - math.pi / 4.0
+
+
+def _rings(area: Polygon) -> list[Array]:
+    """The closed rings (n,2) of `area`."""
+    return [np.array(ring.coords) for ring in (area.exterior, *area.interiors)]
+
+
+def _from_corners(area: Polygon) -> Polygon:
+    """`area`, the outline counter-clockwise, with rings that begin at a corner and not amid an edge."""
+    rings = [ring[:-1] for ring in _rings(orient(area, 1.0))]
+    turned = [np.roll(ring, -int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T))), axis=0) for ring in rings]
+    return Polygon(turned[0], turned[1:])
+
+
+def _chains(drawn: Array, thin: Array) -> list[Array]:
+    """The points (n,2) of the ring as `drawn` along each edge of the `thin` one, whose vertices are among them."""
+    place = {point: i for i, point in enumerate(map(tuple, drawn[:-1].tolist()))}
+    ends = [place[point] for point in map(tuple, thin.tolist())]
+    steps = [(b - a) % (len(drawn) - 1) for a, b in pairwise(ends)]
+    if sum(steps) != len(drawn) - 1:  # the ring comes twice to one point
+        return [np.stack(pair) for pair in pairwise(thin)]
+    around = np.concatenate([drawn[:-1], drawn])
+    return [around[a : a + step + 1] for a, step in zip(ends[:-1], steps, strict=True)]
+
+
+def _lines(chains: list[Array], noise_m: float, axes: tuple[float, ...]) -> list[Line]:
+    """The line of each chain, along an axis where it ends less than twice `noise_m` beside its corners."""
+    return [_line(chain, noise_m, axes) for chain in chains]
+
+
+def _line(chain: Array, noise_m: float, axes: tuple[float, ...]) -> Line:
+    step = chain[-1] - chain[0]
+    length, angle = math.hypot(*step), math.atan2(step[1], step[0])
+    off = min((float(_quarter(axis - angle)) for axis in axes), key=abs, default=math.inf)
+    on_axis = abs(off) < NEAR_AXIS and length * abs(math.sin(off)) <= 2.0 * noise_m
+    angle = angle + off if on_axis else angle
+    pieces = np.hypot(*(chain[1:] - chain[:-1]).T)
+    middle = pieces @ (chain[1:] + chain[:-1]) / (2.0 * pieces.sum())
+    return Line(angle, _offset(angle, middle), length, middle, chain[-1], on_axis)
+
+
+def _offset(angle: float, point: Array) -> float:
+    return float(point[1] * math.cos(angle) - point[0] * math.sin(angle))
+
+
+def _squared(lines: list[Line], noise_m: float) -> list[Line]:
+    """`lines` of a ring without bevels between lines that are square to each other; the ends of walls are square."""
+    kept = []
+    for before, line, after in zip([lines[-1], *lines[:-1]], lines, [*lines[1:], lines[0]], strict=True):
+        short = before.on_axis and after.on_axis and not line.on_axis and line.length < BEVEL * noise_m
+        turn = math.cos(before.angle - after.angle)
+        if short and turn < -0.999:
+            square = before.angle + math.copysign(math.pi / 2.0, math.sin(line.angle - before.angle))
+            kept.append(replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True))
+        elif not short or abs(turn) > 0.1:
+            kept.append(line)
+    return kept
+
+
+def _same_way(a: Line, b: Line) -> bool:
+    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) > 0.999
+
+
+def _merged(lines: list[Line], noise_m: float) -> list[Line]:
+    """`lines` of a ring with neighbours that are one line joined; a step is left between others that are parallel."""
+    joined: list[Line] = []
+    for line in lines:
+        if joined and _same_way(joined[-1], line) and abs(joined[-1].offset - line.offset) <= noise_m:
+            joined[-1] = _union(joined[-1], line)
+        else:
+            joined.append(line)
+    if len(joined) > 4 and _same_way(joined[-1], joined[0]) and abs(joined[-1].offset - joined[0].offset) <= noise_m:
+        joined = [*joined[1:-1], replace(_union(joined[-1], joined[0]), end=joined[0].end)]
+    return [piece for a, b in zip(joined, [*joined[1:], joined[0]], strict=True) for piece in _with_step(a, b)]
+
+
+def _union(a: Line, b: Line) -> Line:
+    length = a.length + b.length
+    return replace(b, offset=(a.offset * a.length + b.offset * b.length) / length, length=length)
+
+
+def _with_step(a: Line, b: Line) -> list[Line]:
+    """`a`, and a line square to it where `b` goes the same way, or back."""
+    if not (a.on_axis and b.on_axis and abs(math.cos(a.angle - b.angle)) > 0.999):
+        return [a]
+    across = a.angle + math.copysign(math.pi / 2.0, (b.end - a.end) @ (-math.sin(a.angle), math.cos(a.angle)) or 1.0)
+    return [a, Line(across, _offset(across, a.end), 0.0, a.end, a.end, True)]
+
+
+def _aligned(rings: list[list[Line]], noise_m: float) -> list[list[Line]]:
+    """Faces of the building that look the same way at nearly the same offset get one offset."""
+    lines = [line for ring in rings for line in ring]
+    for group in _groups(lines, noise_m):
+        offset = float(np.average([lines[i].offset for i in group], weights=[lines[i].length + 1e-6 for i in group]))
+        for i in group:
+            lines[i] = replace(lines[i], offset=offset)
+    fresh = iter(lines)
+    return [list(islice(fresh, len(ring))) for ring in rings]
+
+
+def _groups(lines: list[Line], noise_m: float) -> list[list[int]]:
+    """Indices of the lines along axes, in groups of one direction and offsets within `noise_m`."""
+    on_axis = [i for i, line in enumerate(lines) if line.on_axis]
+    groups: list[list[int]] = []
+    for i in sorted(on_axis, key=lambda i: (round(lines[i].angle % (2.0 * math.pi), 3), lines[i].offset)):
+        first = lines[groups[-1][0]] if groups else None
+        if first and _same_way(first, lines[i]) and lines[i].offset - first.offset <= noise_m:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    return groups
+
+
+def _corners(lines: list[Line], noise_m: float) -> Array:
+    """Corners (n,2) of a ring: where neighbouring lines cross."""
+    return np.array([_crossing(a, b, noise_m) for a, b in zip(lines, [*lines[1:], lines[0]], strict=True)])
+
+
+def _crossing(a: Line, b: Line, noise_m: float) -> Array:
+    if abs(math.sin(a.angle - b.angle)) < math.sin(BLUNT):
+        return a.end
+    system = np.array([(-math.sin(a.angle), math.cos(a.angle)), (-math.sin(b.angle), math.cos(b.angle))])
+    point: Array = np.linalg.solve(system, (a.offset, b.offset))
+    return point if math.dist(point, a.end) <= 5.0 * noise_m else a.end
+
+
+def _checked(rings: list[Array], drawn: Polygon, noise_m: float) -> Polygon:
+    """The polygon of `rings`; any that crosses itself or another is left as it was `drawn`."""
+    pairs = zip(rings, _rings(drawn), strict=True)
+    kept = [new if len(new) >= 3 and Polygon(new).is_valid else old for new, old in pairs]
+    area = Polygon(kept[0], kept[1:])
+    if not area.is_valid:
+        area = drawn
+    return orient(shapely.simplify(area, noise_m / 10.0), 1.0)
