@@ -13,7 +13,7 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 
 from mecp_env.render.floor_plan import LETTER, LINES, Array, FloorPlan, PlanRoom, Shape
-from mecp_env.world.outline import Outline, build_outline, obstacle_shape
+from mecp_env.world.outline import Outline, build_outline, obstacle_shape, solid_shape
 from mecp_env.world.schema import Layout
 
 CLEAR_M = 0.06  # between a name and walls or furniture
@@ -33,7 +33,7 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
         LineString(wall.points).buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
         for wall in layout.walls
     ]
-    walls += [Polygon(solid.outer, solid.holes) for solid in getattr(layout, "solids", ())]
+    walls += map(solid_shape, layout.solids)
     return FloorPlan(
         name=title or layout.name,
         walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from mecp_env.world.outline import Doors, build_outline
-from mecp_env.world.schema import Layout, Start
+from mecp_env.world.outline import GAP_POST_M, Doors, build_outline
+from mecp_env.world.schema import Door, Layout, Solid, Start
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,8 +33,18 @@ def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
     shut = set(closed.tolist())
     doors = tuple(door for i, door in enumerate(layout.doors) if i not in shut)
     starts = (Start(point=(float(start[0]), float(start[1]))),)
-    rest = layout.model_copy(update={"doors": doors, "starts": starts})
+    solids = (*layout.solids, *(_leaf(layout.doors[i]) for i in sorted(shut) if layout.doors[i].opening == "gap"))
+    rest = layout.model_copy(update={"doors": doors, "starts": starts, "solids": solids})
     free = build_outline(rest).free_area
     rooms = tuple(room for room in layout.rooms if Polygon(room.polygon).intersection(free).area > LEAST_M2)
     names = {room.name for room in rooms}
     return rest.model_copy(update={"rooms": rooms, "doors": tuple(d for d in doors if names.issuperset(d.rooms))})
+
+
+def _leaf(door: Door) -> Solid:
+    """What fills a doorway that is a gap, its ends in the walls beside it."""
+    depth, heading = door.depth_m or 0.0, math.radians(door.direction_deg)
+    through = 0.5 * depth * np.array([math.cos(heading), math.sin(heading)])
+    along = (0.5 * door.width_m + GAP_POST_M) * np.array([-math.sin(heading), math.cos(heading)])
+    ring = door.centre + np.stack([-through - along, through - along, through + along, along - through])
+    return Solid(outer=tuple((float(x), float(y)) for x, y in ring))

@@ -13,6 +13,7 @@ import shapely
 from shapely.geometry import Point, Polygon
 
 from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.world.closing import close_doors
 from mecp_env.world.exporters import save_map_server
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.importers import load_plan
@@ -241,3 +242,10 @@ def test_wrong_options_are_named(tmp_path: Path) -> None:
         load_plan(path, resolution_m=0.05, door_width_m=(1.0, 0.5))
     with pytest.raises(LayoutError, match=r"plan\.png: resolution_m: .* missing"):
         load_plan(path)
+
+
+def test_a_gap_can_be_closed_for_an_episode(tmp_path: Path) -> None:
+    layout = read(plans.two_rooms_picture(), tmp_path, free_above=210)
+    shut = close_doors(layout, np.array([0]), np.array([2.6, 3.1]))
+    assert (len(shut.rooms), len(shut.doors)) == (1, 0)
+    assert build_outline(shut).free_area.area == pytest.approx(20.0, abs=0.02)
