@@ -40,12 +40,13 @@ def check(spec: GeneratorSpec, layout: Layout) -> None:
 
 def check_corners(layout: Layout) -> None:
     """No two corners of a room nearer to each other than stated, but those of the end of a wall."""
-    corners = build_outline(layout).corners
+    outline = build_outline(layout)
+    corners = outline.corners
     apart = np.linalg.norm(corners.p_world[:, None] - corners.p_world[None], axis=2)
     same = (corners.room[:, None] == corners.room[None]) & ~(corners.jamb[:, None] & corners.jamb[None])
     np.fill_diagonal(same, False)
-    assert apart[same].min() > CORNERS_APART_M
-    assert np.linalg.norm(np.diff(build_outline(layout).segments, axis=1)[:, 0], axis=1).min() > 0.02  # no sliver
+    assert apart[same].min() > CORNERS_APART_M - 1e-6
+    assert np.linalg.norm(np.diff(outline.segments, axis=1)[:, 0], axis=1).min() > 0.02  # no sliver
 
 
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
@@ -56,11 +57,21 @@ def test_what_is_declared_is_what_comes_out(difficulty: str) -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_seeds_are_what_was_declared() -> None:
-    for difficulty, seeds in (("easy", 4000), ("medium", 4000), ("hard", 1900), ("huge", 100)):
-        spec = GeneratorSpec.preset(difficulty)
-        for seed in range(seeds):
-            check(spec, generate(spec, seed))
+@pytest.mark.parametrize(
+    ("difficulty", "first", "last"),
+    [
+        ("easy", 0, 4000),
+        ("medium", 0, 2000),
+        ("medium", 2000, 4000),
+        ("hard", 0, 1000),
+        ("hard", 1000, 1900),
+        ("huge", 0, 100),
+    ],
+)
+def test_ten_thousand_seeds_are_what_was_declared(difficulty: str, first: int, last: int) -> None:
+    spec = GeneratorSpec.preset(difficulty)
+    for seed in range(first, last):
+        check(spec, generate(spec, seed))
 
 
 def test_random_specifications_are_kept() -> None:

@@ -26,7 +26,7 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
     """The building of a seed: rooms, corridors, doors and furniture as the specification declares them.
 
     The same specification and seed give the same layout. Every room and door is in reach of a robot of 0.22 m; no two
-    corners of a room but those of a wall's end are nearer to each other than 0.3 m. Raises `ConfigError` for a wrong
+    corners of a room but the posts of a door are nearer to each other than 0.25 m. Raises `ConfigError` for a wrong
     field, and for a specification that no building fulfils.
     """
     spec = GeneratorSpec.parse(spec)
