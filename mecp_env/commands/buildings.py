@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,13 +95,7 @@ def load(word: str, reading: Reading | None = None) -> Layout:
     if not Path(word).exists():
         shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
         raise LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}")
-    return _read(Path(word), reading or Reading())
+    from mecp_env.world.importers import load_plan
 
-
-def _read(path: Path, reading: Reading) -> Layout:
-    try:
-        importers = importlib.import_module("mecp_env.world.importers")
-    except ModuleNotFoundError:
-        return load_layout(path)
-    layout: Layout = importers.load_plan(path, kind=reading.kind, resolution_m=reading.resolution_m)
-    return layout
+    reading = reading or Reading()
+    return load_plan(word, kind=reading.kind, resolution_m=reading.resolution_m)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
 from mecp_env.commands.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.render.text import readable
+from mecp_env.world.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
@@ -109,12 +109,11 @@ def _write_json(layout: Layout, path: Path, resolution_m: float) -> None:
 
 
 def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
-    exporters = importlib.import_module("mecp_env.world.exporters")
-    exporters.save_map_server(layout, path.with_suffix(""), resolution_m)
+    save_map_server(layout, path.with_suffix(""), resolution_m)
 
 
 def _write_svg(layout: Layout, path: Path, resolution_m: float) -> None:
-    importlib.import_module("mecp_env.world.exporters").save_svg(layout, path)
+    save_svg(layout, path)
 
 
 WRITERS: dict[str, Callable[[Layout, Path, float], None]] = {

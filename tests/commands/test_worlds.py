@@ -107,7 +107,6 @@ def test_a_file_is_not_converted_onto_itself(tmp_path: Path, capsys: Said) -> No
 
 
 def test_a_map_for_ros_and_back(tmp_path: Path) -> None:
-    pytest.importorskip("mecp_env.world.importers")
     assert run("convert", "twins", tmp_path / "twins.yaml", "--map-resolution-m", "0.05") == 0
     assert {path.suffix for path in tmp_path.iterdir()} == {".yaml", ".pgm"}
     assert run("convert", tmp_path / "twins.yaml", tmp_path / "twins.json") == 0
@@ -117,7 +116,6 @@ def test_a_map_for_ros_and_back(tmp_path: Path) -> None:
 
 
 def test_an_image_is_told_its_resolution(tmp_path: Path, capsys: Said) -> None:
-    pytest.importorskip("mecp_env.world.importers")
     assert run("convert", "two_rooms", tmp_path / "map.yaml") == 0
     (tmp_path / "map.yaml").unlink()
     image, out = tmp_path / "map.pgm", tmp_path / "map.json"
@@ -131,7 +129,6 @@ def test_an_image_is_told_its_resolution(tmp_path: Path, capsys: Said) -> None:
 
 
 def test_a_drawing_to_scale(tmp_path: Path) -> None:
-    pytest.importorskip("mecp_env.world.exporters")
     assert run("convert", "paper", tmp_path / "paper.svg") == 0
     assert ET.parse(tmp_path / "paper.svg").getroot().tag.endswith("svg")
 
