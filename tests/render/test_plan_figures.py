@@ -13,7 +13,9 @@ from mecp_env.errors import ConfigError
 from mecp_env.floor_plan import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.plan_figures import plans_figure, save_plans
+from mecp_env.world.exporters import save_map_server
 from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.importers import load_plan
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, obstacle_shape
 
@@ -52,6 +54,16 @@ def test_the_picture_shows_walls_floors_doors_furniture_and_starts(tmp_path: Pat
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     for colour in (palette.SOLID, palette.DOOR, palette.ESTIMATE, (212, 200, 184)):
         assert (pixels == colour).all(axis=1).any(), colour
+
+
+def test_solid_walls_with_holes_leave_the_floor_to_be_seen(tmp_path: Path) -> None:
+    save_map_server(load_layout("furnished"), tmp_path / "map")
+    plan = floor_plan(load_plan(tmp_path / "map.yaml"))
+    save_plans([plan], tmp_path / "plan.png", dpi=60)
+    with Image.open(tmp_path / "plan.png") as picture:
+        solid = (np.asarray(picture.convert("RGB")) == palette.SOLID).all(axis=2).mean()
+    assert any(len(shape) > 1 for shape in plan.walls)
+    assert 0.01 < solid < 0.3
 
 
 @pytest.mark.parametrize("ending", [".png", ".svg"])
