@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, _LowerResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -19,6 +18,7 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.core.typed_passes import NativeLowering
+from numba.core.types.misc import unliteral
 
 from mecp_env.kernel_cache import Inner
 
@@ -42,8 +42,8 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """What a kernel that calls this one must know: one compilation for all constants as arguments, not one each."""
-        plain = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
-        return super().get_call_template(tuple(map(types.unliteral, args)), plain)
+        named = {name: unliteral(kind) for name, kind in dict(kws).items()}
+        return super().get_call_template(tuple(map(unliteral, args)), named)
 
     def add_overload(self, cres: Any) -> None:
         """Keep a compilation; one without machine code is kept from calls by Python."""
