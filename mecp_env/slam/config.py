@@ -81,6 +81,18 @@ class PolygonConfig(Settings):
     gap_width_m: Limits = (0.4, 1.2)  # between walls: a door, or one seen from the side; else it is open
 
 
+class TransientConfig(Settings):
+    """What stands where the map has seen free floor, and is therefore no wall; paper: none, its world is static."""
+
+    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor; 0 switches the stage off
+    most_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # a pose less certain than this accuses nobody
+    range_m: float = Field(15.0, gt=0.0, le=100.0)
+    beams: int = Field(4, ge=1, le=100)  # neighbours, at least
+    longest_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer line is a wall, whatever the map says
+    refutations: int = Field(4, ge=0, le=1000)  # scans that look through a landmark before it is forgotten; 0: never
+    refute_range_m: float = Field(5.0, gt=0.0, le=100.0)
+
+
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
 
@@ -158,6 +170,7 @@ class SlamConfig(Settings):
     segments: SegmentConfig = SegmentConfig()
     corners: CornerConfig = CornerConfig()
     polygon: PolygonConfig = PolygonConfig()
+    transients: TransientConfig = TransientConfig()
     tracks: TrackConfig = TrackConfig()
     association: AssociationConfig = AssociationConfig()
     filter: FilterConfig = FilterConfig()
@@ -172,6 +185,7 @@ class SlamConfig(Settings):
             segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
             corners=CornerConfig(short_faces=False, covariance="sensor"),  # two lines or an end; IV: constant sigmas
             polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False),  # III-A.2: exact, walls are not asked
+            transients=TransientConfig(margin_m=0.0, refutations=0),  # a static world
             tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly

@@ -72,6 +72,7 @@ class Reason(IntEnum):
     BEYOND_DOOR = 7
     IN_DOORWAY = 8
     IDENTITY = 9
+    TRANSIENT = 10
 
 
 class Cell(IntEnum):
@@ -240,6 +241,7 @@ class FeatureTable:
     seen: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) sightings
     last_period: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) period of the last sighting
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) m: last seen here (tracks only)
+    doubts: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) scans that refuted it since it was seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)

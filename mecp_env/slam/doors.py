@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
 from mecp_env.slam.config import RoomConfig
-from mecp_env.slam.data import UNKNOWN_ROOM, Belief, Candidate, CornerKind, Door, FeatureState, FeatureTable, Sighting
+from mecp_env.slam.data import (
+    UNKNOWN_ROOM,
+    Belief,
+    Candidate,
+    CornerKind,
+    Door,
+    FeatureState,
+    FeatureTable,
+    Reason,
+    Sighting,
+)
 from mecp_env.slam.geometry import place
 from mecp_env.slam.lookup import row_of
 
@@ -18,6 +28,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+TRANSIENT = int(Reason.TRANSIENT)
 MOST_SIGHTINGS = 50  # the configuration asks for no more
 BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
 SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
@@ -129,10 +140,11 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
     corners, belief = seen.corners, seen.belief
     if not len(corners.doorways.jambs):
         return
-    id_of, through, beyond = seen.match.ids.tolist(), seen.through.tolist(), corners.beyond.tolist()
+    id_of = seen.match.ids.tolist()
+    elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == TRANSIENT)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        if max(through[pair[0]], through[pair[1]], beyond[pair[0]], beyond[pair[1]]) >= 0:
+        if elsewhere[pair[0]] or elsewhere[pair[1]]:
             continue
         if ids in book.row:
             _see_again(book, ids, confirmable)
@@ -233,6 +245,21 @@ def pass_through(book: DoorBook, candidate: Candidate, features: FeatureTable, r
     rooms = (candidate.room, room_beyond)
     book.set_doors([*book.doors, Door(book.next_id, candidate.ids, None, rooms, candidate.sightings)])
     book.next_id += 1
+
+
+def _without_faces(door: Door, lost: set[int]) -> Door | None:
+    """The door without its faces that hung on a landmark that is lost; None without a face."""
+    faces = [face for face in (door.jambs, door.other_face) if face and lost.isdisjoint(face)]
+    return replace(door, jambs=faces[0], other_face=(*faces, None)[1]) if faces else None
+
+
+def forget_jambs(book: DoorBook, gone: Ints) -> None:
+    """Landmarks `gone` (m,) are none: a face of a door that hung on one is forgotten, and a door without a face."""
+    lost = set(gone.tolist())
+    doors = [_without_faces(door, lost) for door in book.doors]
+    book.set_doors([door for door in doors if door is not None])
+    book.sightings = {pair: count for pair, count in book.sightings.items() if lost.isdisjoint(pair)}
+    book.candidates = [c for c in book.candidates if lost.isdisjoint(c.ids)]
 
 
 def rename_jambs(book: DoorBook, keep: int, drop: int) -> None:

@@ -14,6 +14,7 @@ from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.corners import extract_corners
 from mecp_env.slam.data import (
+    Beams,
     Belief,
     Corners,
     Decision,
@@ -24,10 +25,11 @@ from mecp_env.slam.data import (
     Odometry,
     Polygon,
     Scan,
+    Segments,
     Sighting,
     StepReport,
 )
-from mecp_env.slam.doors import rename_jambs
+from mecp_env.slam.doors import forget_jambs, rename_jambs
 from mecp_env.slam.duplicates import find_duplicate
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.geometry import inside_polygon
@@ -35,10 +37,12 @@ from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.polygon import beams_on_walls, find_polygons
 from mecp_env.slam.polygon_store import PolygonStore
 from mecp_env.slam.protocols import Filter, FilterError
+from mecp_env.slam.refutation import refuted
 from mecp_env.slam.rooms import RoomKeeper
 from mecp_env.slam.segments import extract_segments
 from mecp_env.slam.sweeps import merge_sweeps
 from mecp_env.slam.tracks import forget, mark_seen, record_sightings, room_unseen_since, with_closure
+from mecp_env.slam.transients import find_transient, passing, shun_transients, without_transients
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -129,10 +133,15 @@ class SlamPipeline:
         polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
         self._tell_identities(corners, identities)
         match = self._localise(corners, polygons, predicted, through)  # III-B
-        match, belief = self._grow_map(corners, polygons, match, through)
+        belief = self._watched(self.filter.belief())
+        transient = find_transient(beams, segments, belief, self.grid.canvas.grid, config.transients)
+        match = shun_transients(match, corners, beams, transient)
+        match, belief = self._grow_map(corners, polygons, match, through, belief)
+        belief = self._without_refuted(beams, segments, belief)
         graph = self.rooms.graph()
         matched = match.ids[match.recognised()]
-        grid = self.grid.paint(belief, beams, segments, matched, self.polygons.polygons, graph)
+        standing, walls = passing(beams, transient), without_transients(segments, transient)
+        grid = self.grid.paint(belief, standing, walls, matched, self.polygons.polygons, graph)
         return StepReport(
             self.period,
             beams,
@@ -146,6 +155,17 @@ class SlamPipeline:
             grid,
             self.diverged,
         )
+
+    def _without_refuted(self, beams: Beams, segments: Segments, belief: Belief) -> Belief:
+        """The belief without the landmarks that this scan refutes for good; what hung on them is forgotten."""
+        gone = refuted(beams, segments, belief, self.features, self.period, self.config.transients)
+        if not len(gone):
+            return belief
+        self.filter.remove(gone)
+        self.features.state[gone] = int(FeatureState.DEAD)
+        forget_jambs(self.rooms.book, gone)
+        self.polygons.prune(self.features, self.rooms.graph())
+        return self.filter.belief()
 
     def _tell_identities(self, corners: Corners, identities: Identities | None) -> None:
         if isinstance(self.associator, KnownAssociator):
@@ -181,11 +201,10 @@ class SlamPipeline:
         return room_unseen_since(ids, features.room, features.state, features.last_period, oldest)
 
     def _grow_map(
-        self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints
+        self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints, belief: Belief
     ) -> tuple[Match, Belief]:
         """Tracks, landmarks, polygons, doors and rooms after this scan; the match with all its ids, and the belief."""
         dead = forget(self.features, self.period, self.config.tracks)
-        belief = self._watched(self.filter.belief())
         room = self.rooms.current
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
         self._remember_births(match)

@@ -118,6 +118,7 @@ def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: B
         "seen": 0,
         "last_period": 0,
         "p_map": p_map,
+        "doubts": 0,
     }
     for column, values in new.items():
         old = getattr(features, column)
