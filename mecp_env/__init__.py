@@ -14,6 +14,7 @@ ENVIRONMENTS = {  # id -> entry point
     "mecp_env/PaperMap-v0": "mecp_env.env:make_paper_map",
     "mecp_env/Layout-v0": "mecp_env.env:make",
     "mecp_env/Rooms-v0": "mecp_env.env:make_rooms",
+    "mecp_env/FloorPlan-v0": "mecp_env.env:make_floor_plan",
 }
 
 

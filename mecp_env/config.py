@@ -51,13 +51,21 @@ def plain_value(value: Any) -> Any:
     return {name: plain_value(item) for name, item in value.items()} if isinstance(value, Mapping) else value
 
 
+def plain_layout(value: Any) -> Any:
+    """As `plain_value`, and tuples as lists at every depth, as a file has them: equal layouts then are equal."""
+    value = plain_value(value)
+    if isinstance(value, Mapping):
+        return {name: plain_layout(item) for name, item in value.items()}
+    return [plain_layout(item) for item in value] if isinstance(value, list | tuple) else value
+
+
 Number = Annotated[float, BeforeValidator(no_bool)]
 
 
 class EnvConfig(Settings):
     """The whole environment; every field may be given to `gymnasium.make` as a keyword."""
 
-    layout: Annotated[str | dict[str, Any], BeforeValidator(plain_value)] = "two_rooms"  # name, path, `Layout` or dict
+    layout: Annotated[str | dict[str, Any], BeforeValidator(plain_layout)] = "two_rooms"  # name, path, `Layout` or dict
     estimator: Literal["slam", "known", "truth"] = "slam"
     actions: Literal["velocity", "discrete", "goal"] = "velocity"
     max_periods: int = Field(3000, ge=1, le=10_000_000)

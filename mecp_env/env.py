@@ -43,7 +43,15 @@ from mecp_env.world.movers import Movers, Moving, no_movers, wants_movers
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.simulation import Motion, Simulation
-from mecp_env.world.source import GENERATE, check_building, draw_building, generator_keywords, make_source
+from mecp_env.world.source import (
+    GENERATE,
+    PLAN,
+    check_building,
+    draw_building,
+    generator_keywords,
+    make_source,
+    plan_keywords,
+)
 from mecp_env.world.ways import Ways
 
 Array = NDArray[np.float64]
@@ -529,11 +537,35 @@ def make_rooms(
     `GeneratorSpec` over the difficulty's own. Raises `ConfigError`, for a layout too.
     """
     buildings, rest = generator_keywords(keywords)
-    layout = merge(plain(config), rest).get("layout", {GENERATE: {}})
-    if not isinstance(layout, dict) or GENERATE not in layout:
-        raise ConfigError(f"layout: {layout!r:.80}, Rooms-v0 generates its buildings; Layout-v0 takes any")
-    return make(config, render_mode, **rest | {"layout": layout | {GENERATE: layout[GENERATE] | buildings}})
+    return _make_from(GENERATE, buildings, config, render_mode, rest)
 
 
-for entry_point in (make, make_paper_map, make_rooms):  # gymnasium.make asks its entry point for the render modes
+def make_floor_plan(
+    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan; of a folder, in one drawn at every reset.
+
+    Beside the fields of `EnvConfig`, keywords are `plan`, the path of a file or a folder, and the options of
+    `load_plan`. Raises `ConfigError`, for a layout too, and `LayoutError` for a plan that cannot be read.
+    """
+    plans, rest = plan_keywords(keywords)
+    return _make_from(PLAN, plans, config, render_mode, rest)
+
+
+def _make_from(
+    key: str, fields: dict[str, Any], config: Any, render_mode: str | None, keywords: dict[str, Any]
+) -> gymnasium.Env[Any, Any]:
+    """As `make`, with the layout `{key: ...}` of a configuration, `fields` over it."""
+    layout = merge(plain(config), keywords).get("layout", {key: {}})
+    if not isinstance(layout, dict) or key not in layout:
+        raise ConfigError(f"layout: {layout!r:.80}, this environment makes its own; Layout-v0 takes any")
+    return make(config, render_mode, **keywords | {"layout": layout | {key: layout[key] | fields}})
+
+
+for entry_point in (
+    make,
+    make_paper_map,
+    make_rooms,
+    make_floor_plan,
+):  # gymnasium.make asks its entry point for the render modes
     entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]

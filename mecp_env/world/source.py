@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
+from mecp_env.world.importers import PlanOptions, load_plan
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 
-GENERATE = "generate"  # the key of a layout given as a specification
-Split = Literal["train", "validation", "test"]
+GENERATE, PLAN = "generate", "plan"  # the keys of a layout given as a specification, and as plans
+PLAN_ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
 
 
 class Source(Protocol):
@@ -56,16 +59,36 @@ class GeneratedLayouts:
         return generate(self.spec, split_seed(self.split, building))
 
 
+@dataclass(frozen=True, slots=True)
+class PlanFiles:
+    """Real floor plans, each read once."""
+
+    paths: tuple[Path, ...]
+    reading: dict[str, Any]  # options of `load_plan`
+    read: dict[int, Layout] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        return len(self.paths)
+
+    def layout(self, building: int) -> Layout:
+        if building not in self.read:
+            self.read[building] = load_plan(self.paths[building], **self.reading)
+        return self.read[building]
+
+
 def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     """The source that the field `layout` of a configuration stands for.
 
     A shipped name, a path or a layout is one building; `{"generate": {...}}` the generated ones, with the fields of
-    `GeneratorSpec`, `difficulty` and `split`. Raises `ConfigError` or `LayoutError`.
+    `GeneratorSpec`, `difficulty` and `split`; `{"plan": {"path": ...}}` a real floor plan or a folder of them, with the
+    options of `load_plan`. Raises `ConfigError` or `LayoutError`.
     """
-    if isinstance(given, Mapping) and GENERATE in given:
-        if set(given) != {GENERATE} or not isinstance(given[GENERATE], Mapping):
-            raise ConfigError(f"layout: {{{GENERATE!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
-        return _generated(**given[GENERATE])
+    for key, make in ((GENERATE, _generated), (PLAN, _plans)):
+        if isinstance(given, Mapping) and key in given:
+            if set(given) != {key} or not isinstance(given[key], Mapping):
+                raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
+            return make(**given[key])
     return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
 
 
@@ -73,6 +96,25 @@ def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) 
     if split not in SPLITS:
         raise ConfigError(f"split: {split!r:.80} is none of {', '.join(SPLITS)}")
     return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
+
+
+def _plans(path: str | os.PathLike[str] | None = None, **reading: Any) -> PlanFiles:
+    """The plan at `path`, or all in that folder in the order of their names."""
+    if path is None or path == "":
+        raise ConfigError("plan: the path of a floor plan, or of a folder of them, is needed")
+    place = Path(path)
+    paths = sorted(p for p in place.iterdir() if p.suffix.lower() in PLAN_ENDINGS) if place.is_dir() else [place]
+    if not paths:
+        raise ConfigError(f"plan: {path}, no file in it ends in {', '.join(PLAN_ENDINGS)}")
+    return PlanFiles(tuple(paths), reading)
+
+
+def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of `FloorPlan-v0`, those of the plans and those of the environment."""
+    plan = {name: value for name, value in keywords.items() if name in {"kind", *PlanOptions.model_fields}}
+    if "plan" in keywords:
+        plan["path"] = os.fspath(keywords["plan"])
+    return plan, {name: value for name, value in keywords.items() if name not in {"plan", *plan}}
 
 
 def generator_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -9,8 +9,10 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # registers the environments
+from mecp_env.world.layout import LIBRARY
 
 IDS = tuple(mecp_env.ENVIRONMENTS)
+NEEDED: dict[str, dict[str, Any]] = {"mecp_env/FloorPlan-v0": {"plan": str(LIBRARY / "furnished.json")}}  # to be made
 SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"preset": "lms200", "sweeps": 1}}
 
 

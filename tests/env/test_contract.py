@@ -20,7 +20,7 @@ from mecp_env.config import EnvConfig
 from mecp_env.errors import ConfigError
 from mecp_env.world.layout import load_layout
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, SMALL, make
+from tests.env.helpers import IDS, NEEDED, SMALL, make
 
 ACTIONS = ("velocity", "discrete", "goal")
 # Stable-Baselines3 wants images and flat vectors; tables of landmarks and goals are neither, and its flattening
@@ -40,7 +40,8 @@ def below(env: gymnasium.Env) -> gymnasium.Env:
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("actions", ACTIONS)
 def test_gymnasium_check_env_without_a_warning(name, actions):
-    env = gymnasium.make(name, actions=actions, disable_env_checker=True, laser=SMALL["laser"])
+    needed = NEEDED.get(name, {})
+    env = gymnasium.make(name, actions=actions, disable_env_checker=True, laser=SMALL["laser"], **needed)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=GYM_ALLOWED)
@@ -103,7 +104,7 @@ def test_observations_share_no_memory():
 
 @pytest.mark.parametrize("name", IDS)
 def test_the_spec_survives_json(name):
-    own = {"layout": load_layout("two_rooms")} if "Layout" in name else {}
+    own = {"layout": load_layout("two_rooms")} if "Layout" in name else NEEDED.get(name, {})
     env = gymnasium.make(name, config=EnvConfig.build(max_periods=9), actions="goal", **own)
     spec = EnvSpec.from_json(env.spec.to_json())
     json.dumps(env.unwrapped.spec.kwargs)

@@ -92,7 +92,7 @@ def test_a_wrong_option_is_refused_and_nothing_changed(options: dict, named: str
         ({"difficulty": "brutal"}, "difficulty"),
         ({"split": "dev"}, "split"),
         ({"rooms": 1}, "rooms"),
-        ({"layout": "paper"}, "Rooms-v0"),
+        ({"layout": "paper"}, "makes its own"),
         ({"roms": 3}, "roms"),
         ({"start": (0.0, 0.0, 0.0)}, "start"),
     ],
