@@ -84,12 +84,17 @@ def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     `GeneratorSpec`, `difficulty` and `split`; `{"plan": {"path": ...}}` a real floor plan or a folder of them, with the
     options of `load_plan`. Raises `ConfigError` or `LayoutError`.
     """
-    for key, make in ((GENERATE, _generated), (PLAN, _plans)):
-        if isinstance(given, Mapping) and key in given:
-            if set(given) != {key} or not isinstance(given[key], Mapping):
-                raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
-            return make(**given[key])
+    key = next((key for key in (GENERATE, PLAN) if isinstance(given, Mapping) and key in given), None)
+    if key is not None:
+        return _made(key, given)
     return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
+
+
+def _made(key: str, given: Any) -> Source:
+    """The source of a layout that is given by one key."""
+    if set(given) != {key} or not isinstance(given[key], Mapping):
+        raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
+    return _generated(**given[key]) if key == GENERATE else _plans(**given[key])
 
 
 def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
