@@ -12,7 +12,15 @@ from shapely.geometry import Point, Polygon
 from mecp_env.errors import LayoutError
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.importers.clean import largest_part, reachable_floor
-from mecp_env.world.importers.doors_of import Gap, Walls, find_doors, is_between_walls, measure, without_furniture
+from mecp_env.world.importers.doors_of import (
+    FINE_STEP_M,
+    Gap,
+    Walls,
+    find_doors,
+    is_between_walls,
+    measure,
+    without_furniture,
+)
 from mecp_env.world.importers.options import FreeSpace, PlanOptions
 from mecp_env.world.importers.rooms_of import split
 from mecp_env.world.importers.straighten import directions, straightened, thinned
@@ -78,7 +86,7 @@ def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: Pla
         gaps = find_doors(area, axes, options)
     else:
         walls = Walls.around(without_furniture(area))
-        gaps = [gap for crossing in plan.crossings if (gap := measure(crossing, walls, axes, options))]
+        gaps = [gap for crossing in plan.crossings if (gap := measure(crossing, walls, axes, options, FINE_STEP_M))]
     reach = area.buffer(-ROBOT_RADIUS_M, quad_segs=4)
     return [gap for gap in gaps if is_between_walls(gap, area) and reach.intersects(Point(gap.centre))]
 

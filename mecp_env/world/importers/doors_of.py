@@ -21,7 +21,7 @@ from mecp_env.world.importers.options import Crossing, PlanOptions
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-STEP_M = 0.02  # between the lines along which the width is measured
+STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
 SQUARE_COS = math.cos(math.radians(72.0))  # a passage is narrowest where it is square to what stands beside it
 STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building goes that way
@@ -103,10 +103,10 @@ def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> 
 
 
 def _still(gap: Gap, walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> Gap | None:
-    """The doorway as it is now that other doors are closed; None when it is none any more."""
+    """The doorway, measured finely, as it is now that others are closed; None when it is none any more."""
     if _crosses(gap, walls):
         return None
-    again = measure(Crossing(gap.centre, gap.along), walls, axes, options)
+    again = measure(Crossing(gap.centre, gap.along), walls, axes, options, FINE_STEP_M)
     same = again and _is_door(again, options) and abs(again.width_m - gap.width_m) < SAME_WIDTH_M
     return again if again and same and not _crosses(again, walls) else None
 
@@ -202,19 +202,22 @@ def _corner_faces(
     return corners[i[square]], feet[square]
 
 
-def measure(crossing: Crossing, walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> Gap | None:
-    """The passage at `crossing` as a doorway; None where there is no floor."""
+def measure(
+    crossing: Crossing, walls: Walls, axes: tuple[float, ...], options: PlanOptions, step_m: float = STEP_M
+) -> Gap | None:
+    """The passage at `crossing` as a doorway, by lines `step_m` apart; None where there is no floor."""
     along = _straight(crossing.along, axes)
     through = np.array([-along[1], along[0]])
     reach = options.door_depth_m + AROUND_M
-    ahead = np.arange(-reach, reach + STEP_M, STEP_M)
+    ahead = np.arange(-reach, reach + step_m, step_m)
     left, right = _extent(crossing.middle + ahead[:, None] * through, along, walls)
     first, last = _passage(left + right)
     if last < first:
         return None
-    depth = ahead[last] - ahead[first] + STEP_M
+    depth = ahead[last] - ahead[first] + step_m
     low, high = -left[first : last + 1].min(), right[first : last + 1].min()
-    gain = min(_widest(left + right, first, -1), _widest(left + right, last, 1)) - (high - low)
+    beside = round(AROUND_M / step_m)
+    gain = min(_widest(left + right, first, -beside), _widest(left + right, last, beside)) - (high - low)
     centre = crossing.middle + (ahead[first] + ahead[last]) / 2.0 * through + (low + high) / 2.0 * along
     middle = (first + last) // 2
     return Gap(
@@ -265,10 +268,9 @@ def _passage(width: Array) -> tuple[int, int]:
     return first, start + int(after[0]) - 1 if len(after) else len(width) - 1
 
 
-def _widest(width: Array, edge: int, side: int) -> float:
-    """Greatest width within reach on a `side` of line `edge`; 0 when there is none."""
-    count = round(AROUND_M / STEP_M)
-    beside = width[edge + 1 : edge + 1 + count] if side > 0 else width[max(0, edge - count) : edge]
+def _widest(width: Array, edge: int, count: int) -> float:
+    """Greatest width of so many lines behind line `edge`, before it where `count` is negative; 0 without any."""
+    beside = width[edge + 1 : edge + 1 + count] if count > 0 else width[max(0, edge + count) : edge]
     return float(beside.max(initial=0.0))
 
 
