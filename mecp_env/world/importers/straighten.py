@@ -115,8 +115,21 @@ def _chains(drawn: Array, thin: Array) -> list[Array]:
 
 
 def _lines(chains: list[Array], noise_m: float, axes: tuple[float, ...]) -> list[Line]:
-    """The line of each chain, along an axis where it ends less than twice `noise_m` beside its corners."""
-    return [_line(chain, noise_m, axes) for chain in chains]
+    """The line of each chain, along an axis where it ends less than twice `noise_m` beside its corners.
+
+    Short chains that follow each other are one: the blurred end of a wall.
+    """
+    joined: list[Array] = []
+    for chain in chains:
+        if joined and max(_span(joined[-1]), _span(chain)) < 2.5 * noise_m:
+            joined[-1] = np.concatenate([joined[-1], chain[1:]])
+        else:
+            joined.append(chain)
+    return [_line(chain, noise_m, axes) for chain in joined]
+
+
+def _span(chain: Array) -> float:
+    return math.dist(chain[0], chain[-1])
 
 
 def _line(chain: Array, noise_m: float, axes: tuple[float, ...]) -> Line:
