@@ -22,8 +22,12 @@ from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
-BUILDINGS = {"easy": 100, "medium": 100, "hard": 100, "huge": 10}
-QUICK = {"easy": 4, "medium": 3}
+BUILDINGS = {"easy": 100, "medium": 100, "hard": 100, "huge": 10, "medium_people": 100, "medium_clutter": 100}
+QUICK = {"easy": 4, "medium": 3, "medium_people": 3}
+SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further configuration; others are plain presets
+    "medium_people": ("medium", {"crowd": {"people": 4}}),
+    "medium_clutter": ("medium", {"clutter": {"movable_boxes": 4, "closed_doors": 0.15}}),
+}
 MAX_PERIODS = 6000
 COMPLETE_COVERAGE = 0.95
 LOST_M = 1.0
@@ -31,7 +35,7 @@ KEPT = Path("runs/worlds")
 
 GATES = tuple(
     Gate(f"{preset}/{figure}", "share", slack)
-    for preset in ("easy", "medium", "hard")
+    for preset in ("easy", "medium", "hard", "medium_people")
     for figure, slack in (("complete", 0.05), ("precision", 0.003), ("recall", 0.01))
 )
 
@@ -67,9 +71,10 @@ def run(options: Options) -> Figures:
 
 def visit(task: tuple[str, int]) -> Visit:
     """Explore one building of the test split, from a start that its number draws."""
-    preset, index = task
+    setting, index = task
+    preset, further = SETTINGS.get(setting, (setting, {}))
     layout = generate(GeneratorSpec.preset(preset), split_seed("test", index))
-    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random")
+    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random", **further)
     assert isinstance(env, GoalActions)
     policy, begun = BreadthFirst(), time.thread_time()
     observation, info = env.reset(seed=index)
@@ -80,19 +85,27 @@ def visit(task: tuple[str, int]) -> Visit:
     speed = info["period"] / (time.thread_time() - begun)
     found = Visit(env.get_wrapper_attr("summary")(), terminated, info["diverged"], speed, info["saturated"])
     if found.outcome != "complete":
-        keep(layout, index, found, env)
+        keep(layout, task, found, env)
     return found
 
 
-def keep(layout: Layout, seed: int, found: Visit, env: GoalActions) -> None:
+def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
     """Write what is needed to look at an episode again."""
-    folder = KEPT / layout.name
+    setting, seed = task
+    folder = KEPT / (f"{layout.name}_{setting}" if setting in SETTINGS else layout.name)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "layout.json").write_text(layout.to_json())
     save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
-    again = f"mecp-env demo --layout {folder}/layout.json --seed {seed} --config.start random"
+    again = f"mecp-env demo --layout {folder}/layout.json --seed {seed} --config.start random{flags(setting)}"
     record: dict[str, Any] = {"again": again, "seed": seed, "outcome": found.outcome, **found.final}
     (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")
+
+
+def flags(setting: str) -> str:
+    """What a setting adds to the command line of the demo."""
+    _, further = SETTINGS.get(setting, ("", {}))
+    fields = [(f"{section}.{name}", value) for section, values in further.items() for name, value in values.items()]
+    return "".join(f" --config.{name.replace('_', '-')} {value}" for name, value in fields)
 
 
 def summarise(visits: list[Visit]) -> Figures:
@@ -131,6 +144,7 @@ def totals(finals: list[dict[str, float]]) -> Figures:
         "precision": ratio(recalled, of("association_pairs")),
         "recall": estimate(of("association_recall")),
         "duplicates": estimate(of("duplicates")),
+        "landmarks_on_movers": estimate(of("landmarks_on_movers")),
         "pose_rmse_m": estimate(of("pose_rmse_m")),
         "nees": estimate(of("nees_mean")),
         "metres": estimate(of("metres")),

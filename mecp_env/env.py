@@ -36,7 +36,7 @@ from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.start import Start, check_start, parse_options, start_pose
 from mecp_env.state import StateError, decode, encode, generator_data, make_generator
-from mecp_env.truth import CELL_M, Truth
+from mecp_env.truth import CELL_M, NOBODY, Others, Truth
 from mecp_env.world.closing import close_doors, draw_closed
 from mecp_env.world.laser import Laser
 from mecp_env.world.movers import Movers, Moving, no_movers, wants_movers
@@ -386,10 +386,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _begin(self) -> Episode:
         """A new episode at the simulation's pose, with its scans at rest."""
         pose = self._simulation.T_world_robot
-        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose)
+        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose, self._others())
         for _ in range(SCANS_AT_REST):
             report = pipeline.start(self._look(pose), identities=self._identities(pose))
-            metrics.look(self._truth, pose, report, self._movers.faces)
+            metrics.look(self._truth, pose, report, self._others())
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
         remember(episode.memory, report.belief, report.grid, self._true_area(episode))
@@ -407,6 +407,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         identities = self._identities(T_world_robot)
         return episode.pipeline.step(odometry, scan, identities=identities, T_map_robot=exact)
 
+    def _others(self) -> Others:
+        """What moves, as the metrics want it."""
+        movers = self._movers
+        return Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
+
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
         return self._laser.scan(T_world_robot, self.np_random, self._movers.faces)
@@ -420,7 +425,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """How to identify corners, where the estimator is told."""
         if self.config.estimator != "known":
             return None
-        return partial(self._truth.identify, T_world_robot=T_world_robot, faces=self._movers.faces)
+        return partial(self._truth.identify, T_world_robot=T_world_robot, others=self._others())
 
     def _find_goals(self, episode: Episode) -> None:
         """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
@@ -440,7 +445,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Hold the belief against the truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
-        episode.metrics.look(self._truth, T_world_robot, episode.report, self._movers.faces)
+        episode.metrics.look(self._truth, T_world_robot, episode.report, self._others())
         self._follow(episode, T_world_robot)
 
     def _follow(self, episode: Episode, T_world_robot: Array) -> None:

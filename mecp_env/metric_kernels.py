@@ -22,6 +22,7 @@ CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell see
 STEP = 0.9  # cells between two looks along a beam
 LANDMARK = int(Decision.LANDMARK)
 NEES_MAX = 1e9
+BESIDE_M, OFF_CORNER_M = 0.15, 0.3  # of what moved, and off a true corner: a landmark there sits on what moved
 BORDER = 3  # depth of a cell beside one of another room
 
 
@@ -306,3 +307,31 @@ def deepest_cells(room: NDArray[np.int16], depth: NDArray[np.int32], most: int) 
             if depth[i, j] >= deepest[r, 0]:
                 deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
     return deepest
+
+
+@kernel
+def tread(trodden: Bools, corner: Array, walking: Array) -> None:
+    """Mark the cells (H,W) whose middle lies within `BESIDE_M` of something at a place, of a reach (n,3) m."""
+    for i in range(walking.shape[0]):
+        x, y = (walking[i, 0] - corner[0]) / CELL_M, (walking[i, 1] - corner[1]) / CELL_M
+        near = (walking[i, 2] + BESIDE_M) / CELL_M
+        for row in range(max(math.ceil(y - near), 0), min(math.floor(y + near) + 1, trodden.shape[0])):
+            for column in range(max(math.ceil(x - near), 0), min(math.floor(x + near) + 1, trodden.shape[1])):
+                if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < near * near:
+                    trodden[row, column] = True
+
+
+@kernel
+def count_trodden(trodden: Bools, corner: Array, p_world: Array, true: Array) -> int:
+    """How many points (n,2) lie on marked cells and off all true corners (m,2)."""
+    count = 0
+    for i in range(p_world.shape[0]):
+        column = math.floor((p_world[i, 0] - corner[0]) / CELL_M)
+        row = math.floor((p_world[i, 1] - corner[1]) / CELL_M)
+        if not (0 <= row < trodden.shape[0] and 0 <= column < trodden.shape[1]) or not trodden[row, column]:
+            continue
+        nearest = math.inf
+        for k in range(true.shape[0]):
+            nearest = min(nearest, math.hypot(p_world[i, 0] - true[k, 0], p_world[i, 1] - true[k, 1]))
+        count += nearest > OFF_CORNER_M
+    return count

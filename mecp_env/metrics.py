@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mecp_env import metric_kernels as kernels
 from mecp_env.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
 from mecp_env.slam.data import Belief, StepReport
-from mecp_env.truth import NO_FACES, Truth, identify
+from mecp_env.slam.geometry import to_map
+from mecp_env.truth import NOBODY, Others, Truth, identify
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
 
@@ -101,19 +102,20 @@ class EpisodeMetrics:
     doors: tuple[int, int] = (0, 0)  # found, false
     compared_rooms: tuple[int, ...] = ()
     compared_doors: int = 0
+    trodden: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (H,W) by what moves
 
     @classmethod
-    def begin(cls, truth: Truth, T_world_robot: Array) -> EpisodeMetrics:
-        """The metrics of an episode that starts at the true pose (3,)."""
-        return cls(
-            T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), AssociationLog(len(truth.outline.corners))
-        )
+    def begin(cls, truth: Truth, T_world_robot: Array, others: Others = NOBODY) -> EpisodeMetrics:
+        """The metrics of an episode that starts at the true pose (3,) among what moves."""
+        log = AssociationLog(len(truth.outline.corners) + len(others.corners))
+        return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log)
 
-    def look(self, truth: Truth, T_world_robot: Array, report: StepReport, faces: Array = NO_FACES) -> None:
-        """Take in what the robot sees and believes at the true pose (3,) among moving faces (m,2,2)."""
+    def look(self, truth: Truth, T_world_robot: Array, report: StepReport, others: Others = NOBODY) -> None:
+        """Take in what the robot sees and believes at the true pose (3,) among what moves."""
         self.T_map_robot = self.in_map(T_world_robot)
         self._sweep(truth, T_world_robot)
-        self.association.record(report, truth.identify(report.corners, T_world_robot, faces))
+        self.association.record(report, truth.identify(report.corners, T_world_robot, others))
+        self._tread(truth, others.walking)
         self._compare_pose(report.belief)
         self.compare_map(truth, report, due=report.period % MAP_PERIODS == 0)
 
@@ -142,6 +144,24 @@ class EpisodeMetrics:
             self.swept_from = np.array([x, y])
             self.new_cells = int(truth.sweep(T_world_robot, self.seen))
             self.seen_cells += self.new_cells
+
+    def _tread(self, truth: Truth, walking: Array) -> None:
+        """Note where something that moves is now, (n,3) m: place and reach."""
+        if not len(walking):
+            return
+        if not self.trodden.size:
+            self.trodden = np.zeros_like(truth.free)
+        kernels.tread(self.trodden, truth.corner, walking)
+
+    def landmarks_on_movers(self, truth: Truth, belief: Belief) -> int:
+        """How many landmarks lie within 0.15 m of where something that moves has been, and 0.3 m off any true corner.
+
+        An upper bound: a corner misjudged on a wall that people pass counts, too.
+        """
+        if not self.trodden.size or not len(belief.ids):
+            return 0
+        p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
+        return int(kernels.count_trodden(self.trodden, truth.corner, p_world, truth.outline.corners.p_world))
 
     def _compare_pose(self, belief: Belief) -> None:
         errors = kernels.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
@@ -188,6 +208,7 @@ class EpisodeMetrics:
             "nees_mean": self.nees_sum / looks,
             "landmarks": len(report.belief.ids),
             "duplicates": self.association.duplicates(report.belief.ids),
+            "landmarks_on_movers": self.landmarks_on_movers(truth, report.belief),
             "association_precision": share(tp, fp),
             "association_recall": share(tp, fn),
             "association_false": fp,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -26,17 +27,28 @@ BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
 DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
 NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
 IDENTITY_GATE_M = 0.3
-NO_FACES = np.empty((0, 2, 2))
 
 
-def identify(corners: Corners, T_world_robot: Array, outline: Outline, faces: Array = NO_FACES) -> Ints:
+class Others(NamedTuple):
+    """What moves beside the robot, at one moment, in the world frame."""
+
+    faces: Array  # (m,2,2) m, free space on the left
+    corners: Array  # (c,2) m, of boxes: as true as those of the building, but they may have moved
+    walking: Array  # (n,3) m, place and reach of what may have moved by itself or slides
+
+
+NOBODY = Others(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
+
+
+def identify(corners: Corners, T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> Ints:
     """(n,) index of the true corner that each corner of a scan is, or -1 for a spurious one.
 
-    The nearest true corner that is visible from the true pose, past moving faces (m,2,2), and within 0.3 m, one to one.
+    The nearest true corner that is visible from the true pose, past whoever stands there, and within 0.3 m, one to one.
+    Those of boxes come after those of the building.
     """
     true, segments = outline.corners.p_world, outline.segments
-    if len(faces):
-        segments = np.concatenate([segments, faces])
+    if len(others.faces):
+        true, segments = np.concatenate([true, others.corners]), np.concatenate([segments, others.faces])
     return kernels.identify_corners(corners.z, T_world_robot, true, segments, IDENTITY_GATE_M)
 
 
@@ -97,6 +109,6 @@ class Truth:
         scan = self.laser.scan(level, NO_NOISE)
         return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
 
-    def identify(self, corners: Corners, T_world_robot: Array, faces: Array = NO_FACES) -> Ints:
+    def identify(self, corners: Corners, T_world_robot: Array, others: Others = NOBODY) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""
-        return identify(corners, T_world_robot, self.outline, faces)
+        return identify(corners, T_world_robot, self.outline, others)

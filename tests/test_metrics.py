@@ -9,8 +9,9 @@ from mecp_env import metric_kernels as kernels
 from mecp_env.map_scores import distances, door_centres, doors_found, grid_iou, nearest_pairs, room_centres, rooms_found
 from mecp_env.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.slam.data import Belief, Door, RoomGraph, SemanticGrid
-from mecp_env.slam.geometry import compose, inverse
-from mecp_env.truth import CELL_M, DIRECTIONS, Truth
+from mecp_env.slam.geometry import compose, inverse, to_map
+from mecp_env.truth import CELL_M, DIRECTIONS, Others, Truth
+from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose
@@ -301,3 +302,25 @@ def test_an_episode_adds_up():
     assert 0.0 <= summary["door_error_m"] < 0.05
     assert 0.0 < summary["grid_iou"] <= 1.0
     assert all(math.isfinite(value) for value in summary.values())
+
+
+def test_landmarks_where_somebody_walked_and_no_corner_is_sit_on_what_moves(truth):
+    metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
+    corner = truth.outline.corners.p_world[0]
+    for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
+        metrics._tread(truth, place[None])
+    at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
+    p_map = to_map(inverse(metrics.T_world_map), at)
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(5), p_map, np.zeros((5, 2, 2)))
+    assert metrics.landmarks_on_movers(truth, belief) == 2
+    assert EpisodeMetrics.begin(truth, np.zeros(3)).landmarks_on_movers(truth, belief) == 0
+
+
+def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
+    pose, box, size = np.array([2.0, 2.0, 0.0]), np.array([[2.8, 2.0, 0.0]]), np.array([[0.4, 0.4]])
+    at = box_corners(box, size)
+    others = Others(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
+    seen = Report(z=np.column_stack([np.hypot(*(at - pose[:2]).T), np.arctan2(at[:, 1] - 2.0, at[:, 0] - 2.0)]))
+    count = len(truth.outline.corners)
+    assert sorted(truth.identify(seen, pose, others)) == [-1, -1, count, count + 3]
+    assert (truth.identify(seen, pose) == -1).all()

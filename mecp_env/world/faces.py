@@ -54,3 +54,13 @@ def box_corner(box: Array, size: Array, k: int) -> tuple[float, float]:
     aside = 0.5 * size[1] if k in (2, 3) else -0.5 * size[1]
     c, s = math.cos(box[2]), math.sin(box[2])
     return box[0] + c * along - s * aside, box[1] + s * along + c * aside
+
+
+@kernel
+def box_corners(boxes: Array, sizes: Array) -> Array:
+    """(4b,2) m: the corners of boxes (b,>=3) of sizes (b,2)."""
+    corners = np.empty((4 * boxes.shape[0], 2))
+    for i in range(boxes.shape[0]):
+        for k in range(4):
+            corners[4 * i + k, 0], corners[4 * i + k, 1] = box_corner(boxes[i], sizes[i], k)
+    return corners

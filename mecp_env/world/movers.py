@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mecp_env.world import crowd_kernels as kernels
 from mecp_env.world.config import ClutterConfig, CrowdConfig, RobotConfig
-from mecp_env.world.faces import moving_faces
+from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.outline import Outline
 from mecp_env.world.ways import Ways
 
@@ -63,6 +63,17 @@ class Movers:
     def faces(self) -> Array:
         """(m,2,2) m, world frame: what the laser sees of them, free space on the left."""
         return moving_faces(self.round_people(), self.state.boxes, self.state.sizes)
+
+    @property
+    def box_corners(self) -> Array:
+        """(4b,2) m: corners of the boxes, counter-clockwise."""
+        return box_corners(self.state.boxes, self.state.sizes)
+
+    @property
+    def walking(self) -> Array:
+        """(n,3) m: place and reach of the people, and of the boxes that slide."""
+        slides = self.state.boxes[:, 3:].any(axis=1)
+        return np.concatenate([self.round_people(), self.round_boxes()[slides]])
 
     @property
     def discs(self) -> Array:

@@ -35,3 +35,12 @@ def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -
     assert record["again"].endswith("--seed 1 --config.start random")
     assert len(load_layout(folder / "layout.json").rooms) == 4
     assert (folder / "map.png").stat().st_size > 5000
+
+
+def test_settings_are_presets_with_something_more_and_can_be_seen_again() -> None:
+    assert set(worlds.SETTINGS) <= set(worlds.BUILDINGS)
+    assert worlds.flags("medium_people") == " --config.crowd.people 4"
+    assert worlds.flags("easy") == ""
+    visit = worlds.visit(("medium_people", 9))
+    assert visit.final["association_precision"] > 0.98
+    assert visit.final["landmarks_on_movers"] <= 5
