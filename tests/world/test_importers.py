@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from PIL import Image
 from shapely.geometry import Point, Polygon
 
 from mecp_env.errors import ConfigError, LayoutError
@@ -20,6 +21,7 @@ from mecp_env.world.importers import load_plan
 from mecp_env.world.importers.straighten import directions, straightened
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
+from mecp_env.world.schema import Pillar
 from tests.world import plans
 from tests.world.plans import RESOLUTION_M
 
@@ -261,3 +263,19 @@ def test_walls_of_one_pixel_are_walls(tmp_path: Path) -> None:
     layout = load_plan(plans.save(picture, tmp_path / "grid.png"), resolution_m=0.25)
     assert (len(layout.rooms), len(layout.doors)) == (25, 40)
     assert all((d.width_m, d.depth_m) == pytest.approx((1.0, 0.25), abs=0.02) for d in layout.doors)
+
+
+def test_pillars_are_round_again_and_boxes_are_not(tmp_path: Path) -> None:
+    """A pillar of pixels has no corners; seen as an outline of pixels it would have eight."""
+    layout = load_layout("furnished")
+    plan = load_plan(save_map_server(layout, tmp_path / "map")[0])
+    pillars = [[o for o in given.obstacles if isinstance(o, Pillar)] for given in (layout, plan)]
+    assert [len(found) for found in pillars] == [2, 2]
+    for pillar in pillars[0]:
+        near = min(pillars[1], key=lambda other, pillar=pillar: math.dist(other.centre, pillar.centre))
+        assert (*near.centre, near.radius_m) == pytest.approx((*pillar.centre, pillar.radius_m), abs=0.03)
+    for turn in (0, 20, 45):
+        square = np.full((120, 120), 255, dtype=np.uint8)
+        square[52:67, 52:67] = 0
+        turned = np.asarray(Image.fromarray(square).rotate(turn, fillcolor=255))
+        assert not any(isinstance(o, Pillar) for o in read(turned, tmp_path, free_above=100).obstacles)

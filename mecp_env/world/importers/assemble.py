@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from itertools import count
 
 import numpy as np
 import shapely
@@ -22,7 +22,8 @@ from mecp_env.world.importers.doors_of import (
     without_furniture,
 )
 from mecp_env.world.importers.options import FreeSpace, PlanOptions
-from mecp_env.world.importers.rooms_of import split
+from mecp_env.world.importers.pieces import fitted
+from mecp_env.world.importers.rooms_of import Rooms, split
 from mecp_env.world.importers.straighten import directions, straightened, thinned
 from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
@@ -43,18 +44,29 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
     _require_few(plan.area, MAX_VERTICES)
     _require_few(thinned(plan.area, plan.noise_m), MAX_THINNED)
-    area = _drawn(reachable_floor(plan.area), plan.noise_m, options)
-    axes = directions(area)
-    rooms = split(area, _doors(area, axes, plan, options), options)
+    read = reachable_floor(plan.area)
+    area = _drawn(read, plan.noise_m, options)
+    rooms = split(area, _doors(area, directions(area), plan, options), options)
+    try:
+        return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
+    except LayoutError:  # a piece of furniture is in the way by less than a pixel
+        return _layout(plan, area, rooms, [])
+
+
+def _layout(plan: FreeSpace, area: Polygon, rooms: Rooms, read: list[Polygon]) -> Layout:
+    """The checked layout of a floor and its rooms; islands are furniture where one as `read` looks like that."""
     names = _names(rooms.floors, plan.labels)
+    holes = [Polygon(hole) for hole in area.interiors]
+    pieces = [fitted(hole, read, plan.noise_m) if read else None for hole in holes]
     return check_geometry(
         Layout(
-            name=plan.name,
+            name=plan.name[:80],
             description=plan.description,
-            solids=_solids(area),
+            solids=_solids(area, [hole for hole, piece in zip(holes, pieces, strict=True) if piece is None]),
             walls=[],
             rooms=[{"name": n, "polygon": _outline(f)} for n, f in zip(names, rooms.floors, strict=True)],
             doors=[_door(door, (names[a], names[b])) for door, (a, b) in zip(rooms.doors, rooms.sides, strict=True)],
+            obstacles=[piece for piece in pieces if piece is not None],
             starts=_starts(area, rooms.floors),
         )
     )
@@ -70,14 +82,14 @@ def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
 
 def _is_ragged(floor: Polygon) -> bool:
     """Whether its edges are many and short."""
-    count = int(shapely.get_num_coordinates(floor))
-    return count > MANY_FACES and floor.length / count < SHORT_EDGE_M
+    faces = int(shapely.get_num_coordinates(floor))
+    return faces > MANY_FACES and floor.length / faces < SHORT_EDGE_M
 
 
 def _require_few(area: Polygon, most: int) -> None:
-    count = int(shapely.get_num_coordinates(area))
-    if count > most:
-        raise LayoutError(f"the floor has {count} vertices, at most {most}")
+    vertices = int(shapely.get_num_coordinates(area))
+    if vertices > most:
+        raise LayoutError(f"the floor has {vertices} vertices, at most {most}")
 
 
 def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: PlanOptions) -> list[Gap]:
@@ -93,12 +105,11 @@ def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: Pla
 
 def _names(floors: list[Polygon], labels: tuple[tuple[str, Polygon], ...]) -> list[str]:
     """A name for each floor: of the label that it overlaps best, numbered where there are more; else room 1, 2, ..."""
-    plain = [_best_label(floor, labels) or f"room {i}" for i, floor in enumerate(floors, 1)]
-    seen: Counter[str] = Counter()
-    names = []
-    for name in plain:
-        seen[name] += 1
-        names.append(name if seen[name] == 1 else f"{name} {seen[name]}")
+    names: list[str] = []
+    for i, floor in enumerate(floors, 1):
+        plain = _best_label(floor, labels) or f"room {i}"
+        numbered = (plain if number == 1 else f"{plain} {number}" for number in count(1))
+        names.append(next(name for name in numbered if name not in names))
     return names
 
 
@@ -121,11 +132,11 @@ def _outline(floor: Polygon) -> list[tuple[float, float]]:
     return _ring(floor.exterior)
 
 
-def _solids(area: Polygon) -> list[dict[str, object]]:
+def _solids(area: Polygon, holes: list[Polygon]) -> list[dict[str, object]]:
     """A wall around the floor, and what stands in it."""
     around = largest_part(Polygon(area.exterior).buffer(WALL_M, join_style="mitre", mitre_limit=2.0))
     walls: dict[str, object] = {"outer": _ring(around.exterior), "holes": [_ring(area.exterior)]}
-    islands: list[dict[str, object]] = [{"outer": _ring(hole)} for hole in area.interiors]
+    islands: list[dict[str, object]] = [{"outer": _ring(hole.exterior)} for hole in holes]
     return [walls, *islands]
 
 

@@ -121,10 +121,11 @@ def is_between_walls(gap: Gap, area: Polygon) -> bool:
 
 def without_furniture(area: Polygon) -> Polygon:
     """`area` as if the pieces of furniture that stand free in it were not there."""
-    return Polygon(area.exterior, [hole for hole in area.interiors if not _is_furniture(Polygon(hole))])
+    return Polygon(area.exterior, [hole for hole in area.interiors if not is_furniture(Polygon(hole))])
 
 
-def _is_furniture(island: Polygon) -> bool:
+def is_furniture(island: Polygon) -> bool:
+    """Whether what stands on the floor is no wall."""
     around = np.array(shapely.minimum_rotated_rectangle(island).exterior.coords)
     sides = np.hypot(*np.diff(around, axis=0).T)
     full = island.area >= FURNITURE_FILL * sides[0] * sides[1] and sides.min() >= FURNITURE_M[0]
