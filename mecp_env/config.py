@@ -40,6 +40,7 @@ class EndConfig(Settings):
     """When an episode ends before its limit; without a coverage it ends when no goal is left in the belief."""
 
     coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the truth's free area that must have been seen
+    quiet_periods: int = Field(25, ge=1, le=10_000)  # where people walk, who may hide a door: so long no goal is left
 
 
 def plain_value(value: Any) -> Any:

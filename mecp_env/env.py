@@ -105,9 +105,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Episode End
 
-    Terminated: no goal is left in a belief with at least one polygon, or the share `end={"coverage": ...}` of the true
-    free area has been seen. Truncated: `max_periods` periods are over (default 3,000), or the filter diverged
-    (`info["diverged"]`).
+    Terminated: no goal is left in a belief with at least one polygon (where people walk, for 25 periods), or the share
+    `end={"coverage": ...}` of the true free area has been seen. Truncated: `max_periods` periods are over (default
+    3,000), or the filter diverged (`info["diverged"]`).
 
     ## Arguments
 
@@ -455,13 +455,23 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _ends(self, episode: Episode) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
-        explored = not len(episode.goals) and len(episode.report.known_polygons) > 0
-        done = explored or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
+        done = self._nothing_left(episode) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
         cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
         episode.over = done or cut
         if episode.over:
             episode.metrics.compare_map(self._truth, episode.report, due=True)
         return done, cut
+
+    def _nothing_left(self, episode: Episode) -> bool:
+        """True when no goal is left: at once, or for a while where people walk, who may hide a door or bar a way."""
+        empty = not len(episode.goals) and len(episode.report.known_polygons) > 0
+        episode.quiet = episode.quiet + 1 if empty else 0
+        if not self.config.crowd.people:
+            return empty
+        if empty:
+            episode.pipeline.grid.look_again()
+            episode.book.forgive()
+        return episode.quiet >= self.config.end.quiet_periods
 
     def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:
         """The terms of this period's reward, weighted."""

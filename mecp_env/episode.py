@@ -40,6 +40,7 @@ class Episode:
     path_map: Trail = field(default_factory=Trail)
     path_world: Trail = field(default_factory=Trail)
     target: Array | None = None  # (2,) m, map frame: where a goal action drives to
+    quiet: int = 0  # periods without a goal, in a row
     contact: bool = False
     saturated: int = 0  # values of the observation cut to their bounds, rows left out
     over: bool = False

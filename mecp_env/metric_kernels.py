@@ -314,11 +314,16 @@ def tread(trodden: Bools, corner: Array, walking: Array) -> None:
     """Mark the cells (H,W) whose middle lies within `BESIDE_M` of something at a place, of a reach (n,3) m."""
     for i in range(walking.shape[0]):
         x, y = (walking[i, 0] - corner[0]) / CELL_M, (walking[i, 1] - corner[1]) / CELL_M
-        near = (walking[i, 2] + BESIDE_M) / CELL_M
-        for row in range(max(math.ceil(y - near), 0), min(math.floor(y + near) + 1, trodden.shape[0])):
-            for column in range(max(math.ceil(x - near), 0), min(math.floor(x + near) + 1, trodden.shape[1])):
-                if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < near * near:
-                    trodden[row, column] = True
+        mark_disc(trodden, x, y, (walking[i, 2] + BESIDE_M) / CELL_M)
+
+
+@kernel
+def mark_disc(cells: Bools, x: float, y: float, radius: float) -> None:
+    """Mark the cells (H,W) whose middle lies in the disc around (x, y), in cells."""
+    for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
+        for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
+            if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius:
+                cells[row, column] = True
 
 
 @kernel

@@ -28,7 +28,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     with the episode. Rewards of its periods are summed. `info["event"]` tells how it ended ("reached", "refused",
     "ended" with the episode, "masked" for a row that holds no goal: one period of waiting) and `info["periods"]` how
     many periods it took, at least one. A drive after which no goal is left is followed by one period of waiting, in
-    which the episode ends (unless nothing was mapped yet).
+    which the episode ends (unless nothing was mapped yet, or people walk: then it ends after some such periods).
 
     `callback`, if one is set, is called with the result of every inner period. A state taken inside a drive continues
     as a velocity environment: the drive itself is not part of it.

@@ -16,6 +16,8 @@ from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
 
+CHANCES = 2
+
 __all__ = ["Goal", "GoalBook", "GoalKind", "Goals", "Remembered", "complete_rooms", "find_goals"]
 
 
@@ -37,6 +39,7 @@ class GoalBook:
     drives: list[Remembered] = field(default_factory=list)
     entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, where the robot first stood in it
     first_room: int = UNKNOWN_ROOM
+    forgiven: int = 0  # how often goals that were refused were given another chance
 
     def notice(self, report: StepReport) -> None:
         """Remember where a room was entered."""
@@ -56,6 +59,14 @@ class GoalBook:
         remembered.visits += int(reached)
         remembered.refusals += int(not reached)
         remembered.closed = remembered.refusals >= config.refusals or remembered.visits >= config.visits
+
+    def forgive(self) -> None:
+        """Give goals that were refused another chance, twice: who stood in the way may have gone."""
+        refused = [drive for drive in self.drives if drive.closed and drive.refusals]
+        if refused and self.forgiven < CHANCES:
+            self.forgiven += 1
+            for drive in refused:
+                drive.closed, drive.refusals = False, 0
 
     def find(self, kind: int, x: float, y: float, apart_m: float) -> Remembered | None:
         """What is remembered of a goal: the drive to one of its kind nearest to it, within `apart_m`."""

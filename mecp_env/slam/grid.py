@@ -49,6 +49,7 @@ class GridPainter:
         self.merges = 0
         self.completed: tuple[int, ...] = ()  # rooms with nothing left to see
         self.filled: tuple[int, ...] = ()  # those whose pockets are painted
+        self.again = False  # the next scan is painted, wherever it is taken
 
     def paint(
         self,
@@ -73,6 +74,10 @@ class GridPainter:
     def complete(self, rooms: Collection[int]) -> None:
         """Say which rooms hold nothing left to see: from the next period on their unknown pockets are walls."""
         self.completed = tuple(sorted(rooms))
+
+    def look_again(self) -> None:
+        """Paint the next scan though others were taken near it: what stood there may have gone."""
+        self.again = True
 
     def _look(self, belief: Belief) -> tuple[Array, int]:
         """Where the landmarks are (F,2), and what happened to them since the last look (`scans.MOVED`, ...)."""
@@ -123,7 +128,8 @@ class GridPainter:
         pose = belief.T_map_robot
         says_nothing = graph.in_doorway or self.doors.near(pose, self.config.doorway_m)
         room = UNKNOWN_ROOM if says_nothing else graph.resolve(graph.current)
-        if self.scans.wants(pose, room, self.config):
+        if self.again or self.scans.wants(pose, room, self.config):
+            self.again = False
             outline, strips = free_and_walls(beams, segments, self.config)
             self.scans.add(self.canvas, pose.copy(), room, outline, strips, self.config.anchors)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mecp_env.state import StateError
+from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from tests.env.helpers import drive, make, same
 
 BUSY = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.3}, "layout": "paper"}
@@ -83,3 +84,21 @@ def test_pictures_show_what_moves() -> None:
     for _ in range(5):
         env.step(np.zeros(2, np.float32))
     assert (env.render() != before).any()
+
+
+def test_a_door_hidden_by_somebody_at_the_start_is_found_when_he_has_gone() -> None:
+    """Building 12 of the test split: four people, one of them in the only door of the first room."""
+    layout = generate(GeneratorSpec.preset("medium"), split_seed("test", 12))
+    env = gymnasium.make(
+        "mecp_env/Layout-v0", layout=layout, actions="goal", start="random", crowd={"people": 4}, max_periods=6000
+    )
+    env.reset(seed=12)
+    quiet = 0
+    for _ in range(60):
+        _, _, terminated, _, info = env.step(0)
+        assert not terminated
+        quiet += info["event"] == "masked"
+        if info["rooms_found"] > 1:
+            break
+    assert quiet > 0
+    assert info["rooms_found"] > 1

@@ -247,3 +247,17 @@ def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) ->
     gap = candidate(toy.p_map[[4, 5]], 4)
     object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
     assert candidates(report).room.tolist() == [0]
+
+
+def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:
+    goals, limits, book = find_goals(toy.report(), GoalBook(), CONFIG), CONFIG.goals, GoalBook()
+    assert len(goals) > 1
+    for _ in range(limits.visits):
+        book.record(goals, 1, True, limits)
+    for _ in range(3):
+        assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 1
+        for _ in range(limits.refusals):
+            book.record(goals, 0, False, limits)
+        assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 2
+        book.forgive()
+    assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 2

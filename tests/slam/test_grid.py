@@ -259,3 +259,14 @@ def test_the_toy_tells_floor_from_wall() -> None:
     places = np.array([[1.0, 1.0], [6.06, 2.0], [6.06, 1.0], [12.2, 2.0], [31.0, 3.9], [33.0, 1.0]])
     assert is_free(places).tolist() == [True, True, False, False, True, False]
     assert compose(HERE, HERE).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
+    toy = Toy(np.array([2.0, 2.0, 0.0]))
+    drive(toy, [(2.0, 2.0)])
+    scans = len(toy.painter.scans.room)
+    toy.painter.look_again()
+    drive(toy, [(2.0, 2.0)])
+    assert len(toy.painter.scans.room) == scans + 1
+    drive(toy, [(2.0, 2.0)])
+    assert len(toy.painter.scans.room) == scans + 1
