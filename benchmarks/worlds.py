@@ -1,9 +1,10 @@
 """Worlds: the breadth-first explorer in generated buildings of the test split, and in real floor plans where present.
 
-A building is complete when the episode ends by itself with every room and door found and 95 % of the free area seen;
-lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither. Each building is
-started from a place that its number draws. What is not complete is kept in `runs/worlds/`: the layout, a picture, and
-the command that shows the episode again.
+A building is seen when the episode ends by itself with 95 % of the free area seen, complete when every room and door
+was found as well; lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither
+complete nor lost. Each building is started from a place that its number draws, each plan three times. Doors of plans
+are 0.55 to 1.9 m wide, of which the explorer knows nothing: rooms that it takes for one are seen all the same. What is
+not complete is kept in `runs/worlds/`: the layout, a picture, and the command that shows the episode again.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from mecp_env.env import make
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.importers import load_plan
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
@@ -28,7 +30,10 @@ SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further config
     "medium_people": ("medium", {"crowd": {"people": 4}}),
     "medium_clutter": ("medium", {"clutter": {"movable_boxes": 4, "closed_doors": 0.15}}),
 }
-MAX_PERIODS = 6000
+PLANS = "plans"  # the setting of the real floor plans
+PLAN_STARTS = 3
+PIXEL_M = 0.05  # of plans that are plain images
+MAX_PERIODS = 10_000
 COMPLETE_COVERAGE = 0.95
 LOST_M = 1.0
 KEPT = Path("runs/worlds")
@@ -51,11 +56,16 @@ class Visit:
     saturated: int  # values of the last observation that were cut, rows left out
 
     @property
+    def seen(self) -> bool:
+        """True when the explorer found an end and had seen nearly everything."""
+        return self.terminated and self.final["coverage"] >= COMPLETE_COVERAGE
+
+    @property
     def outcome(self) -> str:
         """complete, lost or stuck."""
         final = self.final
         found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
-        if self.terminated and found and final["coverage"] >= COMPLETE_COVERAGE:
+        if self.seen and found:
             return "complete"
         return "lost" if self.diverged or final["pose_error_final_m"] > LOST_M else "stuck"
 
@@ -63,17 +73,36 @@ class Visit:
 def run(options: Options) -> Figures:
     """Figures of each preset."""
     figures: Figures = {}
-    for preset, count in (QUICK if options.quick else BUILDINGS).items():
+    counts = QUICK if options.quick else BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
+    for preset, count in counts.items():
         visits = list(in_parallel(visit, [(preset, index) for index in range(count)], options.jobs))
-        figures[preset] = summarise(visits)
+        figures |= {preset: summarise(visits)} if visits else {}
     return figures
 
 
+def plans_at_hand() -> list[Path]:
+    """The real floor plans in `shared/data/plans` beside the repository, none elsewhere; images only without a yaml."""
+    folders = (parent / "shared" / "data" / "plans" for parent in Path(__file__).resolve().parents)
+    folder = next((folder for folder in folders if folder.is_dir()), None)
+    files = sorted(folder.rglob("*.*")) if folder is not None else []
+    named = {file.with_suffix("") for file in files if file.suffix == ".yaml"}
+    return [
+        f for f in files if f.suffix in (".json", ".yaml") or (f.suffix == ".png" and f.with_suffix("") not in named)
+    ]
+
+
+def building(setting: str, index: int) -> Layout:
+    """The building of a task: of the preset's test split, or a plan, each of which comes `PLAN_STARTS` times."""
+    if setting != PLANS:
+        return generate(GeneratorSpec.preset(SETTINGS.get(setting, (setting, {}))[0]), split_seed("test", index))
+    path = plans_at_hand()[index // PLAN_STARTS]
+    return load_plan(path, resolution_m=PIXEL_M if path.suffix == ".png" else None)
+
+
 def visit(task: tuple[str, int]) -> Visit:
-    """Explore one building of the test split, from a start that its number draws."""
+    """Explore one building, from a start that its number draws."""
     setting, index = task
-    preset, further = SETTINGS.get(setting, (setting, {}))
-    layout = generate(GeneratorSpec.preset(preset), split_seed("test", index))
+    layout, (_, further) = building(setting, index), SETTINGS.get(setting, ("", {}))
     env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random", **further)
     assert isinstance(env, GoalActions)
     policy, begun = BreadthFirst(), time.thread_time()
@@ -122,7 +151,8 @@ def summarise(visits: list[Visit]) -> Figures:
 
 def outcomes(visits: list[Visit]) -> Figures:
     """How the episodes ended."""
-    return {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
+    ends = {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
+    return {"seen": share(visit.seen for visit in visits)} | ends
 
 
 def totals(finals: list[dict[str, float]]) -> Figures:
