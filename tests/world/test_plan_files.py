@@ -183,10 +183,20 @@ def test_labelled_images_that_are_none(tmp_path: Path) -> None:
     touching[40:50, 92:94] = (200, 30, 30)
     door[5:9, 30:40] = 255
     colours = np.random.default_rng(1).integers(0, 255, (200, 200, 3), dtype=np.uint8)
-    cases = {"two rooms touch at column": touching, "joins 0 rooms": door, "colours, at most 2000": colours}
+    mixed = np.random.default_rng(1).integers(0, 9, (1900, 1900, 1), dtype=np.uint8) * np.array(
+        [20, 3, 9], dtype=np.uint8
+    )
+    begun = time.perf_counter()
+    cases = {
+        "two rooms touch at column": touching,
+        "joins 0 rooms": door,
+        "more than 2000 colours": colours,
+        "lie across": mixed,
+    }
     for message, picture in cases.items():
         with pytest.raises(LayoutError, match=message):
             load_plan(plans.save(picture, tmp_path / "plan.png"), kind="labelled", resolution_m=0.05)
+    assert time.perf_counter() - begun < 10.0 * SECONDS
 
 
 MEASURE = """

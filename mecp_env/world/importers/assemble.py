@@ -14,6 +14,7 @@ from mecp_env.world.checks import check_geometry
 from mecp_env.world.importers.clean import largest_part, reachable_floor
 from mecp_env.world.importers.doors_of import (
     FINE_STEP_M,
+    LEAST_DEPTH_M,
     Gap,
     Walls,
     find_doors,
@@ -148,7 +149,7 @@ def _door(gap: Gap, rooms: tuple[str, str]) -> dict[str, object]:
         "rooms": rooms,
         "direction_deg": heading,
         "opening": "gap",
-        "depth_m": gap.depth_m,
+        "depth_m": max(gap.depth_m, LEAST_DEPTH_M),
     }
 
 

@@ -33,6 +33,7 @@ PILLAR_M = 0.45  # and so is a smaller one of any shape
 FURNITURE_FILL = 0.55  # when it fills so much of the rectangle around it
 SAME_DOOR_M = 0.5  # two doorways so near to each other are one
 SIGHT_M = 4.0  # how far is far enough
+LEAST_DEPTH_M = 0.02  # of a doorway
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
 
 
@@ -290,4 +291,4 @@ def _is_door(gap: Gap, options: PlanOptions) -> bool:
     """Short, of a door's width, and clearly wider on both sides: the deeper and wider it is, the more."""
     needed = 0.15 if gap.depth_m < 0.4 and gap.width_m < 1.3 else 0.3 * gap.width_m
     fits = options.door_width_m[0] <= gap.width_m <= options.door_width_m[1]
-    return fits and gap.depth_m <= options.door_depth_m and gap.gain_m >= needed
+    return fits and LEAST_DEPTH_M <= gap.depth_m <= options.door_depth_m and gap.gain_m >= needed

@@ -16,9 +16,11 @@ from mecp_env.world.importers.options import Crossing, FreeSpace, PlanOptions
 from mecp_env.world.importers.vectorise import MAX_CELLS, Placement, floor_polygon
 
 MAX_PARTS = 2_000  # rooms, or doors, of an image
+MAX_SPREAD = 20_000_000  # pixels in the boxes around each colour
 SMALLEST_CELLS = 12  # a patch of fewer pixels is the blurred edge of another
 
-Labels = NDArray[np.int64]
+OPAQUE, BLACK, WHITE = 0xFF000000, 0xFF000000, 0xFFFFFFFF
+Labels = NDArray[np.int32]
 WALL, DOOR = 0, 1  # rooms are 2, 3, ...
 
 
@@ -42,29 +44,35 @@ def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
 
 def _labels(image: Image.Image) -> Labels:
     """The label (h,w) of each pixel; patches of one colour that do not touch are two rooms."""
-    channels = np.asarray(image.convert("RGBA")).astype(np.int64)
-    colour = (channels[..., 0] << 16) + (channels[..., 1] << 8) + channels[..., 2]
-    colour[channels[..., 3] < 255] = 0
-    values, codes = np.unique(colour, return_inverse=True)
-    if len(values) > MAX_PARTS:
-        raise LayoutError(f"image: {len(values)} colours, at most {MAX_PARTS}; save it without blur or compression")
-    labels = np.where(colour == 0xFFFFFF, DOOR, WALL).astype(np.int64)
-    code_of = np.where((values != 0) & (values != 0xFFFFFF), np.arange(1, len(values) + 1), 0)
-    boxes = ndimage.find_objects(code_of[codes.reshape(colour.shape)])
-    for code, place in enumerate(boxes, 1):
-        if place is not None:
-            _number_patches(labels[place], codes.reshape(colour.shape)[place] == code - 1, int(labels.max()))
+    image = image.convert("RGBA")
+    if image.getcolors(MAX_PARTS) is None:
+        raise LayoutError(f"image: more than {MAX_PARTS} colours; save it without blur or compression")
+    colour = np.array(image).view("<u4")[..., 0]  # red in the lowest byte, opacity in the highest
+    colour[colour < OPAQUE] = BLACK
+    values, index = np.unique(colour, return_inverse=True)
+    labels = np.where(colour == WHITE, DOOR, WALL).astype(np.int32)
+    is_room = (values != BLACK) & (values != WHITE)
+    codes = np.where(is_room, np.arange(1, len(values) + 1), 0).astype(np.int32)[index.reshape(colour.shape)]
+    places = [(code, place) for code, place in enumerate(ndimage.find_objects(codes), 1) if place is not None]
+    if sum(labels[place].size for _, place in places) > MAX_SPREAD:
+        raise LayoutError(f"image: {len(places)} colours lie across each other; save it without blur or compression")
+    last = DOOR
+    for code, place in places:
+        last = _number_patches(labels[place], codes[place] == code, last)
     return labels
 
 
-def _number_patches(labels: Labels, here: NDArray[np.bool_], last: int) -> None:
-    """Give each patch of `here` (h,w) a number of its own above `last`, in place; the small ones stay walls."""
-    patches, count = ndimage.label(here)
-    if last + count > MAX_PARTS:
-        raise LayoutError(f"image: more than {MAX_PARTS} rooms")
+def _number_patches(labels: Labels, here: NDArray[np.bool_], last: int) -> int:
+    """Give each patch of `here` (h,w) a number of its own above `last`, in place, small ones stay walls; the last."""
+    patches, _ = ndimage.label(here)
     sizes = np.bincount(patches.ravel())
-    number = np.where(sizes >= SMALLEST_CELLS, np.arange(len(sizes)) + max(last, DOOR), WALL)
+    sizes[0] = 0
+    large = sizes >= SMALLEST_CELLS
+    if last + large.sum() > MAX_PARTS:
+        raise LayoutError(f"image: more than {MAX_PARTS} rooms")
+    number = np.where(large, last + np.cumsum(large), WALL)
     labels[here] = number[patches[here]]
+    return int(last + large.sum())
 
 
 def _check_closed(labels: Labels) -> None:
