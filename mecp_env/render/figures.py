@@ -56,7 +56,7 @@ def map_figure(view: View) -> Figure:
     _draw_scale(axes, view.bounds)
     _plain(axes, view.bounds)
     figure.suptitle(readable(_caption(view)), x=0.01, ha="left", fontsize=13, parse_math=False)
-    figure.legend(handles=_map_legend(), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
+    figure.legend(handles=_map_legend(view), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
     return figure
 
 
@@ -151,9 +151,10 @@ def _plain(axes: Axes, bounds: Array) -> None:
     axes.set_ylim(bounds[0, 1] - 1.0, bounds[1, 1] + 0.5)
 
 
-def _map_legend() -> list[Patch | Line2D]:
+def _map_legend(view: View) -> list[Patch | Line2D]:
     ink, blue, red, amber = (unit(c) for c in (palette.INK, palette.ESTIMATE, palette.LANDMARK, palette.DOOR))
     room = unit(palette.ROOMS[0])
+    movers = [Patch(color=unit(palette.MOVER), alpha=0.6, label="person, box")] if len(view.moving) else []
     return [
         Patch(color=TRUTH_GREY, label="true walls"),
         Line2D([], [], color=ink, alpha=0.35, linewidth=2.2, label="true path"),
@@ -162,6 +163,7 @@ def _map_legend() -> list[Patch | Line2D]:
         Line2D([], [], color=red, marker="o", fillstyle="none", linestyle="none", label=_ellipse_label()),
         Patch(facecolor=(*room, 0.2), edgecolor=room, label="polygons of a room"),
         Line2D([], [], color=amber, linewidth=3, label="door"),
+        *movers,
     ]
 
 

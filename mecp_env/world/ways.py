@@ -26,12 +26,13 @@ class Ways:
         self._corner, self._cell_m = corner, cell_m
         self.clearance = kernels.clearance(label, comfort)  # (H,W) cells to the nearest wall, up to the comfort
         self._cost = kernels.cell_costs(label, self.clearance, least, comfort, WALL_COST)
+        self._open = np.where(self._cost > 0, 0, kernels.FAR).astype(np.int32)  # (H,W) FAR where nobody may stand
         self._shortcut = max(SHORTCUT_M / cell_m, least)
         self._fields: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
 
     def reachable(self, p_world: Array) -> Array:
         """(n,2) m: the middles of all cells that can be reached from `p_world` (2,); none where nobody could stand."""
-        start = self._nearest(self._cost, p_world)
+        start = self._nearest(self._open, p_world)
         if start is None:
             return np.empty((0, 2))
         rows, columns = np.nonzero(self._field(*start)[0] < kernels.FAR)
@@ -46,11 +47,11 @@ class Ways:
 
     def route(self, p_from: Array, p_to: Array) -> Array:
         """Points (n,2) m of the shortest way between two points (2,), without the first; none where there is no way."""
-        end = self._nearest(self._cost, p_to)
+        end = self._nearest(self._open, p_to)
         if end is None:
             return np.empty((0, 2))
         total, step = self._field(*end)
-        begin = self._nearest((total < kernels.FAR).astype(np.uint8), p_from)
+        begin = self._nearest(total, p_from)
         if begin is None:
             return np.empty((0, 2))
         cells = kernels.smooth_way(step, *begin, self.clearance, self._cost, self._shortcut)
@@ -63,9 +64,8 @@ class Ways:
             self._fields[row, column] = kernels.distance_field(self._cost, row, column)
         return self._fields[row, column]
 
-    def _nearest(self, open_cells: NDArray[np.uint8], p_world: Array) -> tuple[int, int] | None:
-        """Row and column of the nearest open cell within `NEAR_M`."""
+    def _nearest(self, total: NDArray[np.int32], p_world: Array) -> tuple[int, int] | None:
+        """Row and column of the nearest cell within `NEAR_M` that is not FAR."""
         x, y = ((p_world - self._corner) / self._cell_m).tolist()
-        total = np.where(open_cells > 0, 0, kernels.FAR).astype(np.int32)
         row, column = kernels.nearest_reached(total, x, y, NEAR_M / self._cell_m)
         return None if row < 0 else (row, column)
