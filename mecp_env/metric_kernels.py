@@ -22,7 +22,7 @@ CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell see
 STEP = 0.9  # cells between two looks along a beam
 LANDMARK = int(Decision.LANDMARK)
 NEES_MAX = 1e9
-BESIDE_M, OFF_CORNER_M = 0.15, 0.3  # of what moved, and off a true corner: a landmark there sits on what moved
+BESIDE_M = 0.15  # of what moved: a landmark there may sit on it
 BORDER = 3  # depth of a cell beside one of another room
 
 
@@ -327,16 +327,12 @@ def mark_disc(cells: Bools, x: float, y: float, radius: float) -> None:
 
 
 @kernel
-def count_trodden(trodden: Bools, corner: Array, p_world: Array, true: Array) -> int:
-    """How many points (n,2) lie on marked cells and off all true corners (m,2)."""
+def count_trodden(trodden: Bools, corner: Array, p_world: Array) -> int:
+    """How many points (n,2) lie on marked cells."""
     count = 0
     for i in range(p_world.shape[0]):
         column = math.floor((p_world[i, 0] - corner[0]) / CELL_M)
         row = math.floor((p_world[i, 1] - corner[1]) / CELL_M)
-        if not (0 <= row < trodden.shape[0] and 0 <= column < trodden.shape[1]) or not trodden[row, column]:
-            continue
-        nearest = math.inf
-        for k in range(true.shape[0]):
-            nearest = min(nearest, math.hypot(p_world[i, 0] - true[k, 0], p_world[i, 1] - true[k, 1]))
-        count += nearest > OFF_CORNER_M
+        if 0 <= row < trodden.shape[0] and 0 <= column < trodden.shape[1]:
+            count += trodden[row, column]
     return count

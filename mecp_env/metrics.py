@@ -154,14 +154,15 @@ class EpisodeMetrics:
         kernels.tread(self.trodden, truth.corner, walking)
 
     def landmarks_on_movers(self, truth: Truth, belief: Belief) -> int:
-        """How many landmarks lie within 0.15 m of where something that moves has been, and 0.3 m off any true corner.
+        """How many landmarks lie within 0.15 m of where something that moves has been, and never were a true corner.
 
         An upper bound: a corner misjudged on a wall that people pass counts, too.
         """
         if not self.trodden.size or not len(belief.ids):
             return 0
         p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
-        return int(kernels.count_trodden(self.trodden, truth.corner, p_world, truth.outline.corners.p_world))
+        nameless = self.association.features[belief.ids, 0] < 0
+        return int(kernels.count_trodden(self.trodden, truth.corner, p_world[nameless]))
 
     def _compare_pose(self, belief: Belief) -> None:
         errors = kernels.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)

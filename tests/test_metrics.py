@@ -304,11 +304,12 @@ def test_an_episode_adds_up():
     assert all(math.isfinite(value) for value in summary.values())
 
 
-def test_landmarks_where_somebody_walked_and_no_corner_is_sit_on_what_moves(truth):
+def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_moves(truth):
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
     corner = truth.outline.corners.p_world[0]
     for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
         metrics._tread(truth, place[None])
+    metrics.association.features[3:5, 0] = 0
     at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
     p_map = to_map(inverse(metrics.T_world_map), at)
     belief = Belief(np.zeros(3), np.eye(3), np.arange(5), p_map, np.zeros((5, 2, 2)))
