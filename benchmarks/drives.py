@@ -55,18 +55,15 @@ class RecordingEnv(MecpEnv):
 
     def _look(self, T_world_robot: Array) -> Scan:
         scan = super()._look(T_world_robot)
-        self._keep(None, scan, T_world_robot)
+        self.drive.odometry.append(None)
+        self.drive.scans.append(scan)
+        self.drive.T_world_robot.append(T_world_robot)
         return scan
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
-        odometry, scan = super()._sense(motion, T_world_robot)
-        self._keep(odometry, scan, T_world_robot)
+        odometry, scan = super()._sense(motion, T_world_robot)  # which looks
+        self.drive.odometry[-1] = odometry
         return odometry, scan
-
-    def _keep(self, odometry: Odometry | None, scan: Scan, T_world_robot: Array) -> None:
-        self.drive.odometry.append(odometry)
-        self.drive.scans.append(scan)
-        self.drive.T_world_robot.append(T_world_robot)
 
 
 def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:

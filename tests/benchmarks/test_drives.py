@@ -1,0 +1,26 @@
+"""Recorded drives: an estimator that replays one makes of it what the environment's own made."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.drives import RecordingEnv, replay
+from mecp_env.slam.pipeline import SlamPipeline
+
+
+def test_a_replay_is_the_run_again_to_the_bit() -> None:
+    """Each period was once recorded twice: nearest and mecp then looked equally bad."""
+    env = RecordingEnv(layout="two_rooms", start="random")
+    env.reset(seed=4)
+    for period in range(25):
+        env.step(np.array([0.5, 0.4 * (period % 3 - 1)], np.float32))
+    drive, last = env.drive, env.report
+    assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.period == 28
+    assert [odometry is None for odometry in drive.odometry] == [True] * 3 + [False] * 25
+    pipeline = SlamPipeline(drive.slam)
+    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
+        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    assert np.array_equal(report.belief.T_map_robot, last.belief.T_map_robot)
+    assert np.array_equal(report.belief.p_map, last.belief.p_map)
+    assert np.array_equal(report.grid.label, last.grid.label)
+    assert replay(drive, drive.slam).error_m[-1] < 0.05
