@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from shapely.errors import GEOSException
+
 from mecp_env.errors import LayoutError
 from mecp_env.world.importers.assemble import layout_of
 from mecp_env.world.importers.files import MAX_JSON_BYTES, read_bytes
@@ -43,6 +45,8 @@ def load_plan(
         return _load(Path(path), kind, chosen)
     except LayoutError as error:
         raise error if str(error).startswith(f"{path}: ") else LayoutError(f"{path}: {error}") from None
+    except GEOSException as error:
+        raise LayoutError(f"{path}: its geometry cannot be computed ({error})") from None
 
 
 def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:

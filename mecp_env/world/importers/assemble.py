@@ -30,6 +30,7 @@ from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
 
 MAX_VERTICES = 50_000  # of a floor as it was read
+MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
 MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
 RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
 MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
@@ -44,8 +45,9 @@ MATCH = 0.3  # share of overlap from which a room has the name of a box
 def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
     _require_few(plan.area, MAX_VERTICES)
-    _require_few(thinned(plan.area, plan.noise_m), MAX_THINNED)
-    read = reachable_floor(plan.area)
+    thin = thinned(plan.area, plan.noise_m)
+    _require_few(thin, MAX_THINNED)
+    read = reachable_floor(plan.area if shapely.get_num_coordinates(plan.area) <= MANY_VERTICES else thin)
     area = _drawn(read, plan.noise_m, options)
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     try:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from shapely.geometry import Polygon, box
 from shapely.validation import explain_validity
 
@@ -15,7 +13,7 @@ from mecp_env.world.importers.files import require, shown
 from mecp_env.world.importers.options import FreeSpace
 from mecp_env.world.schema import EXTENT_M
 
-MAX_VERTICES = 10_000
+MAX_VERTICES = 20_000
 MAX_LABELS = 500
 STAIRS_M = 0.03  # slanted walls are stairs of 1-2 cm
 
@@ -28,7 +26,7 @@ def read_houseexpo(document: dict[str, Any], path: Path) -> FreeSpace:
     points = [_numbers(point, 2, f"verts.{i}") for i, point in enumerate(verts)]
     area = Polygon(points)
     if not area.is_valid:
-        area = _mended(area, points)
+        raise LayoutError(f"verts: not a simple polygon ({explain_validity(area)})")
     note = f"HouseExpo {str(document.get('id', path.stem))[:80]}"
     return FreeSpace(path.stem[:80], note, area, STAIRS_M, _labels(document.get("room_category", {})))
 
@@ -37,16 +35,6 @@ def _numbers(given: Any, count: int, field: str) -> tuple[float, ...]:
     if not isinstance(given, list) or len(given) != count:
         raise LayoutError(f"{field}: {count} numbers expected (given: {shown(given)})")
     return tuple(require(value, f"{field}.{i}", -EXTENT_M, EXTENT_M) for i, value in enumerate(given))
-
-
-def _mended(area: Polygon, points: list[tuple[float, ...]]) -> Polygon:
-    """`area` where it touches itself but does not cross itself. Raises LayoutError where it does."""
-    x, y = np.array(points).T
-    enclosed = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
-    mended = area.buffer(0.0)
-    if mended.geom_type != "Polygon" or not math.isclose(mended.area, enclosed, rel_tol=0.005):
-        raise LayoutError(f"verts: not a simple polygon ({explain_validity(area)})")
-    return mended
 
 
 def _labels(given: Any) -> tuple[tuple[str, Polygon], ...]:
