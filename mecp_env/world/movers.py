@@ -31,6 +31,7 @@ CHOICES = 6  # places that one who gets nowhere thinks of
 STEP_M = 0.3  # along a route, by which it is told where it leads
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
+NO_FACES = np.empty((0, 2, 2))
 
 
 @dataclass(slots=True, eq=False)
@@ -62,7 +63,7 @@ class Movers:
     @property
     def faces(self) -> Array:
         """(m,2,2) m, world frame: what the laser sees of them, free space on the left."""
-        return moving_faces(self.round_people(), self.state.boxes, self.state.sizes)
+        return moving_faces(self.round_people(), self.state.boxes, self.state.sizes) if len(self) else NO_FACES
 
     @property
     def box_corners(self) -> Array:
