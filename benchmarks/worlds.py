@@ -121,11 +121,12 @@ def visit(task: tuple[str, int]) -> Visit:
 def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
     """Write what is needed to look at an episode again."""
     setting, seed = task
-    folder = KEPT / (f"{layout.name}_{setting}" if setting in SETTINGS else layout.name)
+    folder = KEPT / f"{layout.name}_{setting}_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "layout.json").write_text(layout.to_json())
     save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
     again = f"mecp-env demo --layout {folder}/layout.json --seed {seed} --config.start random{flags(setting)}"
+    again += f" --config.max-periods {MAX_PERIODS}"
     record: dict[str, Any] = {"again": again, "seed": seed, "outcome": found.outcome, **found.final}
     (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")
 

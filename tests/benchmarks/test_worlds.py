@@ -32,7 +32,7 @@ def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -
     assert worlds.visit(("easy", 1)).outcome == "stuck"
     (folder,) = tmp_path.iterdir()
     record = json.loads((folder / "record.json").read_text())
-    assert record["again"].endswith("--seed 1 --config.start random")
+    assert record["again"].endswith("--seed 1 --config.start random --config.max-periods 5")
     assert len(load_layout(folder / "layout.json").rooms) == 4
     assert (folder / "map.png").stat().st_size > 5000
 

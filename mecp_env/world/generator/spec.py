@@ -28,7 +28,10 @@ SPLITS: dict[str, range] = {
 
 
 class GeneratorSpec(Settings):
-    """A building to generate. What is declared comes out exactly; ranges (low, high) are drawn from evenly."""
+    """A building to generate; ranges (low, high) are drawn from evenly.
+
+    Rooms, doors, corridors and shapes come out exactly; slanted corners and furniture as far as there is room for them.
+    """
 
     rooms: int = Field(8, ge=2, le=60)  # corridors are rooms too
     loops: int = Field(0, ge=0, le=30)  # doors beyond those that join all rooms: rooms - 1 + loops doors
