@@ -77,7 +77,8 @@ ROWS = (
 
 def say_result(metrics: dict[str, Any], folder: Path) -> None:
     """Print the figures of a run and where its files are."""
-    table = Table(title=f"exploration {metrics['ended']}", show_header=False, title_justify="left")
+    ended = "over, no goal left" if metrics["ended"] == "complete" else metrics["ended"]  # by the belief, not the truth
+    table = Table(title=f"exploration {ended}", show_header=False, title_justify="left")
     for name, form in ROWS:
         table.add_row(name, form.format(**metrics))
     console = Console()

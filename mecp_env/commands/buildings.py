@@ -45,7 +45,9 @@ def expand(word: str) -> list[str]:
     series = SERIES.fullmatch(word)
     if series:
         preset, first, last = series[1], int(series[2]), int(series[3] or series[2])
-        if not 0 <= last - first < MOST_SEEDS:
+        if last < first:
+            raise ConfigError(f"{word}: the first seed comes first, as {preset}:{last}-{first}")
+        if last - first >= MOST_SEEDS:
             raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
         return [f"{preset}:{seed}" for seed in range(first, last + 1)]
     if word and Path(word).is_dir():

@@ -65,6 +65,8 @@ class Generate(Command):
             raise ConfigError(f"count: {self.count}, from 1 to {MOST}")
         if self.seed < 0:
             raise ConfigError(f"seed: {self.seed}, at least 0")
+        if self.split:
+            split_seed(self.split, self.seed + self.count - 1)
         if self.out.suffix == ".json" and self.count > 1:
             raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
         check_writable(self.out)

@@ -134,6 +134,7 @@ class SlamPipeline:
         self._tell_identities(corners, identities)
         match = self._localise(corners, polygons, predicted, through)  # III-B
         belief = self._watched(self.filter.belief())
+        # Differs from the paper: its world is static; what stands on floor seen free before moves, and is not mapped.
         transient = find_transient(beams, segments, belief, self.grid.canvas.grid, config.transients)
         match = shun_transients(match, corners, beams, transient)
         match, belief = self._grow_map(corners, polygons, match, through, belief)
