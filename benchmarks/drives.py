@@ -51,7 +51,7 @@ class RecordingEnv(MecpEnv):
 
     def __init__(self, config: EnvConfig | dict[str, Any] | None = None, **keywords: Any) -> None:
         super().__init__(config, **keywords)
-        self.drive = Drive(self._truth, self._slam, [], [], [])
+        self.drive = Drive(self._site.truth, self._slam, [], [], [])
 
     def _look(self, T_world_robot: Array) -> Scan:
         scan = super()._look(T_world_robot)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
-from mecp_env.env import make
+from mecp_env.entry_points import make
 from mecp_env.wrappers import GoalActions
 
 EXPLORERS = {"breadth first": "agents.bfs:BreadthFirstAgent", "random walk": "agents.random_walk:RandomWalk"}

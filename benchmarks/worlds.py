@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
-from mecp_env.env import make
+from mecp_env.entry_points import make
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed

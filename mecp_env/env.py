@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
@@ -15,7 +16,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mecp_env.actions import make_actions
-from mecp_env.config import EnvConfig, merge, plain, plain_value
+from mecp_env.config import EnvConfig, plain_value
 from mecp_env.episode import (
     PARTS,
     STATE_FORMAT,
@@ -32,27 +33,14 @@ from mecp_env.observations import Observer
 from mecp_env.planning.goals import Goals, complete_rooms, find_goals
 from mecp_env.render.view import View
 from mecp_env.rewards import TERMS, quantities, remember, weigh
+from mecp_env.site import Site
 from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.start import Start, check_start, parse_options, start_pose
-from mecp_env.state import StateError, decode, encode, generator_data, make_generator
-from mecp_env.truth import CELL_M, NOBODY, Others, Truth
-from mecp_env.world.closing import close_doors, draw_closed
-from mecp_env.world.laser import Laser
-from mecp_env.world.movers import Movers, Moving, no_movers, wants_movers
+from mecp_env.start import parse_options
+from mecp_env.state import decode, encode, generator_data, make_generator
+from mecp_env.truth import CELL_M
 from mecp_env.world.odometry import measure
-from mecp_env.world.outline import Outline, build_outline
-from mecp_env.world.simulation import Motion, Simulation
-from mecp_env.world.source import (
-    GENERATE,
-    PLAN,
-    check_building,
-    draw_building,
-    generator_keywords,
-    make_source,
-    plan_keywords,
-)
-from mecp_env.world.ways import Ways
+from mecp_env.world.simulation import Motion
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,7 +48,7 @@ Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
-PAPER_LAYOUT = "paper"
+ENTRY_POINTS = ("make", "make_paper_map", "make_rooms", "make_floor_plan")
 REWARD_KEYS = {name: f"reward_{name}" for name in TERMS}
 
 
@@ -141,9 +129,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
         self.config = EnvConfig.build(config, **keywords)
         self.render_mode = render_mode
-        self._source = make_source(self.config.layout)
-        self._move_to(0)
-        self._start = self._checked_start(self.config.start)
+        self._site = Site(self.config)
+        self._start = self._site.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
         self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
@@ -163,18 +150,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         other option, a pose that is not free, a building that there is not; nothing is changed then.
         """
         given = parse_options(options)
-        building, start = check_building(given.get("building"), self._source), given.get("start", self._start)
-        start = self._checked_start(start)
+        building = self._site.check_building(given.get("building"))
+        start = self._site.check_start(given.get("start", self._start))
         super().reset(seed=seed)
-        self._move_to(draw_building(self._source, self.np_random) if building is None else building)
-        pose = start_pose(start, self._outline, self.config.robot, self.np_random)
-        self._populate(pose)
-        self._simulation.reset(pose)
+        self._site.begin(building, start, self.np_random)
         self._observer = self._new_observer()
         episode = self._begin()
         observation = self._observe(episode)
         self._show()
-        return observation, self._info(episode, self._simulation.T_world_robot, dict.fromkeys(TERMS, 0.0))
+        return observation, self._info(episode, self._site.T_world_robot, dict.fromkeys(TERMS, 0.0))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control period: observation, reward, terminated, truncated, info.
@@ -183,8 +167,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """
         shares = self._actions.shares(action)
         episode = self._running()
-        motion = self._act(shares)
-        pose = self._simulation.T_world_robot
+        motion = self._site.drive(shares)
+        pose = self._site.T_world_robot
         episode.report = self._estimate(episode, motion, pose)
         self._find_goals(episode)
         self._compare(episode, motion, pose)
@@ -218,11 +202,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "format": STATE_FORMAT,
             "version": STATE_VERSION,
             "config": self.config.to_json(),
-            "building": self._building,
+            "building": self._site.building,
             "random": generator_data(self.np_random),
             "seed": self._np_random_seed,
-            "simulation": encode(self._simulation.get_state()),
-            "moving": encode(self._movers.state),
+            "simulation": encode(self._site.simulation.get_state()),
+            "moving": encode(self._site.movers.state),
             "episode": encode(self._episode),
         }
 
@@ -232,13 +216,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
         """
         check_state(state, self.config)
-        building = self._building_of(state)
+        building = self._site.building_of(state)
         generator = make_generator(state["random"])
         body, moving, episode = (decode(state[part]) for part in PARTS)
         check_parts(state["seed"], body, moving, episode, SlamPipeline(self._slam))
-        self._move_to(building)
-        self._admit(moving)
-        self._simulation.set_state(body)
+        self._site.restore(building, moving, body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
 
@@ -246,9 +228,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The present moment as plain data for a picture: truth and belief."""
         episode = self._started()
         return View(
-            segments=self._outline.segments,
-            T_world_robot=self._simulation.T_world_robot,
-            moving=self._movers.faces,
+            segments=self._site.outline.segments,
+            T_world_robot=self._site.T_world_robot,
+            moving=self._site.movers.faces,
             T_world_map=episode.metrics.T_world_map,
             path_world=episode.path_world.points[: episode.path_world.count].copy(),
             path_map=episode.path_map.points[: episode.path_map.count].copy(),
@@ -257,8 +239,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             p_goals=episode.goals.p_map,
             goal_kinds=np.asarray(episode.goals.kind, np.int64),
             target=nearest_goal(episode.goals, episode.target),
-            title=f"{self._outline.name}, {self.config.estimator}, period {episode.metrics.periods}",
-            metrics=figures(episode.metrics, self._truth, episode.report),
+            title=f"{self._site.outline.name}, {self.config.estimator}, period {episode.metrics.periods}",
+            metrics=figures(episode.metrics, self._site.truth, episode.report),
         )
 
     @property
@@ -289,7 +271,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def summary(self) -> dict[str, float]:
         """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`)."""
         episode = self._started()
-        return episode.metrics.summary(self._truth, episode.report)
+        return episode.metrics.summary(self._site.truth, episode.report)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -331,74 +313,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         parts = self.config.observation
         return Observer(parts.map, self.config.laser.beams if parts.scan else 0, self.config.laser.max_range_m)
 
-    def _move_to(self, building: int) -> None:
-        """Be in the building of that number."""
-        if building == getattr(self, "_building", None):
-            if self._outline is not self._open:
-                self._enter(self._open)
-            return
-        self._building = building
-        self._open: Outline = build_outline(self._source.layout(building))
-        self._enter(self._open)
-
-    def _enter(self, outline: Outline) -> None:
-        """Be among these walls."""
-        self._outline = outline
-        self._truth = Truth(outline, self.config.laser.max_range_m)
-        self._laser = Laser(outline, self.config.laser)
-        self._simulation = Simulation(outline, self.config.robot)
-        self._movers = no_movers(self.config.robot)
-        self._ways: Ways | None = None  # of people, where there are any
-
-    def _populate(self, start: Array) -> None:
-        """Close doors and let people and boxes in, for an episode that starts at a pose (3,)."""
-        clutter = self.config.clutter
-        closed = draw_closed(self._outline.doors, start, clutter.closed_doors, self.np_random)
-        self._admit(Moving(closed=closed, start=start[:2].copy()))
-        if wants_movers(self.config.crowd, clutter):
-            self._movers.populate(self._outline, clutter, self.np_random)
-            self._simulation.admit(self._movers)
-
-    def _admit(self, moving: Moving) -> None:
-        """Be in the building with these doors closed, among these people and boxes."""
-        if len(moving.closed):
-            layout = close_doors(self._source.layout(self._building), moving.closed, moving.start)
-            self._enter(build_outline(layout))
-        crowd = self.config.crowd
-        if self._ways is None and wants_movers(crowd, self.config.clutter):
-            self._ways = Ways(self._truth.free, self._truth.corner, CELL_M, crowd.radius_m[1])
-        self._movers = Movers(self._ways, crowd, self.config.robot, moving)
-        self._simulation.admit(self._movers)
-
-    def _building_of(self, state: dict[str, Any]) -> int:
-        """The building of a state. Raises `StateError`."""
-        try:
-            return check_building(state["building"], self._source) or 0
-        except ConfigError as error:
-            raise StateError(f"state.{error}") from None
-
-    def _checked_start(self, start: Any) -> Start:
-        """`start` if an episode may start so. Raises `ConfigError`; a pose belongs to one building."""
-        if self._source.count > 1 and not isinstance(start, str):
-            raise ConfigError(f'start: {start!r:.80}, in buildings that change only "layout" or "random"')
-        return check_start(start, self._open, self.config.robot)
-
     def _begin(self) -> Episode:
         """A new episode at the simulation's pose, with its scans at rest."""
-        pose = self._simulation.T_world_robot
-        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._truth, pose, self._others())
+        pose = self._site.T_world_robot
+        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._site.truth, pose, self._site.others())
         for _ in range(SCANS_AT_REST):
             report = pipeline.start(self._look(pose), identities=self._identities(pose))
-            metrics.look(self._truth, pose, report, self._others())
+            metrics.look(self._site.truth, pose, report, self._site.others())
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
         remember(episode.memory, report.belief, report.grid, self._true_area(episode))
         self._follow(episode, pose)
         return episode
-
-    def _act(self, shares: tuple[float, float]) -> Motion:
-        robot = self.config.robot
-        return self._simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
 
     def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> StepReport:
         """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
@@ -407,14 +333,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         identities = self._identities(T_world_robot)
         return episode.pipeline.step(odometry, scan, identities=identities, T_map_robot=exact)
 
-    def _others(self) -> Others:
-        """What moves, as the metrics want it."""
-        movers = self._movers
-        return Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
-
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
-        return self._laser.scan(T_world_robot, self.np_random, self._movers.faces)
+        return self._site.look(T_world_robot, self.np_random)
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
         """What odometry and laser measure of a period."""
@@ -425,7 +346,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """How to identify corners, where the estimator is told."""
         if self.config.estimator != "known":
             return None
-        return partial(self._truth.identify, T_world_robot=T_world_robot, others=self._others())
+        return partial(self._site.truth.identify, T_world_robot=T_world_robot, others=self._site.others())
 
     def _find_goals(self, episode: Episode) -> None:
         """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
@@ -445,7 +366,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Hold the belief against the truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
-        episode.metrics.look(self._truth, T_world_robot, episode.report, self._others())
+        episode.metrics.look(self._site.truth, T_world_robot, episode.report, self._site.others())
         self._follow(episode, T_world_robot)
 
     def _follow(self, episode: Episode, T_world_robot: Array) -> None:
@@ -455,11 +376,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _ends(self, episode: Episode) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
-        done = self._nothing_left(episode) or (enough is not None and episode.metrics.coverage(self._truth) >= enough)
+        seen = enough is not None and episode.metrics.coverage(self._site.truth) >= enough
+        done = self._nothing_left(episode) or seen
         cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
         episode.over = done or cut
         if episode.over:
-            episode.metrics.compare_map(self._truth, episode.report, due=True)
+            episode.metrics.compare_map(self._site.truth, episode.report, due=True)
         return done, cut
 
     def _nothing_left(self, episode: Episode) -> bool:
@@ -495,15 +417,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return {
             "period": episode.metrics.periods,
             "event": "",
-            "building": self._building,
+            "building": self._site.building,
             "truth_pose": episode.metrics.T_map_robot.copy(),
-            "truth_room": self._truth.room_at(T_world_robot[:2]),
+            "truth_room": self._site.truth.room_at(T_world_robot[:2]),
             "goals": len(episode.goals),
             "contact": episode.contact,
             "diverged": episode.report.diverged,
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that found no room in a full filter
-            **figures(episode.metrics, self._truth, episode.report),
+            **figures(episode.metrics, self._site.truth, episode.report),
             **{REWARD_KEYS[name]: value for name, value in terms.items()},
         }
 
@@ -519,68 +441,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode == "human":
             from mecp_env.render.window import Window
 
-            self._window = self._window or Window(str(self._outline.name))
+            self._window = self._window or Window(str(self._site.outline.name))
             self._window.show(self._paint())
 
 
-def make(
-    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
-) -> gymnasium.Env[Any, Any]:
-    """The entry point of `Layout-v0`: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
-    from mecp_env.wrappers import GoalActions  # which needs MecpEnv
-
-    env = MecpEnv(config, render_mode, **keywords)
-    return GoalActions(env) if env.config.actions == "goal" else env
-
-
-def make_paper_map(
-    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
-) -> gymnasium.Env[Any, Any]:
-    """The entry point of `PaperMap-v0`: as `make`, in the paper's building. Raises `ConfigError` for another layout."""
-    layout = merge(plain(config), keywords).get("layout", PAPER_LAYOUT)
-    if layout != PAPER_LAYOUT:
-        raise ConfigError(f"layout: {layout!r:.80}, PaperMap-v0 is {PAPER_LAYOUT!r}; Layout-v0 takes any")
-    return make(config, render_mode, **keywords | {"layout": PAPER_LAYOUT})
-
-
-def make_rooms(
-    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
-) -> gymnasium.Env[Any, Any]:
-    """The entry point of `Rooms-v0`: as `make`, in a building that is generated anew at every reset.
-
-    Beside the fields of `EnvConfig`, keywords are `difficulty` ("medium"), `split` ("train") and every field of
-    `GeneratorSpec` over the difficulty's own. Raises `ConfigError`, for a layout too.
-    """
-    buildings, rest = generator_keywords(keywords)
-    return _make_from(GENERATE, buildings, config, render_mode, rest)
-
-
-def make_floor_plan(
-    config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
-) -> gymnasium.Env[Any, Any]:
-    """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan; of a folder, in one drawn at every reset.
-
-    Beside the fields of `EnvConfig`, keywords are `plan`, the path of a file or a folder, and the options of
-    `load_plan`. Raises `ConfigError`, for a layout too, and `LayoutError` for a plan that cannot be read.
-    """
-    plans, rest = plan_keywords(keywords)
-    return _make_from(PLAN, plans, config, render_mode, rest)
-
-
-def _make_from(
-    key: str, fields: dict[str, Any], config: Any, render_mode: str | None, keywords: dict[str, Any]
-) -> gymnasium.Env[Any, Any]:
-    """As `make`, with the layout `{key: ...}` of a configuration, `fields` over it."""
-    layout = merge(plain(config), keywords).get("layout", {key: {}})
-    if not isinstance(layout, dict) or key not in layout:
-        raise ConfigError(f"layout: {layout!r:.80}, this environment makes its own; Layout-v0 takes any")
-    return make(config, render_mode, **keywords | {"layout": layout | {key: layout[key] | fields}})
-
-
-for entry_point in (
-    make,
-    make_paper_map,
-    make_rooms,
-    make_floor_plan,
-):  # gymnasium.make asks its entry point for the render modes
-    entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]
+def __getattr__(name: str) -> Any:
+    """The entry points of the ids, by the name that older specifications hold: `mecp_env.env:make`."""
+    if name in ENTRY_POINTS:
+        return getattr(importlib.import_module("mecp_env.entry_points"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -53,11 +53,11 @@ def test_the_mask_tells_the_rows_with_goals():
 def test_a_masked_choice_is_one_waiting_period_and_an_event():
     env = make(actions="goal")
     env.reset(seed=1)
-    before = env.unwrapped._simulation.T_world_robot
+    before = env.unwrapped._site.simulation.T_world_robot
     _, reward, terminated, truncated, info = env.step(GOALS - 1)
     assert (info["event"], info["periods"], info["period"]) == ("masked", 1, 1)
     assert (terminated, truncated) == (False, False)
-    assert same(env.unwrapped._simulation.T_world_robot, before)
+    assert same(env.unwrapped._site.simulation.T_world_robot, before)
     assert reward <= 0.1
 
 

@@ -45,12 +45,12 @@ def test_bad_options_are_refused_and_change_nothing(options):
 def test_the_start_can_be_given():
     env = make().unwrapped
     env.reset(seed=1)
-    pose = env._simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
+    pose = env._site.simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
     _, info = env.reset(seed=1, options={"start": pose.tolist()})
-    assert np.allclose(env._simulation.T_world_robot, pose)
+    assert np.allclose(env._site.simulation.T_world_robot, pose)
     assert np.allclose(info["truth_pose"], 0.0)  # the map frame is the pose at reset
     env.reset(seed=1)
-    assert not np.allclose(env._simulation.T_world_robot, pose)  # for one episode only
+    assert not np.allclose(env._site.simulation.T_world_robot, pose)  # for one episode only
     assert make(start=tuple(pose)).unwrapped.config.start == tuple(pose)
 
 
@@ -71,11 +71,11 @@ def test_random_starts_are_free_and_follow_the_seed():
     poses = []
     for seed in (1, 2, 1):
         env.reset(seed=seed)
-        poses.append(env._simulation.T_world_robot)
+        poses.append(env._site.simulation.T_world_robot)
     assert same(poses[0], poses[2])
     assert not same(poses[0], poses[1])
     env.reset(seed=1, options={"start": "layout"})
-    assert same(env._simulation.T_world_robot, env._outline.starts[0])
+    assert same(env._site.simulation.T_world_robot, env._site.outline.starts[0])
 
 
 def test_reset_takes_three_scans_at_rest():

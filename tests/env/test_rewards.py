@@ -82,7 +82,7 @@ def test_the_area_of_an_episode_telescopes(source):
     assert gained == pytest.approx(base._episode.memory.area_m2 - start)
     if source == "truth":
         coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * base._truth.free_cells * 0.01)
+        assert gained == pytest.approx(coverage * base._site.truth.free_cells * 0.01)
 
 
 def test_a_contact_costs():
