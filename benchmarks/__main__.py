@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, Figures, Options, calibration_ms, failures, markdown, result, save
+from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
 
 NAMES = ("speed", "features", "filters", "association", "explorers", "worlds")
 
@@ -18,13 +18,18 @@ def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0, or 1 where a gate failed, or 2 for a wrong command line."""
     given = parser().parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
-    content = measure(given.name, module, Options(jobs=given.jobs, quick=given.quick))
+    if given.sets and not hasattr(module, "SETTINGS"):
+        parser().error(f"--sets: {given.name} is measured whole")
+    try:
+        content = measure(given.name, module, Options(jobs=given.jobs, quick=given.quick, sets=tuple(given.sets)))
+    except OptionError as error:
+        parser().error(str(error))
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
-    if given.json or not given.quick:
+    if given.json or not (given.quick or given.sets):
         save(content, page, given.json or RESULTS / f"{given.name}.json")
     return 0
 
@@ -37,6 +42,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
     made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
     made.add_argument("--quick", action="store_true", help="a small sample; written only with --json")
+    made.add_argument(
+        "--sets", nargs="+", default=[], metavar="NAME[:COUNT]", help="of worlds: only these; written only with --json"
+    )
     return made
 
 

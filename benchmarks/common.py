@@ -41,6 +41,11 @@ class Options:
 
     jobs: int = 1  # processes at the same time
     quick: bool = False  # a small sample: does it run, roughly what does it say
+    sets: tuple[str, ...] = ()  # a part of it, where a benchmark has parts
+
+
+class OptionError(ValueError):
+    """The command line asks for what a benchmark does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +53,8 @@ class Gate:
     """A figure that must not get worse than the baseline."""
 
     path: str  # names joined by "/"
-    kind: Literal["time", "rate_per_s", "share", "error"]
-    slack: float  # ratio above 1 for times, speeds and errors; difference for shares
+    kind: Literal["time", "rate_per_s", "share", "error", "bound"]
+    slack: float  # ratio above 1 for times, speeds and errors; difference for shares; a bound is the largest value
 
 
 def estimate(values: ArrayLike) -> Figures:
@@ -224,6 +229,8 @@ def _is_worse(gate: Gate, value: float, base: float, speed: float) -> bool:
         return value > gate.slack * base * speed
     if gate.kind == "rate_per_s":
         return value * gate.slack < base / speed
+    if gate.kind == "bound":
+        return value > gate.slack
     return value < base - gate.slack if gate.kind == "share" else value > gate.slack * base
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from benchmarks import polygon_speed
+from benchmarks import crowd_speed, polygon_speed
 from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.polygon_speed import SITES
 from mecp_env.env import MecpEnv
@@ -35,6 +35,7 @@ BEAMS = 720
 
 GATES = (
     *(Gate(f"env/K={k}/{actions}/steps_per_s", "rate_per_s", 1.3) for k in SWEEPS for actions in ("random", "bfs")),
+    *(Gate(f"crowd/{actions}/200 walls, 8 people/ratio", "bound", 2.0) for actions in ("random", "bfs")),
     Gate("rays/kernel_us", "time", 1.3),
     *(Gate(f"polygon/kernel/{kind}/n={n}", "time", 1.5) for kind in ("uniform", "convex") for n in SITES),
 )
@@ -45,6 +46,7 @@ def run(options: Options) -> Figures:
     periods = 300 if options.quick else 3000
     return {
         "env": {f"K={k}": environment(k, periods) for k in SWEEPS},
+        "crowd": crowd_speed.measure(2 if options.quick else 12),
         "rays": rays(50 if options.quick else 300),
         "polygon": polygon_speed.measure(20 if options.quick else 200),
     }
@@ -179,6 +181,8 @@ def report(figures: Figures) -> str:
             table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
             "## Where a period goes, us",
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
+            f"## A larger building, and people\n\n{crowd_speed.__doc__}",
+            crowd_speed.report(figures["crowd"]),
             "## 720 rays, us (median over poses)",
             table(["what", "value"], figures["rays"].items()),
             "## Maximum Empty Convex Polygon, search and guard, us (median)",

@@ -1,5 +1,8 @@
 """Worlds: the breadth-first explorer in generated buildings of the test split, and in real floor plans where present.
 
+Every preset is explored bare, with people (half as many as rooms, at most 8), and with clutter (as many boxes to push,
+and every door closed with probability 0.15).
+
 A building is seen when the episode ends by itself with 95 % of the free area seen, complete when every room and door
 was found as well; lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither
 complete nor lost. Each building is started from a place that its number draws, each plan three times. Doors of plans
@@ -15,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
+from benchmarks.common import Figures, Gate, OptionError, Options, estimate, in_parallel, ratio, share, table
 from mecp_env.entry_points import make
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
@@ -24,14 +27,27 @@ from mecp_env.world.importers import load_plan
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
-BUILDINGS = {"easy": 100, "medium": 100, "hard": 100, "huge": 10, "medium_people": 100, "medium_clutter": 100}
-QUICK = {"easy": 4, "medium": 3, "medium_people": 3}
-SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further configuration; others are plain presets
-    "medium_people": ("medium", {"crowd": {"people": 4}}),
-    "medium_clutter": ("medium", {"clutter": {"movable_boxes": 4, "closed_doors": 0.15}}),
+PEOPLE = {"easy": 2, "medium": 4, "hard": 7, "huge": 8}  # of a preset; so many boxes stand about where there is clutter
+CLOSED_DOORS = 0.15
+COUNTS = {"": 100, "_people": 100, "_clutter": 100}
+HUGE_COUNTS = {"": 30, "_people": 10, "_clutter": 10}
+QUICK = {"easy": 3, "easy_clutter": 2, "medium": 2, "medium_people": 2, "medium_clutter": 2}
+
+
+def further(preset: str) -> dict[str, dict[str, Any]]:
+    """What the settings of a preset add to the configuration."""
+    n = PEOPLE[preset]
+    people = {"crowd": {"people": n}}
+    return {"": {}, "_people": people, "_clutter": {"clutter": {"movable_boxes": n, "closed_doors": CLOSED_DOORS}}}
+
+
+SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further configuration
+    preset + kind: (preset, added) for preset in PEOPLE for kind, added in further(preset).items()
 }
+BUILDINGS = {preset + kind: (HUGE_COUNTS if preset == "huge" else COUNTS)[kind] for preset in PEOPLE for kind in COUNTS}
 PLANS = "plans"  # the setting of the real floor plans
 PLAN_STARTS = 3
+MOST = 1000  # buildings of the test split
 PIXEL_M = 0.05  # of plans that are plain images
 MAX_PERIODS = 10_000
 COMPLETE_COVERAGE = 0.95
@@ -39,8 +55,8 @@ LOST_M = 1.0
 KEPT = Path("runs/worlds")
 
 GATES = tuple(
-    Gate(f"{preset}/{figure}", "share", slack)
-    for preset in ("easy", "medium", "hard", "medium_people")
+    Gate(f"{setting}/{figure}", "share", slack)
+    for setting in ("easy", "medium", "hard", "medium_people")
     for figure, slack in (("complete", 0.05), ("precision", 0.003), ("recall", 0.01))
 )
 
@@ -71,13 +87,29 @@ class Visit:
 
 
 def run(options: Options) -> Figures:
-    """Figures of each preset."""
+    """Figures of each setting."""
     figures: Figures = {}
-    counts = QUICK if options.quick else BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
-    for preset, count in counts.items():
-        visits = list(in_parallel(visit, [(preset, index) for index in range(count)], options.jobs))
-        figures |= {preset: summarise(visits)} if visits else {}
+    for setting, count in counts(options).items():
+        visits = list(in_parallel(visit, [(setting, index) for index in range(count)], options.jobs))
+        figures |= {setting: summarise(visits)} if visits else {}
     return figures
+
+
+def counts(options: Options) -> dict[str, int]:
+    """How many buildings of each setting: those that the command line names, `NAME` or `NAME:COUNT`, or all.
+
+    Raises `OptionError` for a name that there is not, or no count.
+    """
+    there_are = BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
+    chosen = {}
+    for given in options.sets:
+        name, _, count = given.partition(":")
+        if name not in there_are:
+            raise OptionError(f"--sets {given}: {name!r} is none of {', '.join(there_are)}")
+        if count and not (count.isdecimal() and 1 <= int(count) <= MOST):
+            raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {MOST}")
+        chosen[name] = int(count or there_are[name])
+    return chosen or (QUICK if options.quick else there_are)
 
 
 def plans_at_hand() -> list[Path]:
@@ -94,7 +126,7 @@ def plans_at_hand() -> list[Path]:
 def building(setting: str, index: int) -> Layout:
     """The building of a task: of the preset's test split, or a plan, each of which comes `PLAN_STARTS` times."""
     if setting != PLANS:
-        return generate(GeneratorSpec.preset(SETTINGS.get(setting, (setting, {}))[0]), split_seed("test", index))
+        return generate(GeneratorSpec.preset(SETTINGS[setting][0]), split_seed("test", index))
     path = plans_at_hand()[index // PLAN_STARTS]
     return load_plan(path, resolution_m=PIXEL_M if path.suffix == ".png" else None)
 
@@ -102,8 +134,8 @@ def building(setting: str, index: int) -> Layout:
 def visit(task: tuple[str, int]) -> Visit:
     """Explore one building, from a start that its number draws."""
     setting, index = task
-    layout, (_, further) = building(setting, index), SETTINGS.get(setting, ("", {}))
-    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random", **further)
+    layout = building(setting, index)
+    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random", **added(setting))
     assert isinstance(env, GoalActions)
     policy, begun = BreadthFirst(), time.thread_time()
     observation, info = env.reset(seed=index)
@@ -116,6 +148,11 @@ def visit(task: tuple[str, int]) -> Visit:
     if found.outcome != "complete":
         keep(layout, task, found, env)
     return found
+
+
+def added(setting: str) -> dict[str, Any]:
+    """What a setting adds to the configuration."""
+    return SETTINGS[setting][1] if setting in SETTINGS else {}
 
 
 def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
@@ -133,8 +170,8 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
 
 def flags(setting: str) -> str:
     """What a setting adds to the command line of the demo."""
-    _, further = SETTINGS.get(setting, ("", {}))
-    fields = [(f"{section}.{name}", value) for section, values in further.items() for name, value in values.items()]
+    sections = added(setting).items()
+    fields = [(f"{section}.{name}", value) for section, values in sections for name, value in values.items()]
     return "".join(f" --config.{name.replace('_', '-')} {value}" for name, value in fields)
 
 
@@ -187,8 +224,25 @@ def totals(finals: list[dict[str, float]]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """One table, a column a preset."""
-    names = next(iter(figures.values()))
-    rows = [(name.replace("_", " "), *(preset[name] for preset in figures.values())) for name in names]
-    seeds = [f"{name} ({preset['complete']['n']})" for name, preset in figures.items()]
-    return f"{__doc__}\n{table(['', *seeds], rows)}"
+    """A table for each preset, a column a setting; the plans last."""
+    presets = dict.fromkeys(SETTINGS[name][0] if name in SETTINGS else name for name in figures)
+    return "\n\n".join([__doc__ or "", *(page(preset, figures) for preset in presets)])
+
+
+def page(preset: str, figures: Figures) -> str:
+    """The table of a preset."""
+    mine = {name: values for name, values in figures.items() if SETTINGS.get(name, (name, {}))[0] == preset}
+    names = next(iter(mine.values()))
+    rows = [(name.replace("_", " "), *(setting[name] for setting in mine.values())) for name in names]
+    heads = [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()]
+    return f"## {preset}\n\n{table(['', *heads], rows)}"
+
+
+def title(setting: str) -> str:
+    """A setting as the head of a column."""
+    people, clutter = added(setting).get("crowd", {}), added(setting).get("clutter", {})
+    if people:
+        return f"{people['people']} people"
+    if clutter:
+        return f"{clutter['movable_boxes']} boxes, {clutter['closed_doors']:.0%} of doors closed"
+    return "bare" if setting in SETTINGS else setting

@@ -23,28 +23,44 @@ class Bodies:
         self._space, self._moving = space, moving
         self._people = [pymunk.Body(body_type=pymunk.Body.KINEMATIC) for _ in moving.people]
         self._boxes = [box_body(size) for size in moving.sizes.tolist()]
-        discs = [
-            pymunk.Circle(b, r) for b, r in zip(self._people, moving.people[:, crowd.RADIUS].tolist(), strict=True)
-        ]
-        boxes = [pymunk.Poly.create_box(b, size) for b, size in zip(self._boxes, moving.sizes.tolist(), strict=True)]
-        self._shapes = [*discs, *boxes]
-        space.add(*self._people, *self._boxes, *self._shapes)
+        radii = moving.people[:, crowd.RADIUS].tolist()
+        self._discs = [pymunk.Circle(body, radius) for body, radius in zip(self._people, radii, strict=True)]
+        sizes = moving.sizes.tolist()
+        self._blocks = [pymunk.Poly.create_box(body, size) for body, size in zip(self._boxes, sizes, strict=True)]
+        self._inside: list[int] = []  # of the people, whose shapes are in the space
+        space.add(*self._people, *self._boxes, *self._blocks)
         if self._boxes:
             space.iterations = ITERATIONS
 
-    def enter(self, dt: float, forget: bool) -> None:
-        """Tell pymunk where people and boxes are before a substep; people have taken their step already."""
-        if forget:  # shapes that were taken out and in have no past
-            self._space.remove(*self._shapes)
-            self._space.add(*self._shapes)
-        for body, person in zip(self._people, self._moving.people.tolist(), strict=True):
+    def enter(self, near: list[int], dt: float, forget: bool) -> None:
+        """Tell pymunk where boxes are before a substep, and the people who are `near` something that they can touch.
+
+        The people have taken their step already.
+        """
+        if forget or near != self._inside:
+            self._let_in(near, forget)
+        for i in near:
+            body, person = self._people[i], self._moving.people[i].tolist()
             vx, vy = (person[crowd.MOVES] * v for v in (person[crowd.VX], person[crowd.VY]))
             body.position, body.velocity = (person[crowd.X] - vx * dt, person[crowd.Y] - vy * dt), (vx, vy)
         for body, (x, y, turn, vx, vy, spin) in zip(self._boxes, self._moving.boxes.tolist(), strict=True):
             body.position, body.velocity, body.angle, body.angular_velocity = (x, y), (vx, vy), turn, spin
 
+    def _let_in(self, near: list[int], forget: bool) -> None:
+        """Have the shapes of these people in the space; to `forget`, all go out and in: then they have no past."""
+        stay = [] if forget else [i for i in self._inside if i in near]
+        leave = [self._discs[i] for i in self._inside if i not in stay] + (self._blocks if forget else [])
+        if leave:
+            self._space.remove(*leave)
+        come = [self._discs[i] for i in near if i not in stay] + (self._blocks if forget else [])
+        if come:
+            self._space.add(*come)
+        self._inside = near
+
     def leave(self, segments: Array, dt: float) -> None:
         """Take over from pymunk where the boxes are after a substep."""
+        if not self._boxes:
+            return
         boxes = self._moving.boxes
         for row, body in enumerate(self._boxes):
             boxes[row] = *body.position, body.angle, *body.velocity, body.angular_velocity

@@ -13,11 +13,13 @@ from mecp_env.world.crowd_kernels import PACE, RADIUS, X, Y, walk
 from mecp_env.world.faces import from_face
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 # People (n,11) and boxes (b,6), sizes (b,2) of the boxes, their place and reach (b,3), and a row (6,) of
 # `crowd_kernels` that the robot is written to
 Others = tuple[Array, Array, Array, Array, Array]
 
 TOUCH_M = 1e-3  # a body in contact stays so far inside the wall, or the next substep would not see the contact
+SPARE_M = 0.05  # what is pushed may be a little faster than the robot drives
 PUSHED_M_S = 1e-6  # a contact is what changes the velocity by more than this
 
 # The drive (11,): the command; how much the wheels change their speeds in a substep; how long one is; force and torque
@@ -215,3 +217,21 @@ def in_reach(others: Others, state: Array, drive: Array) -> bool:
         if slides or near:
             return True
     return False
+
+
+@kernel
+def who_is_near(others: Others, state: Array, drive: Array) -> Ints:
+    """The people, ascending, whom the robot or a box may touch in the substep that pymunk makes next."""
+    people, boxes, _, rounds, _ = others
+    near, n = np.empty(people.shape[0], np.int64), 0
+    for i in range(people.shape[0]):
+        person = people[i]
+        reach = person[RADIUS] + person[PACE] * drive[DT] + SPARE_M
+        within = math.hypot(person[X] - state[0], person[Y] - state[1]) < drive[REACH] + reach
+        for j in range(boxes.shape[0]):
+            apart = math.hypot(person[X] - rounds[j, 0], person[Y] - rounds[j, 1])
+            within = within or apart < rounds[j, 2] + drive[STRIDE] + reach
+        if within:
+            near[n] = i
+            n += 1
+    return near[:n]

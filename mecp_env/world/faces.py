@@ -30,13 +30,16 @@ def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
     Discs: place, radius; boxes: place, turn.
     """
     faces = np.empty((SIDES * discs.shape[0] + 4 * boxes.shape[0], 2, 2))
+    rim = np.empty((SIDES + 1, 2))
+    for k in range(SIDES + 1):
+        angle = -k * (2.0 * math.pi / SIDES)
+        rim[k, 0], rim[k, 1] = math.cos(angle), math.sin(angle)
     n = 0
     for i in range(discs.shape[0]):
         for k in range(SIDES):
             for end in range(2):
-                angle = -(k + end) * (2.0 * math.pi / SIDES)
-                faces[n, end, 0] = discs[i, 0] + discs[i, 2] * math.cos(angle)
-                faces[n, end, 1] = discs[i, 1] + discs[i, 2] * math.sin(angle)
+                faces[n, end, 0] = discs[i, 0] + discs[i, 2] * rim[k + end, 0]
+                faces[n, end, 1] = discs[i, 1] + discs[i, 2] * rim[k + end, 1]
             n += 1
     for i in range(boxes.shape[0]):
         for k in range(4):

@@ -31,7 +31,7 @@ CHOICES = 6  # places that one who gets nowhere thinks of
 STEP_M = 0.3  # along a route, by which it is told where it leads
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
-NO_FACES = np.empty((0, 2, 2))
+NO_FACES, NO_ROUNDS = np.empty((0, 2, 2)), np.empty((0, 3))
 
 
 @dataclass(slots=True, eq=False)
@@ -73,6 +73,8 @@ class Movers:
     @property
     def walking(self) -> Array:
         """(n,3) m: place and reach of the people, and of the boxes that slide."""
+        if not len(self.state.boxes):
+            return self.round_people()
         slides = self.state.boxes[:, 3:].any(axis=1)
         return np.concatenate([self.round_people(), self.round_boxes()[slides]])
 
@@ -87,6 +89,8 @@ class Movers:
 
     def round_boxes(self) -> Array:
         """(b,3) m: place and reach of the boxes."""
+        if not len(self.state.boxes):
+            return NO_ROUNDS
         return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:

@@ -30,9 +30,11 @@ from mecp_env.world.drive_kernels import (
     TOUCH_M,
     TURN,
     TWIST,
+    Others,
     drive_among,
     drive_on,
     wall_distance,
+    who_is_near,
 )
 from mecp_env.world.movers import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
@@ -162,9 +164,12 @@ class Simulation:
         robot = self._segments, self._state, self._drive, self._course, increments
         if not self._bodies:
             return drive_on(*robot, done)
-        moving, polite = self._movers.state, self._movers.config.polite
-        others = moving.people, moving.boxes, moving.sizes, self._rounds, self._robot
-        return drive_among(*robot, others, polite, done)
+        return drive_among(*robot, self._others(), self._movers.config.polite, done)
+
+    def _others(self) -> Others:
+        """People and boxes, as the kernels take them."""
+        moving = self._movers.state
+        return moving.people, moving.boxes, moving.sizes, self._rounds, self._robot
 
     def _substep_in_pymunk(self, stale: bool, forget: bool) -> None:
         """One substep in pymunk, which does not have the state yet if `stale`, and may be told to `forget` contacts.
@@ -179,7 +184,8 @@ class Simulation:
             self._space.remove(self._shape)
             self._space.add(self._shape)
         if self._bodies:
-            self._bodies.enter(self._substep_s, forget)
+            near = who_is_near(self._others(), self._state, self._drive)
+            self._bodies.enter(near.tolist(), self._substep_s, forget)
         force_x, force_y, torque = self._push.tolist()
         body.force = force_x, force_y
         if torque:  # pymunk has none after a substep

@@ -20,8 +20,15 @@ GATES = (
     Gate("steps_per_s", "rate_per_s", 1.3),
     Gate("complete", "share", 0.05),
     Gate("rmse_m", "error", 1.2),
+    Gate("crowd", "bound", 2.0),
 )
-FIGURES = {"scan": {"us": 10.0}, "steps_per_s": 2000.0, "complete": common.share([True] * 10), "rmse_m": 0.02}
+FIGURES = {
+    "scan": {"us": 10.0},
+    "steps_per_s": 2000.0,
+    "complete": common.share([True] * 10),
+    "rmse_m": 0.02,
+    "crowd": 1.2,
+}
 
 
 def content(calibration: float = 5.0, **changes: object) -> dict[str, object]:
@@ -72,6 +79,7 @@ def test_the_same_figures_pass_the_gate() -> None:
         ({"steps_per_s": 1400.0}, "steps_per_s"),
         ({"complete": common.share([False] * 10)}, "complete"),
         ({"rmse_m": 0.03}, "rmse_m"),
+        ({"crowd": 2.1}, "crowd"),
         ({"scan": {}}, "missing in this run"),
         ({"complete": common.share([])}, "missing in this run"),
         ({"rmse_m": float("nan")}, "missing in this run"),
@@ -80,6 +88,11 @@ def test_the_same_figures_pass_the_gate() -> None:
 def test_a_worse_or_missing_figure_fails_the_gate(changes: dict[str, object], named: str) -> None:
     (line,) = common.failures(GATES, content(**changes), content())
     assert named in line
+
+
+def test_a_bound_holds_whatever_the_baseline_was() -> None:
+    assert common.failures(GATES, content(crowd=1.9), content(crowd=1.0)) == []
+    assert common.failures(GATES, content(crowd=2.1), content(crowd=3.0))
 
 
 def test_a_figure_that_the_baseline_misses_fails_the_gate() -> None:

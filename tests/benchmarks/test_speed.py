@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import explorers, polygon_speed, speed
+from benchmarks import crowd_speed, explorers, polygon_speed, speed
 from benchmarks.common import flatten
 from mecp_env.env import MecpEnv
 from mecp_env.stopwatch import STAGE_NAMES, STAGES, timed_stages
@@ -40,10 +40,15 @@ def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
     assert [getattr(owner, name) for _, owner, name in STAGES] == plain
 
 
-def test_gates_name_figures_that_are_measured() -> None:
+def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crowd_speed, "RANDOM_PERIODS", 5)
+    monkeypatch.setattr(crowd_speed, "MAX_PERIODS", 5)
+    crowd = crowd_speed.measure(1)
+    assert len(build_outline(crowd_speed.building(1)).segments) >= crowd_speed.LEAST_FACES
+    assert all(settings["paper"]["ratio"]["value"] == 1.0 for settings in crowd.values())
     polygons, rays = polygon_speed.measure(1), speed.rays(2)
     env = {f"K={k}": {kind: {"steps_per_s": 1.0} for kind in ("random", "bfs")} for k in speed.SWEEPS}
-    measured = flatten({"env": env, "rays": rays, "polygon": polygons})
+    measured = flatten({"env": env, "crowd": crowd, "rays": rays, "polygon": polygons})
     assert {gate.path for gate in speed.GATES} <= measured.keys()
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import pytest
+
+from benchmarks import __main__ as command
 from benchmarks import worlds
+from benchmarks.common import Options
 from mecp_env.world.layout import load_layout
 
 
@@ -14,6 +18,7 @@ def test_one_building_gives_all_figures() -> None:
     figures = {"easy": worlds.summarise([visit])}
     assert visit.outcome == "complete"
     assert "| complete | 1 [" in worlds.report(figures)
+    assert "## easy\n\n|  | bare (1) |" in worlds.report(figures)
     for gate in (gate for gate in worlds.GATES if gate.path.startswith("easy/")):
         assert gate.path.split("/")[1] in figures["easy"]
 
@@ -38,9 +43,34 @@ def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -
 
 
 def test_settings_are_presets_with_something_more_and_can_be_seen_again() -> None:
-    assert set(worlds.SETTINGS) <= set(worlds.BUILDINGS)
+    assert set(worlds.SETTINGS) == set(worlds.BUILDINGS)
+    assert {worlds.title(name) for name in worlds.SETTINGS if "medium" in name} == {
+        "bare",
+        "4 people",
+        "4 boxes, 15% of doors closed",
+    }
     assert worlds.flags("medium_people") == " --config.crowd.people 4"
     assert worlds.flags("easy") == ""
     visit = worlds.visit(("medium_people", 9))
     assert visit.final["association_precision"] > 0.98
     assert visit.final["landmarks_on_movers"] <= 5
+
+
+def test_the_command_line_chooses_settings_and_counts() -> None:
+    assert worlds.counts(Options(sets=("huge_people", "easy:7"))) == {"huge_people": 10, "easy": 7}
+    assert worlds.counts(Options())["hard_clutter"] == 100
+    assert set(worlds.counts(Options(quick=True))) <= set(worlds.SETTINGS)
+
+
+@pytest.mark.parametrize("given", ["easy:0", "easy:x", "easy:1001", "tiny"])
+def test_a_wrong_choice_ends_with_2(given: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main(["worlds", "--sets", given])
+    assert ended.value.code == 2
+    assert given in capsys.readouterr().err
+
+
+def test_a_benchmark_without_settings_refuses_a_choice() -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main(["features", "--sets", "easy"])
+    assert ended.value.code == 2

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from mecp_env.errors import ConfigError
 from mecp_env.truth import CELL_M, Truth
 from mecp_env.world import crowd_kernels as crowd
+from mecp_env.world import drive_kernels
+from mecp_env.world import simulation as module
 from mecp_env.world.closing import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.crowd_kernels import clear_leg
@@ -234,3 +236,35 @@ def test_wrong_fields_and_torn_states_are_refused() -> None:
     assert is_whole(movers.state)
     movers.state.routes = movers.state.routes[:2]
     assert not is_whole(movers.state)
+
+
+@pytest.mark.parametrize("boxes", [0, 4])
+def test_whoever_is_not_near_changes_nothing_in_pymunk(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
+    """All people in the space, or only those whom the robot or a box may touch: the same bits, contacts among them."""
+    makes = {"people": 6, "polite": False, "speed_m_s": (0.8, 1.2), "movable_boxes": boxes}
+    some, few = world("two_rooms", 3, **makes)
+    every, all_of_them = world("two_rooms", 3, **makes)
+    rng, near, touched = np.random.default_rng(1), drive_kernels.who_is_near, 0
+    for _ in range(150):
+        v, w = rng.uniform([-0.3, -0.8], [0.75, 0.8])
+        monkeypatch.setattr(module, "who_is_near", near)
+        touched += some.step(v, w).contact
+        monkeypatch.setattr(module, "who_is_near", lambda others, state, drive: np.arange(len(others[0])))
+        every.step(v, w)
+        assert np.array_equal(some.get_state()["body"], every.get_state()["body"])
+        assert np.array_equal(few.state.people, all_of_them.state.people)
+        assert np.array_equal(few.state.boxes, all_of_them.state.boxes)
+    assert touched > 20
+
+
+def test_who_is_near() -> None:
+    people = np.zeros((4, crowd.PERSON))
+    people[:, crowd.RADIUS], people[:, crowd.PACE] = 0.25, 1.0
+    people[:, :2] = [[0.5, 0.0], [0.0, 0.6], [3.0, 0.0], [3.0, 3.0]]  # at the robot, past its reach, at a box, nowhere
+    boxes, sizes, rounds = np.array([[3.4, 0.0, 0, 0, 0, 0]]), np.array([[0.4, 0.4]]), np.array([[3.4, 0.0, 0.3]])
+    drive = np.zeros(11)
+    drive[[drive_kernels.REACH, drive_kernels.DT, drive_kernels.STRIDE]] = 0.24, 0.01, 0.01
+    others = people, boxes, sizes, rounds, np.zeros(crowd.ROBOT)
+    assert drive_kernels.who_is_near(others, np.zeros(6), drive).tolist() == [0, 2]
+    alone = people, boxes[:0], sizes[:0], rounds[:0], np.zeros(crowd.ROBOT)
+    assert drive_kernels.who_is_near(alone, np.zeros(6), drive).tolist() == [0]

@@ -1,0 +1,122 @@
+"""What a larger building and people cost: a period there against one in the bare paper layout, in the same run.
+
+The building is a generated one of the preset `hard`, test split, with at least 200 wall faces (the layout `paper` has
+98); a person is a polygon of 16 faces to the laser. Blocks of the settings take turns, so that what else the machine
+does strikes all alike, and each block is an exploration (or a random drive) of its own, from a start of its own; a
+ratio is of the times of one period in two blocks of the same turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common import Figures, estimate, table
+from mecp_env.env import MecpEnv
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.stopwatch import Stopwatch, timed_stages
+from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.outline import build_outline
+from mecp_env.world.schema import Layout
+from mecp_env.wrappers import GoalActions
+
+LEAST_FACES = 200
+PEOPLE = {"crowd": {"people": 8}}
+BARE = "paper"
+SETTINGS: dict[str, tuple[bool, dict[str, Any]]] = {  # whether in the generated building, and what moves there
+    BARE: (False, {}),
+    "paper, 8 people": (False, PEOPLE),
+    "200 walls": (True, {}),
+    "200 walls, 8 people": (True, PEOPLE),
+}
+RANDOM_PERIODS = 400  # of a random drive
+MAX_PERIODS = 3000
+
+
+def measure(turns: int) -> Figures:
+    """For random actions and the explorer: us a period of each setting, and its ratio to the bare layout."""
+    return {name: compared(drive, turns) for name, drive in (("random", drive_at_random), ("bfs", explore))}
+
+
+def compared(drive: Callable[[MecpEnv, int], None], turns: int) -> Figures:
+    """`us` of the environment's step, `with_driver_us` with planner and controller, their ratios to the bare layout."""
+    blocks = [{name: block(name, drive, turn) for name in SETTINGS} for turn in range(-1, turns)][1:]  # one to warm up
+    return {name: figures([(turn[name], turn[BARE]) for turn in blocks]) for name in SETTINGS}
+
+
+def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
+    """Of the blocks of a setting, each beside that of the bare layout."""
+    step = np.array([[step_us(watch) for watch in pair] for pair in pairs])
+    whole = np.array([[step_us(watch) + drive_us(watch) for watch in pair] for pair in pairs])
+    return {
+        "us": estimate(step[:, 0]),
+        "with_driver_us": estimate(whole[:, 0]),
+        "ratio": estimate(step[:, 0] / step[:, 1]),
+        "with_driver_ratio": estimate(whole[:, 0] / whole[:, 1]),
+    }
+
+
+def step_us(watch: Stopwatch) -> float:
+    """Mean time of a step, us."""
+    return 1e6 * watch.seconds["step"] / watch.periods
+
+
+def drive_us(watch: Stopwatch) -> float:
+    """Mean time between two steps of a goal action, us."""
+    return 1e6 * watch.seconds["drive"] / watch.periods
+
+
+def block(setting: str, drive: Callable[[MecpEnv, int], None], turn: int) -> Stopwatch:
+    """One drive in a setting, timed."""
+    generated, moving = SETTINGS[setting]
+    layout = building(max(turn, 0)) if generated else BARE
+    env = MecpEnv(layout=layout, start="random", max_periods=MAX_PERIODS, **moving)
+    with timed_stages(each=False) as watch:
+        drive(env, turn + 1)
+    return watch
+
+
+@cache
+def building(number: int) -> Layout:
+    """The generated building of a turn: of those with enough wall faces, in their order."""
+    spec, index, found = GeneratorSpec.preset("hard"), -1, -1
+    while found < number:
+        index += 1
+        layout = generate(spec, split_seed("test", index))
+        found += len(build_outline(layout).segments) >= LEAST_FACES
+    return layout
+
+
+def report(measured: Figures) -> str:
+    """One table, a row a setting."""
+    names = ("us", "with_driver_us", "ratio", "with_driver_ratio")
+    rows = [
+        (actions, setting, *(values[name] for name in names))
+        for actions, settings in measured.items()
+        for setting, values in settings.items()
+    ]
+    return table(["actions", "where", "us", "with planner and controller, us", "ratio", "ratio with both"], rows)
+
+
+def drive_at_random(env: MecpEnv, seed: int) -> None:
+    """Random velocities, each held for ten periods."""
+    rng = np.random.default_rng(seed)
+    env.reset(seed=seed)
+    for period in range(RANDOM_PERIODS):
+        if period % 10 == 0:
+            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset(seed=period)
+
+
+def explore(env: MecpEnv, seed: int) -> None:
+    """One whole exploration."""
+    policy, goals = BreadthFirst(), GoalActions(env)
+    observation, _ = goals.reset(seed=seed)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, _, terminated, truncated, _ = goals.step(policy.act(observation, goals.action_masks()))
