@@ -322,6 +322,8 @@ class RoomGraph:
     doors: tuple[Door, ...]
     candidates: tuple[Candidate, ...]
     merged: dict[int, int]  # room that was merged -> room it became
+    parted: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Room entered unnoticed -> the room it was taken for, and the first period in it."""
 
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""

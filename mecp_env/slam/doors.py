@@ -140,6 +140,7 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
     corners, belief = seen.corners, seen.belief
     if not len(corners.doorways.jambs):
         return
+    next_door = rooms_next_door(book, room, config.confirm_sightings)
     id_of = seen.match.ids.tolist()
     elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == TRANSIENT)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
@@ -147,7 +148,7 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
         if elsewhere[pair[0]] or elsewhere[pair[1]]:
             continue
         if ids in book.row:
-            _see_again(book, ids, confirmable)
+            _see_again(book, ids, confirmable, (room, next_door))
             continue
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
@@ -157,11 +158,28 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
         _note_candidate(book, Candidate(ends, ids, room, 1, seen.period), belief)
 
 
-def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool) -> None:
-    """Count one more sighting of a known door, as long as that tells anything."""
-    d = book.row[ids]
-    if confirmable and book.doors[d].sightings < MOST_SIGHTINGS:
-        book.doors[d] = replace(book.doors[d], sightings=book.doors[d].sightings + 1)
+def rooms_next_door(book: DoorBook, room: int, sightings: int) -> set[int]:
+    """The rooms that a door seen as often as that parts from `room`."""
+    sure = (door for door in book.doors if door.sightings >= sightings)
+    return {other for door in sure if room in door.rooms for other in door.rooms} - {room}
+
+
+def _see_again(book: DoorBook, ids: tuple[int, int], confirmable: bool, here: tuple[int, set[int]]) -> None:
+    """Count one more sighting of a known door, as long as that tells anything; `here`: this room and those next door.
+
+    A face seen from within this room is one of its walls: where it was given to a room next door, it was first seen
+    through a door not yet known.
+    """
+    d, (room, next_door) = book.row[ids], here
+    door = book.doors[d]
+    rooms = list(door.rooms)
+    side = 0 if ids == door.jambs else 1
+    if confirmable and rooms[side] in next_door and room not in rooms:
+        rooms[side] = room
+    elif not confirmable or door.sightings >= MOST_SIGHTINGS:
+        return
+    sightings = min(door.sightings + confirmable, max(door.sightings, MOST_SIGHTINGS))
+    book.doors[d] = replace(door, sightings=sightings, rooms=(rooms[0], rooms[1]))
 
 
 def _confirm(

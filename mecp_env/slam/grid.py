@@ -47,6 +47,8 @@ class GridPainter:
         self.doors = DoorLayer(0.5 * config.resolution_m)
         self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
         self.merges = 0
+        self.partings = 0
+        self.period = 0  # how often it painted
         self.completed: tuple[int, ...] = ()  # rooms with nothing left to see
         self.filled: tuple[int, ...] = ()  # those whose pockets are painted
         self.again = False  # the next scan is painted, wherever it is taken
@@ -61,6 +63,7 @@ class GridPainter:
         graph: RoomGraph,
     ) -> SemanticGrid:
         """The grid after this period. `matched_ids` (n,): the landmarks this scan was matched to."""
+        self.period += 1
         p_landmark, change = self._look(belief)
         self._update_polygons(p_landmark, tuple(known_polygons), change)
         self._follow(p_landmark, graph, change)
@@ -102,11 +105,14 @@ class GridPainter:
             self.polygons.paint_waiting(self.canvas, p_landmark)
 
     def _follow(self, p_landmark: Array, graph: RoomGraph, change: int) -> None:
-        """Paint anew what moved, what merged, and what lies behind a new door."""
+        """Paint anew what moved, what merged or was parted, and what lies behind a new door."""
         moved = bool(change & (scans.MOVED | scans.WENT))
         if moved:
             self.scans.follow(self.canvas, p_landmark)
             self.polygons.follow(self.canvas, p_landmark)
+        if len(graph.parted) != self.partings:
+            self.partings = len(graph.parted)
+            self.scans.part_rooms(graph.parted)
         new_doors = self.doors.update(self.canvas, graph, p_landmark, moved)
         if len(new_doors):
             self.scans.forget_behind(self.canvas, new_doors, self.config.paint_range_m)
@@ -131,7 +137,7 @@ class GridPainter:
         if self.again or self.scans.wants(pose, room, self.config):
             self.again = False
             outline, strips = free_and_walls(beams, segments, self.config)
-            self.scans.add(self.canvas, pose.copy(), room, outline, strips, self.config.anchors)
+            self.scans.add(self.canvas, pose.copy(), (room, self.period), outline, strips, self.config.anchors)
 
     def _update_pockets(self, graph: RoomGraph) -> None:
         """Turn unknown pockets of completed rooms into walls, when other rooms are complete than before."""

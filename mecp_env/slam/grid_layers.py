@@ -26,6 +26,7 @@ class ScanLayer:
 
     T_map_robot: Array = field(default_factory=lambda: np.empty((0, 3)))  # (n,3) pose each is painted at
     room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) UNKNOWN_ROOM when taken in a doorway
+    period: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) when each was taken
     anchor: Ints = field(default_factory=lambda: np.empty((0, 0), np.int64))  # (n,k) landmark ids, NO_ID: none
     p_robot: Array = field(default_factory=lambda: np.empty((0, 0, 2)))  # (n,k,2) m, the anchors in the scan's frame
     outline: list[Array] = field(default_factory=list)  # (m,2) m, free space, robot frame
@@ -37,11 +38,19 @@ class ScanLayer:
         near = scans.nearest_of_room(self.T_map_robot, self.room, T_map_robot[0], T_map_robot[1], room)
         return bool(near > config.key_scan_m)
 
-    def add(self, canvas: Canvas, T_map_robot: Array, room: int, outline: Array, strips: Array, anchors: int) -> None:
-        """Paint a scan; it hangs on nothing yet."""
-        n = len(self.room)
+    def add(
+        self,
+        canvas: Canvas,
+        T_map_robot: Array,
+        taken: tuple[int, int],
+        outline: Array,
+        strips: Array,
+        anchors: int,
+    ) -> None:
+        """Paint a scan; `taken` in which room, in which period. It hangs on nothing yet."""
+        n, (room, period) = len(self.room), taken
         self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
-        self.room = np.append(self.room, room)
+        self.room, self.period = np.append(self.room, room), np.append(self.period, period)
         self.has_room = np.append(self.has_room, room == UNKNOWN_ROOM)
         self.anchor = np.concatenate([self.anchor.reshape(n, anchors), np.full((1, anchors), NO_ID)])
         self.p_robot = np.concatenate([self.p_robot.reshape(n, anchors, 2), np.zeros((1, anchors, 2))])
@@ -83,10 +92,16 @@ class ScanLayer:
 
     def _keep(self, rows: Bools) -> None:
         """Forget the scans that `rows` (n,) does not name."""
-        self.T_map_robot, self.room = self.T_map_robot[rows], self.room[rows]
+        self.T_map_robot, self.room, self.period = self.T_map_robot[rows], self.room[rows], self.period[rows]
         self.anchor, self.p_robot, self.has_room = self.anchor[rows], self.p_robot[rows], self.has_room[rows]
         self.outline = [self.outline[row] for row in np.flatnonzero(rows)]
         self.strips = [self.strips[row] for row in np.flatnonzero(rows)]
+
+    def part_rooms(self, parted: dict[int, tuple[int, int]]) -> None:
+        """Give the scans that were taken in rooms entered unnoticed to those rooms, to be painted anew."""
+        for room, (taken_for, since) in parted.items():
+            strays = (self.room == taken_for) & (self.period >= since)
+            self.room[strays], self.has_room[strays] = room, False
 
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
         """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""

@@ -22,7 +22,16 @@ from mecp_env.slam.data import (
     RoomGraph,
     Sighting,
 )
-from mecp_env.slam.doors import DoorBook, anchored, door_frames, pass_through, record_doorways, seen_through
+from mecp_env.slam.doors import (
+    DoorBook,
+    anchored,
+    door_frames,
+    pass_through,
+    record_doorways,
+    rooms_next_door,
+    seen_through,
+)
+from mecp_env.slam.trail import Trail
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,6 +52,8 @@ class RoomKeeper:
     next_room: int = 1
     newest: int = UNKNOWN_ROOM  # the room opened by the last crossing, while the robot has not left it
     elsewhere: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
+    trail: Trail = field(default_factory=Trail)  # the path since this room was entered
+    parted: dict[int, tuple[int, int]] = field(default_factory=dict)  # as in RoomGraph
 
     def graph(self) -> RoomGraph:
         """The room graph as of now."""
@@ -53,6 +64,7 @@ class RoomKeeper:
             tuple(self.book.doors),
             tuple(self.book.candidates),
             dict(self.merged),
+            dict(self.parted),
         )
 
     def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
@@ -70,12 +82,40 @@ class RoomKeeper:
 
         Says whether landmarks changed their room, by a merge or one by one.
         """
+        self.trail.add(seen.period, len(features.state), seen.belief.T_map_robot)
+        before = self.book.next_id
         if not self.in_doorway:
             record_doorways(self.book, seen, features, self.current, self.config)
+        if self._notice_passed(before, seen.belief, features):
+            return True
         self._follow(seen.belief)
         self._follow_candidates(features, seen.belief)
         polygon_room = self.resolve(known[seen.match.known].room) if seen.match.known >= 0 else UNKNOWN_ROOM
         return self._recognise(seen, features, polygon_room)
+
+    def _notice_passed(self, first: int, belief: Belief, features: FeatureTable) -> bool:
+        """Settle that a door just confirmed (ids from `first` on) lies behind the robot: it passed it unnoticed.
+
+        What was seen since belongs to the room that it opened by that. Says whether it did.
+        """
+        for d, door in enumerate(self.book.doors if self.book.next_id > first else ()):
+            passed = self.trail.passed(belief.p_map[belief.rows(np.array(door.jambs))]) if door.id >= first else None
+            if passed is None:
+                continue
+            left, room = self.current, self._open()
+            self.book.set_doors([*self.book.doors[:d], replace(door, rooms=(room, left)), *self.book.doors[d + 1 :]])
+            period, born = passed
+            features.room[born:][features.room[born:] == left] = room
+            self.parted[room] = (left, period)
+            self._arrive(room)
+            return True
+        return False
+
+    def _arrive(self, room: int) -> None:
+        """Be in another room."""
+        self.elsewhere.clear()
+        self.trail = Trail()
+        self.current = room
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
@@ -95,23 +135,21 @@ class RoomKeeper:
                 self._enter(d, door.rooms[0])
 
     def _enter(self, d: int, room: int) -> None:
-        self.elsewhere.clear()
         self.newest = UNKNOWN_ROOM
         if room == UNKNOWN_ROOM:
             room = self._open()
             door = self.book.doors[d]
             self.book.doors[d] = replace(door, rooms=(door.rooms[0], room))
-        self.current = room
+        self._arrive(room)
 
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
         for candidate in self.book.candidates:
             passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
             if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
-                self.elsewhere.clear()
                 room = self._open()
                 pass_through(self.book, candidate, features, room)
-                self.current = room
+                self._arrive(room)
                 return
 
     def _open(self) -> int:
@@ -125,7 +163,8 @@ class RoomKeeper:
         """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
         if self.in_doorway:
             return False
-        if polygon_room not in (UNKNOWN_ROOM, self.current):
+        taken_for, _ = self.parted.get(self.current, (UNKNOWN_ROOM, 0))  # it was given polygons of this room
+        if polygon_room not in (UNKNOWN_ROOM, self.current, self.resolve(taken_for)):
             return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
         ids = _here(seen, features, self.current)
         if not len(ids):
@@ -143,9 +182,8 @@ class RoomKeeper:
 
         They were first seen through a door not yet known, so that they were given to the room of the robot then.
         """
-        sure = (door for door in self.book.doors if door.sightings >= self.config.confirm_sightings)
-        neighbours = {room for door in sure if self.current in door.rooms for room in door.rooms}
-        strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in neighbours - {self.current}]
+        next_door = rooms_next_door(self.book, self.current, self.config.confirm_sightings)
+        strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
         features.room[strayed] = self.current
         return bool(strayed)
 
@@ -161,14 +199,14 @@ class RoomKeeper:
         x, y = belief.T_map_robot[:2]
         before = [e for e in self.elsewhere if e[0] == other]
         if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
-            self.elsewhere.clear()
             return self._become(other, features)
         self.elsewhere.append((other, float(x), float(y)))
         return False
 
     def _become(self, other: int, features: FeatureTable) -> bool:
         """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
-        old, self.current = self.current, other
+        old = self.current
+        self._arrive(other)
         if old != self.newest:
             return False
         self.newest = UNKNOWN_ROOM

@@ -107,6 +107,22 @@ def test_merged_rooms_get_one_name(tour: Toy) -> None:
     assert set(np.unique(grid.room)) == {-1, 0}
 
 
+def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    one = RoomGraph(0, False, (0,), (), (), {})
+    for x in (1.0, 3.0, 8.0, 9.0):
+        toy.T_world_robot = np.array([x, 2.0, 0.0])
+        toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), one)
+    graph = RoomGraph(1, False, (0, 1), toy.graph().doors, (), {}, {1: (0, 3)})
+    grid = toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), graph)
+    assert layer_at(grid, grid.room, np.array([[1.0, 1.0], [3.0, 3.0], [7.5, 1.0], [9.0, 3.0]])).tolist() == [
+        0,
+        0,
+        1,
+        1,
+    ]
+
+
 def test_polygons_cover_their_interior_and_bring_their_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
     toy.add_polygon([0, 1, 2, 3], 0)

@@ -187,6 +187,49 @@ def test_a_new_room_recognised_twice_from_two_places_is_merged():
     assert keeper.graph().resolve(1) == 0
 
 
+def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
+    keeper, table = RoomKeeper(RoomConfig()), features()
+    walk(keeper, np.arange(-1.5, 1.6, 0.25))
+    assert keeper.current == 0  # nobody knew of a door
+    table.room[7:] = 0
+    keeper.trail.since[:, 1] = np.where(keeper.trail.p_map[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    assert (keeper.current, keeper.graph().rooms) == (1, (0, 1))
+    assert keeper.book.doors[0].rooms == (1, 0)  # its face is one of the new room
+    assert table.room[7:].tolist() == [1, 1, 1]
+    assert table.room[4:7].tolist() == [0, 0, 0]
+    assert keeper.graph().parted[1][0] == 0
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
+
+
+def test_a_polygon_made_while_the_door_was_unknown_does_not_merge_the_rooms_it_parts():
+    keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2, parted={1: (0, 5)})
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
+    assert keeper.current == 1
+
+
+def test_a_door_passed_and_passed_again_parts_nothing():
+    keeper = RoomKeeper(RoomConfig())
+    walk(keeper, (-1.5, -0.5, 0.5, 1.5, 0.5, -0.5, -1.5))
+    for _ in range(3):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    assert keeper.current == 0
+    assert keeper.book.doors[0].rooms == (0, -1)
+
+
+def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_from():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    beyond = Door(1, (7, 8), None, (0, -1), 3)  # a door of the upper room, seen through the first one
+    keeper.book.set_doors([*keeper.book.doors, beyond])
+    look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),), confirmable=False)
+    assert keeper.book.doors[1].rooms == (0, -1)
+    look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),))
+    assert keeper.book.doors[1].rooms == (1, -1)
+
+
 def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_recognised():
     keeper = keeper_with_door()
     walk(keeper, (-0.5, 0.0, 0.5))
