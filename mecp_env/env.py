@@ -30,7 +30,7 @@ from mecp_env.episode import (
 from mecp_env.errors import ConfigError
 from mecp_env.metrics import EpisodeMetrics, figures
 from mecp_env.observations import Observer
-from mecp_env.planning.goals import Goals, complete_rooms, find_goals
+from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.render.view import View
 from mecp_env.rewards import TERMS, quantities, remember, weigh
 from mecp_env.site import Site
@@ -257,10 +257,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Note where a goal action drives to, for pictures."""
         self._started().target = p_map.copy()
 
-    def record_drive(self, goals: Goals, row: int, reached: bool) -> None:
+    def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
         """Remember how a drive to a goal ended, and look for goals anew."""
         episode = self._started()
-        episode.book.record(goals, row, reached, self._planning.goals)
+        episode.book.record(goals, row, ended, self._planning.goals)
         episode.target = None
         self.refresh_goals()
 

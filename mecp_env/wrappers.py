@@ -15,10 +15,16 @@ from mecp_env.actions import check_choice, to_shares
 from mecp_env.env import MecpEnv, Observation
 from mecp_env.errors import ConfigError
 from mecp_env.observations import GOALS
-from mecp_env.planning.navigator import Navigator, Outcome, Target
+from mecp_env.planning.goal_list import Outcome
+from mecp_env.planning.navigator import Navigator, Target
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
-EVENTS = {Outcome.RUNNING: "ended", Outcome.REACHED: "reached", Outcome.REFUSED: "refused"}
+EVENTS = {
+    Outcome.RUNNING: "ended",
+    Outcome.REACHED: "reached",
+    Outcome.REFUSED: "refused",
+    Outcome.SETTLED: "reached",
+}
 
 
 class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
@@ -82,7 +88,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
             if steps[-1][2] or steps[-1][3]:
                 return steps
             command = self.navigator.step(self.base.report)
-        self.base.record_drive(goals, row, self.navigator.outcome == Outcome.REACHED)
+        self.base.record_drive(goals, row, self.navigator.outcome)
         return steps
 
     def _wait(self) -> Step:

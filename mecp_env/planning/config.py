@@ -23,6 +23,7 @@ class GoalsConfig(Settings):
     apart_m: float = Field(0.5, gt=0.0, le=5.0)  # goals of one kind as near are one
     refusals: int = Field(3, ge=1, le=100)  # a goal refused so often is given up
     visits: int = Field(2, ge=1, le=100)  # a goal that reaching does not settle is given up after so many visits
+    settled: int = Field(6, ge=1, le=100)  # and one that is settled from afar, and a goal again, so often
 
 
 class PathsConfig(Settings):

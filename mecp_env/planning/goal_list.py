@@ -20,6 +20,15 @@ class GoalKind(IntEnum):
     DOOR = 3  # a door nobody has gone through
 
 
+class Outcome(IntEnum):
+    """How the drive to a goal stands."""
+
+    RUNNING = 0
+    REACHED = 1
+    REFUSED = 2
+    SETTLED = 3  # nothing was left to see there before the robot came
+
+
 OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind  # a name is found much faster than a member of an enumeration
 LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 

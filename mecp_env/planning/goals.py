@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import Survey, find_everything, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
@@ -18,7 +18,7 @@ from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
 
 CHANCES = 2
 
-__all__ = ["Goal", "GoalBook", "GoalKind", "Goals", "Remembered", "complete_rooms", "find_goals"]
+__all__ = ["Goal", "GoalBook", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 
 
 @dataclass(slots=True, eq=False)
@@ -27,8 +27,9 @@ class Remembered:
 
     kind: int
     p_map: Array  # (2,) m
-    visits: int = 0
+    visits: int = 0  # drives that ended there
     refusals: int = 0
+    settled: int = 0  # drives that ended before, since there was nothing left to see
     closed: bool = False  # given up: what lies there is no goal any more
 
 
@@ -49,16 +50,24 @@ class GoalBook:
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
 
-    def record(self, goals: Goals, row: int, reached: bool, config: GoalsConfig) -> None:
-        """Remember that a drive to a goal ended: there, or refused. Often enough, and the goal is closed."""
+    def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> None:
+        """Remember how a drive to a goal ended: there, refused, or on the way. Often enough, and the goal is closed.
+
+        One that was settled on the way has shown something: what is still to be seen there is a goal again.
+        """
         kind, p_map = int(goals.kind[row]), goals.p_map[row]
         remembered = self.find(kind, float(p_map[0]), float(p_map[1]), config.apart_m)
         if remembered is None:
             remembered = Remembered(kind, p_map.copy())
             self.drives.append(remembered)
-        remembered.visits += int(reached)
-        remembered.refusals += int(not reached)
-        remembered.closed = remembered.refusals >= config.refusals or remembered.visits >= config.visits
+        remembered.visits += int(ended == Outcome.REACHED)
+        remembered.refusals += int(ended == Outcome.REFUSED)
+        remembered.settled += int(ended == Outcome.SETTLED)
+        remembered.closed = (
+            remembered.refusals >= config.refusals
+            or remembered.visits >= config.visits
+            or remembered.settled >= config.settled
+        )
 
     def forgive(self) -> None:
         """Give goals that were refused another chance, twice: who stood in the way may have gone."""
@@ -79,7 +88,7 @@ class GoalBook:
 def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
     """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
 
-    Where none can be reached, the candidates out of reach: no episode ends while a candidate remains.
+    Where none can be reached, the candidates and doors out of reach: no episode ends while one remains.
     """
     book.notice(report)
     if not report.grid.label.size:
@@ -88,8 +97,7 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     goals = without_closed(goals, book, config.goals)
     if not goals:
         return Goals()
-    ways = way_field(report.grid, report.belief.T_map_robot, config.paths)
-    goals = with_paths(goals, ways, config.goals) or out_of_reach(goals, report.belief.T_map_robot)
+    goals = reachable(goals, report, config) or out_of_reach(goals, report.belief.T_map_robot)
     goals = with_levels(goals, report, book)
     return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
 
@@ -107,10 +115,19 @@ def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> li
     for goal in goals:
         memory = book.find(goal.kind, goal.x, goal.y, config.apart_m)
         if memory is not None:
-            goal.visits = memory.visits + memory.refusals
+            goal.visits = memory.visits + memory.refusals + memory.settled
         if memory is None or not memory.closed:
             still.append(goal)
     return still
+
+
+def reachable(goals: list[Goal], report: StepReport, config: PlanningConfig) -> list[Goal]:
+    """The goals that can be reached; over tight ways only where there is no other: a narrow door leads on."""
+    for tight in (False, True):
+        found = with_paths(goals, way_field(report.grid, report.belief.T_map_robot, config.paths, tight), config.goals)
+        if found:
+            break
+    return found
 
 
 def with_paths(goals: list[Goal], ways: WayField, config: GoalsConfig) -> list[Goal]:
@@ -130,12 +147,12 @@ def reach_of(kind: GoalKind, config: GoalsConfig) -> float:
 
 
 def out_of_reach(goals: list[Goal], T_map_robot: Array) -> list[Goal]:
-    """The candidates, where no goal can be reached; no way is known, so that its length is the straight one."""
+    """The candidates and doors, where no goal can be reached; as no way is known, its length is the straight one."""
     x, y, _ = T_map_robot.tolist()
-    candidates = [goal for goal in goals if goal.kind == CANDIDATE]
-    for goal in candidates:
+    kept = [goal for goal in goals if goal.kind in (CANDIDATE, DOOR)]
+    for goal in kept:
         goal.path_m = length_of(goal.x - x, goal.y - y)
-    return candidates
+    return kept
 
 
 def with_levels(goals: list[Goal], report: StepReport, book: GoalBook) -> list[Goal]:

@@ -4,33 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from enum import IntEnum
 
 import numpy as np
 
 from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
-from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
 from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import NO_ID, Array, Cell, Door, SemanticGrid, StepReport
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
-APPROACH_M = 0.6  # a door is entered along its normal from so far
 BACK_M_S = 0.2
 BACK_PERIODS = 4
+APPROACH_M = 0.6  # a door is entered along its normal from so far
 TRIES = 3  # plans without a way before the goal is refused
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
-
-
-class Outcome(IntEnum):
-    """How a drive stands."""
-
-    RUNNING = 0
-    REACHED = 1
-    REFUSED = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +81,10 @@ class Navigator:
     def _judge(self, target: Target, report: StepReport) -> Outcome:
         """How the drive stands before this period."""
         limits = self.config.navigator
-        if settled(target, report) or self.dwelt >= limits.dwell_periods:
+        if settled(target, report):
+            far = target.kind == FRONTIER and not self._there(target, report)
+            return Outcome.SETTLED if far else Outcome.REACHED
+        if self.dwelt >= limits.dwell_periods:
             return Outcome.REACHED
         return Outcome.REFUSED if self.periods > limits.limit_periods else Outcome.RUNNING
 
@@ -113,9 +107,8 @@ class Navigator:
     def _plan(self, target: Target, report: StepReport) -> None:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
         self.planned, self.planned_version = self.periods, report.grid.version
-        ways = way_field(report.grid, report.belief.T_map_robot, self.config.paths)
         before = len(self.path)
-        self.path = plan(target, report, ways, self.config)
+        self.path = plan(target, report, self.config)
         self.tries = 0 if len(self.path) else self.tries + 1
         if not before or self.tries:
             self.best_left_m, self.best_period = math.inf, self.periods
@@ -206,7 +199,17 @@ def blocked(path: Array, report: StepReport, config: PlanningConfig) -> bool:
     return bool(kernels.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 
 
-def plan(target: Target, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
+def plan(target: Target, report: StepReport, config: PlanningConfig) -> Array:
+    """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no way."""
+    for tight in (False, True):
+        ways = way_field(report.grid, report.belief.T_map_robot, config.paths, tight)
+        path = plan_over(ways, target, report, config)
+        if len(path):
+            break
+    return path
+
+
+def plan_over(ways: WayField, target: Target, report: StepReport, config: PlanningConfig) -> Array:
     """A path (n,2) m, map frame, to a target; empty when there is no way."""
     door = door_of(target, report)
     if target.kind == DOOR and door is not None:

@@ -58,22 +58,23 @@ class WayField:
         return float(x), float(y)
 
 
-def way_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig) -> WayField:
+def way_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig, tight: bool = False) -> WayField:
     """All ways of the robot over FREE and DOOR cells; unknown cells are barred.
 
-    A cell is passable when its centre is radius + margin + half a cell from the centre of every OCCUPIED cell. A robot
-    that stands nearer to a wall (or on an unknown cell) may leave over the cells around it.
+    A cell is passable when its centre is radius + margin + half a cell from the centre of every OCCUPIED cell; for
+    tight ways the radius will do, which lets the robot through a door where the cells of the jambs are drawn too thick.
+    A robot that stands nearer to a wall (or on an unknown cell) may leave over the cells around it.
     """
     x, y = ((T_map_robot[:2] - grid.origin) / grid.resolution_m).tolist()
     row, column = (int(min(max(0.0, at), size - 1)) for at, size in zip((y, x), grid.label.shape, strict=True))
-    return _ways_from(grid, row, column, config)
+    return _ways_from(grid, row, column, config, tight)
 
 
 @lru_cache(REMEMBERED)
-def _ways_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig) -> WayField:
+def _ways_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, tight: bool) -> WayField:
     """All ways from a cell; nobody writes to a field, nor to a grid."""
     cells = 1.0 / grid.resolution_m
-    least = (config.radius_m + config.margin_m) * cells + 0.5
+    least = config.radius_m * cells if tight else (config.radius_m + config.margin_m) * cells + 0.5
     limits = (least, max(config.comfort_m * cells, least), config.wall_cost, int(0.5 * cells))
     field = kernels.cheapest_ways(grid.label, row, column, limits)
     return WayField(grid, *field, config.shortcut_m * cells)

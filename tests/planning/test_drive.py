@@ -103,8 +103,18 @@ def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
         goals = find_goals(toy.report(), book, config)
         navigator = drive(toy, target(toy, 3.0, -6.0), 20)
         assert navigator.outcome == Outcome.REFUSED
-        book.record(goals, 0, navigator.outcome == Outcome.REACHED, config.goals)
+        book.record(goals, 0, navigator.outcome, config.goals)
     assert len(find_goals(toy.report(), book, config)) == 0
+
+
+def test_a_frontier_that_recedes_is_not_visited_in_vain() -> None:
+    """Seen in a long corridor: two frontiers settled from afar, half a metre apart, closed the one at its end."""
+    toy = Toy(np.array([14.0, 2.0, np.pi]))
+    frontier = find_goals(toy.report(), GoalBook(), PlanningConfig())
+    row = frontier.kind.tolist().index(GoalKind.FRONTIER)
+    navigator = drive(toy, Target.of(frontier, row))
+    assert navigator.outcome == Outcome.SETTLED
+    assert np.hypot(*(toy.report().belief.T_map_robot[:2] - frontier.p_map[row])) > 1.0
 
 
 def test_no_way_is_refused_after_some_tries() -> None:

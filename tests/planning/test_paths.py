@@ -48,6 +48,24 @@ def test_clearance_is_the_distance_to_the_nearest_wall(seed: int) -> None:
     assert kernels.clearance(label, 6.0) == pytest.approx(np.minimum(brute, 6.0), abs=1e-5)
 
 
+def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
+    label = np.full((20, 40), Cell.FREE, np.uint8)
+    label[[0, -1], :] = label[
+        :,
+        [0, -1],
+    ] = label[:, 20] = Cell.OCCUPIED
+    label[8:13, 20] = Cell.DOOR  # five cells: the middle one is three cells from the jambs
+    grid = grid_of(label)
+    start, there = np.array([*(grid.origin + 1.0), 0.3]), grid.origin + np.array([3.0, 1.0])
+    assert way_field(grid, start, CONFIG).nearest(there, 0.3) is None
+    ways = way_field(grid, start, CONFIG, tight=True)
+    cell = ways.nearest(there, 0.3)
+    assert cell is not None
+    assert ways.path(cell)[-1] == pytest.approx(there, abs=0.1)
+    label[[8, 12], 20] = Cell.OCCUPIED  # too narrow for the robot
+    assert way_field(grid_of(label), start, CONFIG, tight=True).nearest(there, 0.3) is None
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_field_is_dijkstra(seed: int) -> None:
     rng = np.random.default_rng(seed)
