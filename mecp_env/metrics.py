@@ -192,6 +192,7 @@ class EpisodeMetrics:
             "metres": self.metres,
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
+            "free_area_m2": truth.free_cells * kernels.CELL_M**2,
             "rooms": len(truth.outline.rooms),
             "rooms_found": rooms,
             "rooms_false": rooms_false,

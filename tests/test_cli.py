@@ -15,8 +15,8 @@ from PIL import Image
 from rich.console import Console
 
 import mecp_env
-from agents.random_walk import Args
-from agents.random_walk import main as random_walk
+from agents.one_episode import Args
+from agents.one_episode import main as one_episode
 from mecp_env import cli
 from mecp_env.commands.demo import Demo
 from mecp_env.commands.fields import Fields, configuration
@@ -218,7 +218,7 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", periods=0), "max_periods"), (Args(seed=-1), "-1")],
 )
 def test_wrong_input_of_the_random_walk_ends_with_2(args: Args, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert random_walk(args) == 2
+    assert one_episode("random_walk", args) == 2
     assert re.fullmatch(rf"random_walk: .*{named}.*\n", capsys.readouterr().err)
 
 

@@ -1,0 +1,62 @@
+"""How the coverage of a building grows with the metres driven, and what is read from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BUDGET_M_PER_M2 = 0.5  # metres of an exploration on a square metre of floor
+
+
+def budget_m(free_area_m2: float) -> float:
+    """The metres by which a curve is normalised: of the building alone, the same for every policy."""
+    return BUDGET_M_PER_M2 * free_area_m2
+
+
+@dataclass(slots=True, eq=False)
+class Curve:
+    """The largest coverage so far at each place on the way where it grew; a curve of steps."""
+
+    metres: list[float] = field(default_factory=list)
+    periods: list[int] = field(default_factory=list)
+    coverage: list[float] = field(default_factory=list)
+
+    def add(self, metres: float, period: int, coverage: float) -> None:
+        """Take in the coverage after a period; only what is more than before is kept."""
+        if not self.coverage or coverage > self.coverage[-1]:
+            self.metres.append(metres)
+            self.periods.append(period)
+            self.coverage.append(coverage)
+
+    def area_under(self, limit_m: float) -> float:
+        """Mean coverage over the first `limit_m` metres: (1/L) * integral of C(d) from 0 to L.
+
+        C(d) is the largest coverage that was reached within d metres. After the end of the episode it stays what it
+        was; metres beyond L do not count.
+        """
+        bounds = np.minimum(np.array([*self.metres, np.inf]), limit_m)
+        return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit_m)
+
+    def at(self, metres: Array) -> Array:
+        """C(d) at some distances (n,), which are not before the first point."""
+        rows = np.searchsorted(np.array(self.metres), metres, side="right") - 1
+        values: Array = np.array(self.coverage)[rows]
+        return values
+
+    def first(self, level: float) -> int | None:
+        """Index of the first point with that coverage; None when it was never reached."""
+        return next((row for row, coverage in enumerate(self.coverage) if coverage >= level), None)
+
+    def metres_to(self, level: float, otherwise: float) -> float:
+        """Metres to a coverage, at most `otherwise`, which also stands for never (a restricted mean's term)."""
+        row = self.first(level)
+        return otherwise if row is None else min(self.metres[row], otherwise)
+
+    def periods_to(self, level: float, otherwise: float) -> float:
+        """Control periods to a coverage, at most `otherwise`, which also stands for never."""
+        row = self.first(level)
+        return otherwise if row is None else min(float(self.periods[row]), otherwise)

@@ -1,0 +1,226 @@
+"""Policies compared on the same buildings, from the same starts: `python -m agents.evaluate nearest gain --jobs 2`.
+
+Everything is measured in metres and simulated time, so that a run on another machine says the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import gymnasium as gym
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from agents.comparison import Row, compare, rows_of, timing
+from agents.curve import BUDGET_M_PER_M2
+from agents.episode import Episode, Task
+from agents.page import page
+from agents.pool import Failure, finished
+from agents.registry import EXPLORERS, make_agent
+from agents.worlds import Setting, rooms
+from mecp_env.errors import ConfigError, MecpError
+from mecp_env.intervals import Figures
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
+MOST_JOBS, MOST_EPISODES = 256, 1_000_000
+BAR = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+EXAMPLES = """examples:
+  python -m agents.evaluate bfs nearest gain --episodes 20 --jobs 2
+  python -m agents.evaluate nearest runs/my-training --split validation --no-truth
+  python -m agents.evaluate nearest gain --difficulty hard --record --out runs/hard
+"""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Compare policies: the same buildings, starts and noise for each; tables, curves and, with --record, a film."""
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional]  # names, or folders of training runs
+    split: str = "test"  # whose buildings: train, validation or test
+    difficulty: str = "medium"  # easy, medium, hard or huge
+    episodes: int = 100  # buildings, one episode in each
+    jobs: int = 1  # processes at the same time
+    estimator: Literal["slam", "known", "truth"] = "slam"  # known: true identities; truth: the exact pose
+    truth: bool = True  # with the estimator slam or known, each policy once more with the pose known
+    record: bool = False  # a film of all policies side by side, in the first building
+    reference: str = "nearest"  # the policy to which the others are compared
+    max_periods: int = 3000  # an episode is cut there (control periods of 0.4 s)
+    json: Path | None = None  # also write the result there, and the page beside it
+    out: Path = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, side_by_side.gif
+
+
+@dataclass(slots=True, eq=False)
+class Evaluation:
+    """Episodes as they come in."""
+
+    args: Args
+    order: list[tuple[str, str]]  # policy, estimator: the rows
+    episodes: list[Episode] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    interrupted: bool = False
+
+    def take(self, result: Episode | Failure) -> None:
+        """Keep what came of a task."""
+        if isinstance(result, Episode):
+            self.episodes.append(result)
+        else:
+            self.failures.append(result)
+            print(f"evaluate: failed: {result}", file=sys.stderr)
+
+    @property
+    def exit_code(self) -> int:
+        return INTERRUPTED if self.interrupted else FAILED if self.failures else 0
+
+
+def main(args: Args) -> int:
+    """Evaluate and write all there is. 0; 1 when an episode failed, 2 for wrong input, 130 after Ctrl-C."""
+    try:
+        check(args)
+        evaluation = evaluate(args)
+        if evaluation.episodes:
+            write(evaluation)
+        return evaluation.exit_code
+    except (MecpError, gym.error.Error) as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        return WRONG_INPUT
+
+
+def check(args: Args) -> None:
+    """Raise `ConfigError` for what cannot be done, before anything is."""
+    if not args.policies:
+        raise ConfigError(f"policies: none given; there are {', '.join(EXPLORERS)}, and folders of training runs")
+    within("jobs", args.jobs, 1, MOST_JOBS)
+    within("max_periods", args.max_periods, 1, 10_000_000)
+    if args.reference not in (*EXPLORERS, *args.policies):
+        raise ConfigError(
+            f"reference: {args.reference!r:.80}, expected one of {', '.join((*args.policies, *EXPLORERS))}"
+        )
+    for policy in args.policies:
+        agent = make_agent(policy)
+    within("episodes", args.episodes, 1, MOST_EPISODES)
+    env = rooms(setting_of(args), agent)
+    env.reset(seed=0, options={"building": args.episodes - 1})  # is there such a building?
+    env.close()
+    for path in (args.out, *([args.json.parent] if args.json else [])):
+        check_writable(path)
+
+
+def within(name: str, value: int, low: int, high: int) -> None:
+    """Raise `ConfigError` unless low <= value <= high."""
+    if not low <= value <= high:
+        raise ConfigError(f"{name}: {value}, expected {low} to {high}")
+
+
+def check_writable(folder: Path) -> None:
+    """Make the folder. Raises `ConfigError` where that, or a file in it, cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"out: {folder}: {error.strerror}; choose another place") from None
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(f"out: {folder}: cannot be written to; choose another place")
+
+
+def setting_of(args: Args) -> Setting:
+    """Where the policies are compared."""
+    return Setting(args.difficulty, args.split, args.estimator, args.max_periods)
+
+
+def tasks_of(args: Args) -> list[Task]:
+    """All episodes, building by building: what is done when somebody stops it can be compared."""
+    setting = setting_of(args)
+    settings = [setting, *([replace(setting, estimator="truth")] if args.truth and args.estimator != "truth" else [])]
+    policies = list(dict.fromkeys(args.policies))
+    return [Task(name, number, each) for number in range(args.episodes) for each in settings for name in policies]
+
+
+def evaluate(args: Args) -> Evaluation:
+    """Play all episodes; after Ctrl-C, what was finished is there."""
+    tasks = tasks_of(args)
+    evaluation = Evaluation(args, list(dict.fromkeys((task.policy, task.setting.estimator) for task in tasks)))
+    with Progress(*BAR, console=Console(stderr=True)) as progress:
+        bar = progress.add_task("episodes", total=len(tasks))
+        try:
+            for result in finished(tasks, args.jobs):
+                evaluation.take(result)
+                progress.advance(bar)
+        except KeyboardInterrupt:
+            evaluation.interrupted = True
+    return evaluation
+
+
+def write(evaluation: Evaluation) -> None:
+    """Write figures, page, episodes, curves and, where wanted, the film; print the page."""
+    args, rows = evaluation.args, rows_of(evaluation.episodes, evaluation.order)
+    if not rows:
+        print("evaluate: no building was finished by every policy: nothing to compare", file=sys.stderr)
+        return
+    result = result_of(evaluation, rows)
+    text = page(result)
+    write_result(result, text, args.out / "results.json", args.out / "page.md")
+    write_episodes(evaluation.episodes, args.out / "episodes.csv")
+    if args.json is not None:
+        write_result(result, text, args.json, args.json.with_suffix(".md"))
+    draw(result, args)
+    print(text)
+    print(f"written to {args.out}")
+
+
+def draw(result: Figures, args: Args) -> None:
+    """Curves, and the film where it is wanted; matplotlib and pygame are loaded only here."""
+    from agents.pictures import draw_curves
+
+    title = f"{result['buildings']} buildings, {args.difficulty}, {args.split} split; bands: 95 % intervals of the mean"
+    draw_curves(result["rows"], title, args.out / "curves.png")
+    if args.record:
+        from agents.film import write_film
+
+        write_film(list(dict.fromkeys(args.policies)), setting_of(args), args.out / "side_by_side.gif")
+
+
+def result_of(evaluation: Evaluation, rows: Sequence[Row]) -> Figures:
+    """All that is written as JSON. But for the date, the command and `timing`, the same evaluation says the same."""
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        "command": " ".join(["python -m agents.evaluate", *sys.argv[1:]]),
+        "system": f"{platform.system()} {platform.machine()}, python {platform.python_version()}",
+        "setting": asdict(setting_of(evaluation.args)),
+        "budget_m_per_m2": BUDGET_M_PER_M2,
+        "reference": evaluation.args.reference,
+        "buildings": len(rows[0].episodes),
+        "interrupted": evaluation.interrupted,
+        "failures": sorted(str(failure) for failure in evaluation.failures),
+        "rows": compare(rows, evaluation.args.reference),
+        "timing": timing(rows),
+    }
+
+
+def write_result(result: Figures, text: str, json_path: Path, page_path: Path) -> None:
+    """Write the result as JSON, and its page."""
+    json_path.write_text(json.dumps(result, indent=1) + "\n")
+    page_path.write_text(text)
+
+
+def write_episodes(episodes: Sequence[Episode], path: Path) -> None:
+    """Write a line an episode, in the order of policy, estimator and building."""
+    ordered = sorted(episodes, key=lambda e: (e.task.policy, e.task.setting.estimator, e.task.building))
+    with path.open("w", newline="") as file:
+        lines = csv.writer(file)
+        lines.writerow(["policy", "estimator", "building", *ordered[0].figures])
+        for episode in ordered:
+            task = episode.task
+            lines.writerow([task.policy, task.setting.estimator, task.building, *episode.figures.values()])
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Args, description=f"{Args.__doc__}\n\n{EXAMPLES}")))

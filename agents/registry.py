@@ -1,0 +1,51 @@
+"""The policies by name. A line here is all that another explorer needs to be evaluated beside the rest."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from pathlib import Path
+
+from agents.agent import Agent
+from mecp_env.errors import ConfigError
+
+EXPLORERS = {  # name -> "module:Class", made without arguments
+    "bfs": "agents.bfs:BreadthFirstAgent",
+    "nearest": "agents.nearest:Nearest",
+    "gain": "agents.gain:Gain",
+    "random_goal": "agents.random_goal:RandomGoal",
+    "random_walk": "agents.random_walk:RandomWalk",
+}
+LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # those with weights in the repository, or a run folder
+INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
+
+
+def make_agent(name: str) -> Agent:
+    """The policy of that name, or the trained one in the run folder `name`.
+
+    Raises `ConfigError` for an unknown name, with all there are, and for a trained policy without PyTorch.
+    """
+    if name in EXPLORERS:
+        module, _, class_name = EXPLORERS[name].partition(":")
+        agent: Agent = getattr(importlib.import_module(module), class_name)()
+        return agent
+    if name in LEARNED or Path(name).is_dir():
+        return load_learned(name)
+    raise ConfigError(unknown_policy(name))
+
+
+def load_learned(name: str) -> Agent:
+    """The trained policy of a name or a run folder; only this loads PyTorch."""
+    try:
+        agent: Agent = importlib.import_module("agents.learned").load(name)
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"policy: {name!r} is a trained one and needs {error.name}: {INSTALL}") from None
+    return agent
+
+
+def unknown_policy(name: str) -> str:
+    """What to say about a name that is none: the nearest one, and all of them."""
+    known = [*EXPLORERS, *LEARNED]
+    nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return f"policy: {name!r:.80} is none of {', '.join(known)}, and no folder of a training run{guess}"

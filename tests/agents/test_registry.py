@@ -1,0 +1,58 @@
+"""Policies by name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from agents import registry
+from agents.nearest import Nearest
+from agents.registry import make_agent
+from mecp_env.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", registry.EXPLORERS)
+def test_every_explorer_is_made_by_its_name(name: str) -> None:
+    agent = make_agent(name)
+    assert agent.actions in ("goal", "velocity", "discrete")
+
+
+def test_an_unknown_policy_is_told_what_there_is_and_the_nearest_guess() -> None:
+    with pytest.raises(ConfigError, match=r"none of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"):
+        make_agent("nearst")
+    with pytest.raises(ConfigError) as error:
+        make_agent("qqqqqq")
+    assert "did you mean" not in str(error.value)
+
+
+def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def load(name: str) -> Nearest:
+        asked.append(name)
+        return Nearest()
+
+    monkeypatch.setitem(sys.modules, "agents.learned", types.SimpleNamespace(load=load))
+    make_agent("maskable_ppo")
+    make_agent(str(tmp_path))
+    assert asked == ["maskable_ppo", str(tmp_path)]
+
+
+def test_without_pytorch_a_trained_policy_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(name: str) -> Nearest:
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+
+    monkeypatch.setitem(sys.modules, "agents.learned", types.SimpleNamespace(load=load))
+    with pytest.raises(ConfigError, match=r"'ppo' is a trained one and needs torch: pip install"):
+        make_agent("ppo")
+
+
+def test_explorers_load_nothing_of_learning() -> None:
+    code = "import sys; from agents.registry import *; [make_agent(n) for n in EXPLORERS]; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2])
+    assert done.returncode == 0, done.stderr
+    assert not {"torch", "stable_baselines3", "sb3_contrib", "agents.learned"} & set(done.stdout.split())
