@@ -10,7 +10,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -150,13 +150,18 @@ def evaluate(args: Args) -> Evaluation:
     evaluation = Evaluation(args, list(dict.fromkeys((task.policy, task.setting.estimator) for task in tasks)))
     with Progress(*BAR, console=Console(stderr=True)) as progress:
         bar = progress.add_task("episodes", total=len(tasks))
-        try:
-            for result in finished(tasks, args.jobs):
-                evaluation.take(result)
-                progress.advance(bar)
-        except KeyboardInterrupt:
-            evaluation.interrupted = True
+        collect(evaluation, tasks, lambda: progress.advance(bar))
     return evaluation
+
+
+def collect(evaluation: Evaluation, tasks: Sequence[Task], advance: Callable[[], None]) -> None:
+    """Take in what comes of the tasks until they are done, or somebody presses Ctrl-C."""
+    try:
+        for result in finished(tasks, evaluation.args.jobs):
+            evaluation.take(result)
+            advance()
+    except KeyboardInterrupt:
+        evaluation.interrupted = True
 
 
 def write(evaluation: Evaluation) -> None:

@@ -6,6 +6,7 @@ import multiprocessing
 import signal
 import traceback
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -41,18 +42,22 @@ def finished(tasks: Sequence[Task], jobs: int) -> Iterator[Episode | Failure]:
     if jobs == 1:
         yield from map(attempt, tasks)
         return
-    waiting = iter(tasks)
     crew = [Worker() for _ in range(min(jobs, len(tasks)))]
     try:
-        for worker in crew:
-            worker.begin(next(waiting))
-        while any(worker.task for worker in crew):
-            for worker in ready(crew):
-                yield worker.end()
-                worker.begin(next(waiting, None))
+        yield from work(crew, iter(tasks))
     finally:
         for worker in crew:
             worker.stop()
+
+
+def work(crew: Sequence[Worker], waiting: Iterator[Task]) -> Iterator[Episode | Failure]:
+    """Keep the workers busy; each result as it comes."""
+    for worker in crew:
+        worker.begin(next(waiting, None))
+    while any(worker.task for worker in crew):
+        for worker in ready(crew):
+            yield worker.end()
+            worker.begin(next(waiting, None))
 
 
 class Worker:
@@ -78,14 +83,15 @@ class Worker:
         """Send the next task; None: there is none."""
         self.task = task
         if task is not None:
-            self.line.send(task)
+            with suppress(OSError):  # a process that is gone says so at the end
+                self.line.send(task)
 
     def end(self) -> Episode | Failure:
         """What came of the task."""
         assert self.task is not None
         try:
             result: Episode | Failure = self.line.recv()
-        except EOFError:
+        except (EOFError, OSError):
             self._process.join()
             result = Failure(self.task, f"its process ended with code {self._process.exitcode}")
             self._start()

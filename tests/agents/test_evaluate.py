@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from agents.pool import Failure, attempt, finished
 from agents.worlds import Setting
 from mecp_env.intervals import estimate
 
-ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 150)
 
 
@@ -180,22 +178,31 @@ def run_and_kill(tasks: list[Task]) -> list[Episode | Failure]:
     return results
 
 
-@pytest.mark.slow
-def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
-    line = [sys.executable, "-m", "agents.evaluate", "nearest", "--difficulty", "easy", "--episodes", "500"]
-    line += ["--jobs", "2", "--no-truth", "--out", str(tmp_path)]
-    running = subprocess.Popen(line, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(1.0)
-    assert running.stderr is not None
-    while "1/500" not in (part := running.stderr.readline()):  # the bar, as soon as an episode is done
-        assert part or running.poll() is None
-    running.send_signal(signal.SIGINT)
-    out, _ = running.communicate(timeout=120)
-    assert running.returncode == 130
-    result = json.loads((tmp_path / "results.json").read_text())
+def test_ctrl_c_keeps_what_is_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(tasks: list[Task], jobs: int) -> Iterator[Episode]:
+        yield from (toy(task.policy, task.building, 0.5) for task in tasks[:5])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "finished", interrupted)
+    args = args_of(tmp_path, truth=False, episodes=9)
+    assert main(args) == 130
+    result = json.loads((args.out / "results.json").read_text())
     assert result["interrupted"]
-    assert 1 <= result["buildings"] < 500
-    assert "| nearest |" in out
+    assert result["buildings"] == 2  # the third was finished by one policy only
+    assert "| nearest | 0.500" in capsys.readouterr().out
+
+
+def test_an_exception_ends_the_processes() -> None:
+    before = set(multiprocessing.active_children())
+    tasks = [Task("nearest", number, Setting("easy", "validation", "slam", 5)) for number in range(6)]
+    results = finished(tasks, 2)
+    assert isinstance(next(results), Episode)
+    assert len(set(multiprocessing.active_children()) - before) == 2
+    with pytest.raises(KeyboardInterrupt):
+        results.throw(KeyboardInterrupt)
+    assert set(multiprocessing.active_children()) <= before
 
 
 def test_rows_are_over_the_buildings_that_every_policy_has_done() -> None:
