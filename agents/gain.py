@@ -29,6 +29,7 @@ class Weights:
     sight_m: float = 6.0  # unknown floor further from a goal than this is not expected to be seen from there
     power: float = 0.7  # of the area: a room twice as large is not worth twice the way
     start_m: float = 2.0  # added to every way, so that what lies at hand is not worth all
+    winding: float = 1.3  # the way from one goal to the next, times the straight line
     beyond_m2: float = 12.0  # expected behind a door that lies outside the grid of the observation
     least_m2: float = 0.3  # where no goal promises as much, the nearest is next
     sure_m: float = 0.05  # standard deviation of the position up to which nothing but floor counts
@@ -36,8 +37,9 @@ class Weights:
 
 
 class Gain:
-    """Drives to the goal with the most expected new floor for the way, area^0.7 / (way + 2 m).
+    """Drives to the goal with the most expected new floor for the way, area^0.7 / (way + 2 m), looking one goal ahead.
 
+    A goal counts as much as the best pair that it begins: the floor of both for the way to the one and on to the other.
     The area is what an imagined scan from the goal would see of the unknown cells of the observation's grid, walls
     known so far in its way (next best view: Gonzalez-Banos and Latombe 2002). When the position's standard deviation
     exceeds `sure_m`, goals are preferred that lie near landmarks known better than the pose: seen again, they make it
@@ -61,8 +63,17 @@ class Gain:
         area = self.expected_area(observation["grid"], goals)
         if area.max() < self.weights.least_m2:
             area = np.ones(len(rows))
-        worth = area**self.weights.power / (goals[:, PATH] + self.weights.start_m)
-        return int(rows[np.argmax(worth * self.trust(observation, goals))])
+        return int(rows[np.argmax(self.worth(area, goals) * self.trust(observation, goals))])
+
+    def worth(self, area: Array, goals: Array) -> Array:
+        """(k,) worth of the goals (k,9) for the way, each alone or together with the best one to go on to."""
+        weights, value = self.weights, area**self.weights.power
+        way = goals[:, PATH] + weights.start_m
+        straight = np.hypot(*(goals[:, None, [X, Y]] - goals[None, :, [X, Y]]).transpose(2, 0, 1))
+        pairs = (value[:, None] + value) / (way[:, None] + weights.winding * straight + weights.start_m)
+        np.fill_diagonal(pairs, value / way)
+        best: Array = pairs.max(axis=1)
+        return best
 
     def expected_area(self, grid: NDArray[np.uint8], goals: Array) -> Array:
         """(k,) m^2 of unknown cells that a scan from each of the goals (k,9) would see."""

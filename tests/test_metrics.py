@@ -315,6 +315,8 @@ def test_an_episode_adds_up():
     assert 0.0 < summary["polygon_cover"] <= summary["grid_cover"] + 0.05
     assert 0.0 <= summary["door_error_m"] < 0.05
     assert 0.0 < summary["grid_iou"] <= 1.0
+    free = build_outline(load_layout("two_rooms")).free_area.area
+    assert summary["free_area_m2"] == pytest.approx(free, rel=0.02)
     assert all(math.isfinite(value) for value in summary.values())
 
 

@@ -98,8 +98,20 @@ def test_gain_prefers_much_floor_to_a_short_way_but_not_at_any_price() -> None:
     paint(seen, UNKNOWN, (2.0, 2.6), (-0.6, 0.6))
     assert Nearest().act(seen) == 0
     assert Gain().act(seen) == 1
-    seen["goals"][1, 2] = 60.0
+    seen["goals"][1, 2] = 190.0
     assert Gain().act(seen) == 0
+
+
+def test_gain_looks_one_goal_ahead() -> None:
+    seen = observation(goal(3, 0, 3.0), goal(-3, 0, 3.0), goal(-4, 2, 4.5))
+    paint(seen, UNKNOWN, (3.0, 5.0), (-1.0, 1.0))
+    paint(seen, UNKNOWN, (-5.0, -3.0), (-0.9, 0.9))
+    paint(seen, UNKNOWN, (-5.0, -3.0), (2.0, 3.0))
+    area = Gain().expected_area(seen["grid"], seen["goals"][:3].astype(float))
+    goals = seen["goals"][:3].astype(float)
+    assert Gain().worth(area, goals).argmax() == 1
+    alone = Gain(Weights(winding=1e9)).worth(area, goals)
+    assert alone == pytest.approx(area**0.7 / (goals[:, 2] + 2.0))
 
 
 def test_where_nothing_new_is_expected_gain_goes_to_the_nearest() -> None:
