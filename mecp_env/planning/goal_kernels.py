@@ -15,9 +15,9 @@ Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]
+Labels = tuple[Bytes, Array, float]
 
-UNKNOWN, FREE = 0, 1  # as in mecp_env.slam.data.Cell
-OPEN_LABEL = 2  # as in mecp_env.slam.data.EdgeLabel
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # as in mecp_env.slam.data.Cell
 SPARE = 1e-6  # what is farther away by this needs no exact look
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
@@ -208,18 +208,18 @@ def _collect(marked: Bytes, room: Rooms, queue: Ints, row: int, column: int) -> 
 
 
 @kernel
-def open_strips(
-    rings: tuple[Array, Ints], intervals: tuple[Array, Ints], limits: tuple[float, float], layer: Layer
+def uncovered_strips(
+    rings: tuple[Array, Ints], intervals: tuple[Array, Ints], limits: tuple[int, float, float], layer: Layer
 ) -> Array:
-    """Goals (s,4) beyond wide open intervals of polygons: x, y, the width, m, and which polygon.
+    """Wide intervals of one label beyond which no polygon lies (s,6): middle x, y, outward normal, width, polygon.
 
     Nothing lies there where polygons cover two of three points of the strip beyond the interval. `rings`: the vertices
-    (V,2) of all polygons, polygon p from row first[p] to first[p + 1], nan: not in the map. `intervals`: edge, start
-    and end as share of it, EdgeLabel (m,4), and the rows of each polygon likewise. `limits`: least width, and how far
-    beyond the edge the goal lies, m. `layer`: the polygons on the grid (H,W), its origin and resolution.
+    (V,2) m of all polygons, polygon p from row first[p] to first[p + 1], nan: not in the map. `intervals`: edge, start
+    and end as share of it, EdgeLabel (m,4), and the rows of each polygon likewise. `limits`: the label, the least
+    width, and how far beyond the edge the strip lies, m. `layer`: the polygons on the grid (H,W), origin, resolution.
     """
-    (p_map, first), (stretch, rows) = rings, intervals
-    goals = np.empty((stretch.shape[0], 4))
+    (p_map, first), (stretch, rows), (label, least, beyond) = rings, intervals, limits
+    strips = np.empty((stretch.shape[0], 6))
     n = 0
     for owner in range(first.shape[0] - 1):
         for i in range(rows[owner], rows[owner + 1]):
@@ -228,17 +228,16 @@ def open_strips(
             dx, dy = p_map[b, 0] - p_map[a, 0], p_map[b, 1] - p_map[a, 1]
             length = math.hypot(dx, dy)
             width = length * (stretch[i, 2] - stretch[i, 1])
-            if stretch[i, 3] != OPEN_LABEL or not width >= limits[0]:
+            if stretch[i, 3] != label or not width >= least:
                 continue
-            covered = 0
-            for k in (0, 2, 1):  # the goal is the point in the middle
+            nx, ny, covered = dy / length, -dx / length, 0
+            for k in (0, 2, 1):  # the last is the middle
                 share = stretch[i, 1] + (stretch[i, 2] - stretch[i, 1]) * (0.3 + 0.2 * k)
-                goals[n, 0] = p_map[a, 0] + share * dx + limits[1] * dy / length
-                goals[n, 1] = p_map[a, 1] + share * dy - limits[1] * dx / length
-                covered += _is_covered(layer, goals[n, 0], goals[n, 1])
-            goals[n, 2], goals[n, 3] = width, owner
+                strips[n, 0], strips[n, 1] = p_map[a, 0] + share * dx, p_map[a, 1] + share * dy
+                covered += _is_covered(layer, strips[n, 0] + beyond * nx, strips[n, 1] + beyond * ny)
+            strips[n, 2], strips[n, 3], strips[n, 4], strips[n, 5] = nx, ny, width, owner
             n += 1 if covered <= 1 else 0
-    return goals[:n].copy()
+    return strips[:n].copy()
 
 
 @kernel
@@ -248,3 +247,21 @@ def _is_covered(layer: Layer, x: float, y: float) -> int:
     row, column = math.floor((y - origin[1]) / resolution), math.floor((x - origin[0]) / resolution)
     inside = 0 <= row < polygon.shape[0] and 0 <= column < polygon.shape[1]
     return 1 if inside and polygon[row, column] else 0
+
+
+@kernel
+def before_wall(layer: Labels, strips: Array, depth: float) -> Bools:
+    """(s,) whether a wall lies within `depth` (m) behind the middle of each strip (s,6) of `uncovered_strips`.
+
+    `layer`: the labels of the grid (H,W), its origin and resolution.
+    """
+    label, origin, resolution = layer
+    walled = np.zeros(strips.shape[0], np.bool_)
+    steps = int(2.0 * depth / resolution)
+    for i in range(strips.shape[0]):
+        for k in range(1, steps + 1):
+            x, y = strips[i, 0] + depth * k / steps * strips[i, 2], strips[i, 1] + depth * k / steps * strips[i, 3]
+            row, column = math.floor((y - origin[1]) / resolution), math.floor((x - origin[0]) / resolution)
+            inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
+            walled[i] |= inside and label[row, column] == OCCUPIED
+    return walled

@@ -20,14 +20,20 @@ from mecp_env.slam.data import (
     Array,
     Belief,
     Door,
+    EdgeLabel,
     Ints,
     KnownPolygon,
     StepReport,
 )
 
 Point = tuple[float, float]
+Strip = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room
 Places = dict[int, list[float]]  # id -> x, y in m, map frame
 
+OPEN_EDGE, GAP_EDGE = int(EdgeLabel.OPEN), int(EdgeLabel.GAP)
+GAP_BEYOND_M = 0.4  # so far beyond a gap another polygon is looked for
+WALL_BEHIND_M = 0.5  # an edge across a corner has a wall as near behind it
+SAME_GAP_M = 0.8  # a gap in an edge as near to a door is that door, seen at a grazing angle
 BARRIER_CELLS = 1.5  # floor does not join floor so near to the line of a door
 NOWHERE = [math.nan, math.nan]
 
@@ -100,28 +106,38 @@ def open_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
     it; the paper asks for rooms divided into polygons, so that only a polygon does.
     Of those as near to each other as `apart_m` the widest.
     """
-    found = strips_beyond(survey, config)
+    found = strips_beyond(survey, (OPEN_EDGE, config.open_width_m, config.open_beyond_m))
+    beyond = config.open_beyond_m
+    goals = [Goal(OPEN, x + beyond * nx, y + beyond * ny, width, room) for x, y, nx, ny, width, room in found]
+    return widest(goals, config.apart_m)
+
+
+def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
+    """Of goals as near to each other as that the widest."""
     kept: list[Goal] = []
-    for goal in sorted(found, key=lambda goal: -goal.size_m):
-        if all(math.hypot(goal.x - other.x, goal.y - other.y) > config.apart_m for other in kept):
+    for goal in sorted(goals, key=lambda goal: -goal.size_m):
+        if all(math.hypot(goal.x - other.x, goal.y - other.y) > apart_m for other in kept):
             kept.append(goal)
     return kept
 
 
-def strips_beyond(survey: Survey, config: GoalsConfig) -> list[Goal]:
-    """A goal beyond each wide open interval, however near to each other."""
+def strips_beyond(survey: Survey, limits: tuple[int, float, float]) -> list[Strip]:
+    """Intervals of known polygons beyond which none lies, however near: middle, outward normal, width, room.
+
+    `limits`: their EdgeLabel, the least width and how far beyond the edge is looked, m.
+    """
     report, grid = survey.report, survey.report.grid
     polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
     if not polygons:
         return []
-    strips = kernels.open_strips(
+    strips = kernels.uncovered_strips(
         rings_of(polygons, survey.places),
         (np.concatenate([polygon.intervals for polygon in polygons]), starts([len(p.intervals) for p in polygons])),
-        (config.open_width_m, config.open_beyond_m),
+        limits,
         (grid.polygon, grid.origin, grid.resolution_m),
     )
     rooms = [report.graph.resolve(polygon.room) for polygon in polygons]
-    return [Goal(OPEN, x, y, width, rooms[int(owner)]) for x, y, width, owner in strips.tolist()]
+    return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in strips.tolist()]
 
 
 def rings_of(polygons: list[KnownPolygon], places: Places) -> tuple[Array, Ints]:
@@ -203,6 +219,34 @@ def candidate_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
         x, y = (ax + bx) / 2.0 + config.candidate_m * back_x, (ay + by) / 2.0 + config.candidate_m * back_y
         goals.append(Goal(CANDIDATE, x, y, width, survey.report.graph.resolve(candidate.room)))
     return goals
+
+
+def gap_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+    """A place in front of each gap in an edge of a known polygon where no door and no candidate is known.
+
+    A door seen at a grazing angle shows one jamb or none, but the laser looks through it.
+    """
+    away = -config.candidate_m
+    gaps = unexplained_gaps(survey)
+    return widest(
+        [Goal(CANDIDATE, x + away * nx, y + away * ny, w, room) for x, y, nx, ny, w, room in gaps], config.apart_m
+    )
+
+
+def unexplained_gaps(survey: Survey) -> list[Strip]:
+    """The gaps in edges of known polygons where a door is missing: none is known, nor a candidate, polygon or wall."""
+    gaps = [gap for gap in strips_beyond(survey, (GAP_EDGE, 0.0, GAP_BEYOND_M)) if not is_explained(survey, *gap[:2])]
+    grid = survey.report.grid
+    layer = (grid.label, grid.origin, grid.resolution_m)
+    walled = kernels.before_wall(layer, np.array(gaps, np.float64).reshape(-1, 6), WALL_BEHIND_M) if gaps else ()
+    return [gap for gap, wall in zip(gaps, walled, strict=True) if not wall]
+
+
+def is_explained(survey: Survey, x: float, y: float) -> bool:
+    """True when a door or a candidate is known near (x, y) m."""
+    doors = [(door.x, door.y) for door in survey.doors]
+    gaps = [candidate.ends.mean(axis=0).tolist() for candidate in survey.report.graph.candidates]
+    return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in [*doors, *gaps])
 
 
 def door_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
-from mecp_env.planning.goal_sources import Survey, find_everything, length_of
+from mecp_env.planning.goal_sources import Survey, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
@@ -26,6 +26,7 @@ class Remembered:
     """What became of the drives to one goal."""
 
     kind: int
+    room: int  # on this side
     p_map: Array  # (2,) m
     visits: int = 0  # drives that ended there
     refusals: int = 0
@@ -49,16 +50,18 @@ class GoalBook:
             self.entry[room] = report.belief.T_map_robot[:2].copy()
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
+        for drive in self.drives if report.graph.merged else ():
+            drive.room = report.graph.resolve(drive.room)
 
     def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> None:
         """Remember how a drive to a goal ended: there, refused, or on the way. Often enough, and the goal is closed.
 
         One that was settled on the way has shown something: what is still to be seen there is a goal again.
         """
-        kind, p_map = int(goals.kind[row]), goals.p_map[row]
-        remembered = self.find(kind, float(p_map[0]), float(p_map[1]), config.apart_m)
+        kind, room, p_map = int(goals.kind[row]), int(goals.room[row]), goals.p_map[row]
+        remembered = self.find(kind, room, (float(p_map[0]), float(p_map[1])), config.apart_m)
         if remembered is None:
-            remembered = Remembered(kind, p_map.copy())
+            remembered = Remembered(kind, room, p_map.copy())
             self.drives.append(remembered)
         remembered.visits += int(ended == Outcome.REACHED)
         remembered.refusals += int(ended == Outcome.REFUSED)
@@ -77,9 +80,13 @@ class GoalBook:
             for drive in refused:
                 drive.closed, drive.refusals = False, 0
 
-    def find(self, kind: int, x: float, y: float, apart_m: float) -> Remembered | None:
-        """What is remembered of a goal: the drive to one of its kind nearest to it, within `apart_m`."""
-        places = [(drive.p_map.tolist(), drive) for drive in self.drives if drive.kind == kind]
+    def find(self, kind: int, room: int, place: tuple[float, float], apart_m: float) -> Remembered | None:
+        """What is remembered of a goal: the drive to one of its kind and room nearest to it, within `apart_m`.
+
+        What is bare in the room next door is nothing that was looked for in vain in this one.
+        """
+        (x, y), alike = place, [drive for drive in self.drives if drive.kind == kind and drive.room == room]
+        places = [(drive.p_map.tolist(), drive) for drive in alike]
         near = [(math.hypot(p[0] - x, p[1] - y), drive) for p, drive in places]
         far, nearest = min(near, key=lambda pair: pair[0], default=(math.inf, None))
         return nearest if far <= apart_m else None
@@ -88,17 +95,19 @@ class GoalBook:
 def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
     """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
 
-    Where none can be reached, the candidates and doors out of reach: no episode ends while one remains.
+    Where none can be reached, the gaps that nothing explains; then the candidates and doors out of reach: no episode
+    ends while one remains.
     """
     book.notice(report)
     if not report.grid.label.size:
         return Goals()
-    goals = find_everything(Survey.of(report), book.entry, config.goals)
-    goals = without_closed(goals, book, config.goals)
-    if not goals:
-        return Goals()
-    goals = reachable(goals, report, config) or out_of_reach(goals, report.belief.T_map_robot)
-    goals = with_levels(goals, report, book)
+    survey = Survey.of(report)
+    goals = without_closed(find_everything(survey, book.entry, config.goals), book, config.goals)
+    found = reachable(goals, report, config)
+    if not found:
+        gaps = without_closed(gap_goals(survey, config.goals), book, config.goals)
+        found = reachable(gaps, report, config) or out_of_reach(goals, report.belief.T_map_robot)
+    goals = with_levels(found, report, book)
     return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
 
 
@@ -113,7 +122,7 @@ def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> li
     """The goals that are not closed, with their visits."""
     still = []
     for goal in goals:
-        memory = book.find(goal.kind, goal.x, goal.y, config.apart_m)
+        memory = book.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m)
         if memory is not None:
             goal.visits = memory.visits + memory.refusals + memory.settled
         if memory is None or not memory.closed:
@@ -123,6 +132,8 @@ def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> li
 
 def reachable(goals: list[Goal], report: StepReport, config: PlanningConfig) -> list[Goal]:
     """The goals that can be reached; over tight ways only where there is no other: a narrow door leads on."""
+    if not goals:
+        return []
     for tight in (False, True):
         found = with_paths(goals, way_field(report.grid, report.belief.T_map_robot, config.paths, tight), config.goals)
         if found:

@@ -11,7 +11,7 @@ from mecp_env.planning import path_kernels as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
-from mecp_env.planning.goal_sources import door_place, landmark_places
+from mecp_env.planning.goal_sources import Strip, Survey, door_place, landmark_places, unexplained_gaps
 from mecp_env.planning.paths import WayField, way_field
 from mecp_env.slam.data import NO_ID, Array, Cell, Door, SemanticGrid, StepReport
 
@@ -19,6 +19,8 @@ OFF_PATH_M = 0.4  # farther from its path the robot plans again
 BACK_M_S = 0.2
 BACK_PERIODS = 4
 APPROACH_M = 0.6  # a door is entered along its normal from so far
+GAP_NEAR_M = 3.0  # a candidate as near to the place from which it is looked at
+ASIDE_M = 0.5  # a gap is looked at from in front of it
 TRIES = 3  # plans without a way before the goal is refused
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
@@ -159,10 +161,24 @@ def settled(target: Target, report: StepReport) -> bool:
     if target.kind == FRONTIER:
         return not unknown_near(target.p_map, report)
     if target.kind == CANDIDATE:
-        goal = target.p_map.tolist()
-        gaps = (candidate.ends.mean(axis=0).tolist() for candidate in report.graph.candidates)
-        return not any(math.dist(gap, goal) < 3.0 for gap in gaps)
+        return not gap_left(target, report)
     return door_of(target, report) is None
+
+
+def gap_left(target: Target, report: StepReport) -> bool:
+    """True while there is a candidate near the target, or the gap in an edge that is looked at from there."""
+    goal = target.p_map.tolist()
+    gaps = (candidate.ends.mean(axis=0).tolist() for candidate in report.graph.candidates)
+    if any(math.dist(gap, goal) < GAP_NEAR_M for gap in gaps):
+        return True
+    return any(faces(goal, gap) for gap in unexplained_gaps(Survey.of(report)))
+
+
+def faces(place: list[float], gap: Strip) -> bool:
+    """True when a place (x, y) m lies in front of a gap, as near as from where a candidate is looked at."""
+    x, y, nx, ny, *_ = gap
+    ahead, aside = (x - place[0]) * nx + (y - place[1]) * ny, (x - place[0]) * ny - (y - place[1]) * nx
+    return 0.0 < ahead < GAP_NEAR_M and abs(aside) < ASIDE_M
 
 
 def covered(target: Target, report: StepReport) -> bool:

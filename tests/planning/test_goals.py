@@ -14,12 +14,13 @@ from mecp_env.planning.goal_sources import (
     candidate_goals,
     door_goals,
     floor_goals,
+    gap_goals,
     open_goals,
 )
 from mecp_env.planning.goals import GoalBook, GoalKind, Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.data import Door, RoomGraph, StepReport
+from mecp_env.slam.data import Door, EdgeLabel, KnownPolygon, RoomGraph, StepReport
 from mecp_env.slam.geometry import to_map
 from tests.toy import Toy, candidate, layer_at
 
@@ -94,6 +95,53 @@ def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     assert not settled(target, report)
     toy.confirmed = True
     assert settled(target, toy.report())
+
+
+def with_gap(toy: Toy, edge: int) -> StepReport:
+    """What is reported when the polygon of room A has a gap in an edge, and neither door nor candidate is known."""
+    gap = np.array(
+        [[edge, 0.0, 0.4, EdgeLabel.WALL], [edge, 0.4, 0.6, EdgeLabel.GAP], [edge, 0.6, 1.0, EdgeLabel.WALL]]
+    )
+    toy.polygons[:] = [KnownPolygon(np.array([0, 1, 2, 3]), gap, 0)]
+    report = toy.report()
+    object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (), {}))
+    return report
+
+
+def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy: Toy) -> None:
+    """Seen in a building: a corridor that one polygon covers, and a door in its wall that was seen from the side."""
+    toy.T_world_robot = np.array([3.0, 2.0, 0.0])
+    toy.report()
+    report = with_gap(toy, edge=1)  # the door's
+    goals = find_goals(report, GoalBook(), CONFIG)
+    assert goals.kind.tolist() == [GoalKind.CANDIDATE]
+    assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 2.0]]), abs=0.01)
+    target = Target.of(goals, 0)
+    assert not settled(target, report)
+    known = toy.report()  # of the door
+    assert gap_goals(Survey.of(known), CONFIG.goals) == []
+    assert find_goals(known, GoalBook(), CONFIG).kind.tolist() == [GoalKind.DOOR]
+    assert settled(target, known)
+
+
+def test_a_gap_before_a_wall_is_none(toy: Toy) -> None:
+    assert gap_goals(Survey.of(with_gap(toy, edge=3)), CONFIG.goals) == []
+
+
+def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy) -> None:
+    book = GoalBook()
+    goals = find_goals(toy.report(), book, CONFIG)
+    for _ in range(CONFIG.goals.visits):
+        book.record(goals, 0, Outcome.REACHED, CONFIG.goals)
+    place = (float(goals.p_map[0, 0]), float(goals.p_map[0, 1]))
+    found = book.find(goals.kind[0], 0, place, 0.5)
+    assert found is not None
+    assert found.closed
+    assert book.find(goals.kind[0], 1, place, 0.5) is None
+    report = toy.report()
+    object.__setattr__(report, "graph", RoomGraph(1, False, (1,), (), (), {0: 1}))
+    book.notice(report)
+    assert book.find(goals.kind[0], 1, place, 0.5) is found
 
 
 def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
