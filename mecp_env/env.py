@@ -110,7 +110,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Vectorized environment
 
-    `gymnasium.make_vec(id, num_envs=n, vectorization_mode="sync" | "async")`; `info` has fixed keys and shapes.
+    `gymnasium.make_vec(id, num_envs=n)` holds them in a few worker processes (`mecp_env.vector`), the modes "sync" and
+    "async" in Gymnasium's own classes, all bit for bit as each alone; `info` has fixed keys and shapes.
 
     ## Version History
 

@@ -1,0 +1,57 @@
+"""What a user gives to a batch, checked: seeds, options of a reset, the autoreset mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+Seeds = int | Sequence[int | None] | None
+MASK = "reset_mask"
+
+
+def check_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """The autoreset mode of that name. Raises `ValueError`."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        names = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ValueError(f"autoreset_mode: {mode!r} is none of {names}") from None
+
+
+def check_workers(workers: int | None) -> None:
+    """Raises `ValueError` for what is no number of workers."""
+    if workers is not None and (type(workers) is not int or workers < 1):
+        raise ValueError(f"workers: {workers!r}, expected an integer of at least 1, or None for as many as fit")
+
+
+def check_seeds(seed: Seeds, count: int) -> list[int | None]:
+    """A seed for each environment: `seed + i` of a number, the entries of a list. Raises `ValueError`."""
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
+        return [int(seed) + i for i in range(count)]
+    seeds = [None if entry is None else int(entry) for entry in seed]  # type: ignore[union-attr]
+    if len(seeds) != count:
+        raise ValueError(f"seed: {len(seeds)} of them, expected a number, or one for each of {count} environments")
+    return seeds
+
+
+def check_options(options: dict[str, Any] | None, count: int) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
+    """The options for each environment, and which environments to reset (N,). Raises `TypeError`, `ValueError`."""
+    if options is None or MASK not in options:
+        return options, np.ones(count, np.bool_)
+    mask = _checked_mask(options[MASK], count)
+    return {name: value for name, value in options.items() if name != MASK} or None, mask.copy()
+
+
+def _checked_mask(mask: Any, count: int) -> NDArray[np.bool_]:
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        kind = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
+        raise TypeError(f"options[{MASK!r}]: {kind}, expected a NumPy array of bool")
+    if mask.shape != (count,) or not mask.any():
+        raise ValueError(f"options[{MASK!r}]: {mask!r:.80}, expected shape ({count},) and at least one True")
+    return mask

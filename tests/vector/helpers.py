@@ -1,0 +1,74 @@
+"""What the tests of many environments share."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from mecp_env.vector import BatchEnv, make_batch
+from tests.env.helpers import SMALL
+
+LAYOUT, ROOMS = "mecp_env/Layout-v0", "mecp_env/Rooms-v0"
+N = 3
+PEOPLE: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2, "closed_doors": 0.3}}
+needs_linux = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
+
+
+def make_small(count: int = N, **keywords: Any) -> BatchEnv:
+    """A batch of small environments, forked, two workers unless told otherwise."""
+    return make_batch(LAYOUT, count, **({"context": "fork", "workers": 2} | SMALL | keywords))
+
+
+def make_by(
+    mode: str, name: str, count: int, autoreset: AutoresetMode = AutoresetMode.NEXT_STEP, **keywords: Any
+) -> Any:
+    """Environments by Gymnasium's own classes ("sync", "async") or ours ("batch")."""
+    if mode == "batch":
+        return make_batch(name, count, context="fork", workers=2, autoreset_mode=autoreset, **keywords)
+    own = {"autoreset_mode": autoreset} | ({"context": "fork"} if mode == "async" else {})
+    return gymnasium.make_vec(name, count, vectorization_mode=mode, vector_kwargs=own, **keywords)
+
+
+def choose(space: gymnasium.Space[Any], observation: Any, rng: np.random.Generator) -> Any:
+    """Actions (N,...) for a batch of observations: mostly forward, any choice, or any goal that there is."""
+    count = len(observation["pose"])
+    if isinstance(space, gymnasium.spaces.Box):
+        return np.clip(rng.normal((0.6, 0.0), (0.4, 0.5), (count, 2)), -1, 1).astype(np.float32)
+    if space.n == 5:
+        return rng.integers(0, 5, count)
+    return np.array([int(rng.integers(max(1, int(goals[:, 8].sum())))) for goals in observation["goals"]])
+
+
+def equal(a: Any, b: Any) -> bool:
+    """True when two results of a vector environment are equal to the last bit."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(equal(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, np.ndarray) and a.dtype == object:
+        return b.dtype == object and equal(a.tolist(), b.tolist())
+    if isinstance(a, np.ndarray):
+        return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
+    return bool(a == b)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that only waits to be collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def gone_within(pids: list[int], seconds: float) -> bool:
+    """Whether no such process runs any more after at most so long."""
+    end = time.monotonic() + seconds
+    while any(alive(pid) for pid in pids) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not any(alive(pid) for pid in pids)

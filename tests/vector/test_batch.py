@@ -1,0 +1,242 @@
+"""The batch as a vector environment: seeds, masks, options, calls, spaces, frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
+from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
+
+from mecp_env.errors import ConfigError
+from mecp_env.vector import BatchEnv
+from mecp_env.vector.crew import cores, shares, start_method
+from tests.env.helpers import IDS, NEEDED, SMALL, same
+from tests.vector.helpers import LAYOUT, N, equal, make_small
+
+STILL = np.zeros((N, 2), np.float32)
+
+
+@pytest.fixture(scope="module")
+def batch() -> Any:
+    venv = make_small()
+    yield venv
+    venv.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name: str) -> None:
+    venv = gymnasium.make_vec(name, 2, context="fork", laser=SMALL["laser"], **NEEDED.get(name, {}))
+    assert isinstance(venv, BatchEnv)
+    observation, _ = venv.reset(seed=1)
+    assert observation in venv.observation_space
+    again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
+    assert isinstance(again, BatchEnv)
+    assert equal(observation, again.reset(seed=1)[0])
+    venv.close()
+    again.close()
+
+
+def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
+    first, _ = batch.reset(seed=4)
+    assert batch.np_random_seed == (4, 5, 6)
+    second, _ = batch.reset(seed=[9, 4, None])
+    assert all(same(first[key][0], second[key][1]) for key in first)
+    assert batch.np_random_seed == (9, 4, 6)  # an unseeded environment goes on in its stream
+    assert same(batch.reset(seed=np.int64(4))[0], first)
+    assert [generator.integers(2**40) for generator in batch.np_random] != [0, 0, 0]
+    with pytest.raises(ValueError, match="seed: 2 of them"):
+        batch.reset(seed=[1, 2])
+
+
+def test_a_mask_resets_some_and_shows_the_others_as_they_were(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
+    before = batch.step(STILL + 0.5)[0]
+    options = {"reset_mask": np.array([False, True, False])}
+    after, infos = batch.reset(seed=[0, 1, 2], options=options)
+    assert list(options) == ["reset_mask"]  # what the caller gave stays as it was
+    assert all(same(before[key][[0, 2]], after[key][[0, 2]]) for key in before)
+    assert infos["_period"].tolist() == [False, True, False]
+    assert infos["_event"].tolist() == [False, True, False]
+    assert batch.step(STILL)[4]["period"].tolist() == [2, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("mask", "error"),
+    [
+        ([True, False, True], TypeError),
+        (np.array([1, 0, 1]), TypeError),
+        (np.array([True, False]), ValueError),
+        (np.zeros(N, np.bool_), ValueError),
+    ],
+    ids=["list", "integers", "short", "none"],
+)
+def test_a_mask_that_is_none_is_refused(batch: BatchEnv, mask: Any, error: type[Exception]) -> None:
+    with pytest.raises(error, match="reset_mask"):
+        batch.reset(options={"reset_mask": mask})
+
+
+def test_other_options_go_to_each_environment(batch: BatchEnv) -> None:
+    _, infos = batch.reset(seed=1, options={"start": [2.0, 2.0, 0.0], "reset_mask": np.array([True, True, False])})
+    assert infos["_truth_pose"].tolist() == [True, True, False]
+    with pytest.raises(ConfigError, match="options") as caught:
+        batch.reset(options={"begin": "random"})
+    assert "environment 0 of the batch" in caught.value.__notes__[0]
+    batch.reset(seed=1)
+
+
+def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> None:
+    first, _ = batch.reset(seed=1)
+    kept = first["pose"].copy()
+    batch.step(STILL + 0.9)
+    assert same(first["pose"], kept)
+    views = make_small(copy=False)
+    seen, _ = views.reset(seed=1)
+    views.step(STILL + 0.9)
+    assert not same(seen["pose"], kept)
+    views.close()
+
+
+def test_calls_attributes_and_frames() -> None:
+    venv = make_small(render_mode="rgb_array")
+    venv.reset(seed=1)
+    frames = venv.render()
+    assert [frame.shape == frames[0].shape and frame.dtype == np.uint8 for frame in frames] == [True] * N
+    assert [summary["periods"] for summary in venv.call("summary")] == [0] * N
+    venv.set_attr("mark", [1, 2, 3])
+    assert venv.get_attr("mark") == (1, 2, 3)
+    venv.set_attr("mark", "same")
+    assert venv.get_attr("mark") == ("same",) * N
+    states = venv.call("get_state")
+    row = venv.step(STILL + 0.5)
+    venv.each(set_state, [(state,) for state in states])
+    assert equal(venv.step(STILL + 0.5), row)
+    with pytest.raises(ValueError, match="2 values"):
+        venv.set_attr("mark", [1, 2])
+    with pytest.raises(ValueError, match="reset"):
+        venv.call("reset")
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        venv.get_attr("no_such_thing")
+    venv.close()
+
+
+def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
+    env.unwrapped.set_state(state)
+
+
+def test_masks_of_all_goals_in_one_array() -> None:
+    venv = make_small(actions="goal")
+    with pytest.raises(ResetNeeded, match="action_masks"):
+        venv.action_masks()
+    observation, infos = venv.reset(seed=1)
+    assert venv.action_masks().dtype == np.bool_
+    assert venv.action_masks().sum(axis=1).tolist() == infos["goals"].tolist()
+    for _ in range(3):
+        observation, *_ = venv.step(np.zeros(N, np.int64))
+        assert np.array_equal(venv.action_masks(), observation["goals"][:, :, 8] == 1.0)
+        assert np.array_equal(venv.action_masks(), venv.call("action_masks"))
+    venv.close()
+
+
+def test_without_goals_there_are_no_masks(batch: BatchEnv) -> None:
+    with pytest.raises(AttributeError, match="actions='goal'"):
+        batch.action_masks()
+
+
+def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:
+    venv = make_small(
+        max_episode_steps=2, autoreset_mode="SameStep", wrappers=(RecordEpisodeStatistics, FlattenObservation)
+    )
+    observation, _ = venv.reset(seed=1)
+    assert observation in venv.observation_space
+    venv.step(STILL)
+    _, _, _, truncated, infos = venv.step(STILL)
+    assert truncated.all()
+    assert infos["final_info"]["episode"]["l"].tolist() == [2] * N
+    assert infos["final_obs"][0].shape == venv.single_observation_space.shape
+    venv.close()
+
+
+def test_wrappers_of_gymnasium_go_round_it() -> None:
+    venv = VectorStatistics(make_small(max_periods=2))
+    venv.reset(seed=1)
+    venv.step(STILL)
+    infos = venv.step(STILL)[4]
+    assert infos["episode"]["l"].tolist() == [2] * N
+    venv.close()
+
+
+def test_without_autoreset_what_is_over_waits_for_its_reset() -> None:
+    venv = make_small(max_periods=1, autoreset_mode=AutoresetMode.DISABLED)
+    venv.reset(seed=1)
+    venv.step(STILL)
+    venv.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(ResetNeeded, match=r"environments \[1\]"):
+        venv.step(STILL)
+    venv.close()
+
+
+def test_steps_and_waits_come_in_pairs_and_in_order() -> None:
+    venv = make_small()
+    with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
+        venv.step(STILL)
+    venv.reset(seed=1)
+    with pytest.raises(NoAsyncCallError):
+        venv.step_wait()
+    venv.step_async(STILL)
+    with pytest.raises(AlreadyPendingCallError):
+        venv.step_async(STILL)
+    with pytest.raises(AlreadyPendingCallError):
+        venv.reset()
+    assert venv.step_wait()[4]["period"].tolist() == [1] * N
+    with pytest.raises(ValueError, match="actions: 2"):
+        venv.step(STILL[:2])
+    venv.close()
+    with pytest.raises(ClosedEnvironmentError):
+        venv.step(STILL)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"workers": 0}, "workers: 0"),
+        ({"workers": 1.5}, "workers: 1.5"),
+        ({"autoreset_mode": "sometimes"}, "autoreset_mode: 'sometimes'.*'NextStep'"),
+        ({"context": "thread"}, "context: 'thread'.*spawn"),
+        ({"count": 0}, "num_envs: 0"),
+    ],
+    ids=str,
+)
+def test_wrong_arguments_name_the_field_and_the_bound(keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_small(**keywords)
+
+
+def test_an_unknown_keyword_is_refused_before_a_process_is_started() -> None:
+    with pytest.raises(ConfigError, match="layuot"):
+        gymnasium.make_vec(LAYOUT, 2, layuot="paper")
+
+
+def test_shares_are_even_and_no_worker_is_idle() -> None:
+    assert [len(share) for share in shares(16, 3)] == [5, 5, 6]
+    assert [len(share) for share in shares(2, 8)] == [1, 1]
+    assert len(shares(1000, None)) == cores()
+    assert len(shares(1000, None, each_core=4)) == 4 * cores()
+    assert [i for share in shares(17, 5) for i in share] == list(range(17))
+
+
+def test_processes_are_forked_only_where_no_other_thread_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("threading.active_count", lambda: 1)
+    assert start_method() == "fork"
+    monkeypatch.setattr("threading.active_count", lambda: 2)
+    assert start_method() == "forkserver"
+    monkeypatch.setattr("sys.platform", "darwin")
+    monkeypatch.setattr("threading.active_count", lambda: 1)
+    assert start_method() == "forkserver"
+    assert start_method("spawn") == "spawn"

@@ -1,0 +1,282 @@
+"""What becomes of a batch when a worker is killed, an environment raises, or somebody leaves without closing."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+
+from mecp_env.errors import ActionError
+from mecp_env.vector import BatchEnv, WorkerDied, WorkerError
+from mecp_env.vector.crew import STOP_S
+from tests.env.helpers import make
+from tests.vector.helpers import LAYOUT, N, gone_within, make_by, make_small, needs_linux
+
+ROOT = Path(__file__).parents[2]
+STILL = np.zeros((N, 2), np.float32)
+SOON_S = 5.0
+pytestmark = needs_linux
+
+
+class Slow(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Takes long over a step, in a worker."""
+
+    def step(self, action: Any) -> Any:
+        time.sleep(60.0 if multiprocessing.parent_process() else 0.0)
+        return super().step(action)
+
+
+class Odd(Exception):
+    """Cannot be sent from one process to another."""
+
+    def __init__(self, text: str, function: Callable[[], None]) -> None:
+        super().__init__(text)
+        self.function = function
+
+
+class Faulty(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Raises in `step`, the way that the first number of the action says."""
+
+    def step(self, action: Any) -> Any:
+        if action[0] == 1.0:
+            raise Odd("odd: 7 is out of 0..3", lambda: None)
+        if action[0] == -1.0:
+            os._exit(3)
+        return super().step(action)
+
+
+def run_script(text: str, **keywords: Any) -> subprocess.Popen[str]:
+    """A Python process that runs `text`."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-c", text], env=environment, **pipes, **keywords)
+
+
+START = """
+import os, sys, time, numpy as np, mecp_env
+from tests.vector.helpers import make_small
+a, b = make_small(), make_small()
+a.reset(seed=1)
+print(*a.pids, *b.pids, flush=True)
+"""
+
+
+def test_a_worker_killed_between_two_steps_is_named_and_nothing_is_left() -> None:
+    venv = make_small()
+    venv.reset(seed=1)
+    pids = venv.pids
+    os.kill(pids[1], signal.SIGKILL)
+    start = time.monotonic()
+    with pytest.raises(WorkerDied, match=r"worker 1 \(environments 1 to 2\) was killed by SIGKILL"):
+        venv.step(STILL)
+    assert time.monotonic() - start < SOON_S
+    assert gone_within(pids, SOON_S)
+    venv.close()
+    venv.close()
+    with pytest.raises(ClosedEnvironmentError):
+        venv.reset()
+
+
+@pytest.mark.parametrize("killed", [0, 1])
+def test_a_worker_killed_at_work_is_named_though_others_are_busy(killed: int) -> None:
+    venv = make_small(wrappers=(Slow,))
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.step_async(STILL)
+    threading.Timer(0.3, os.kill, (pids[killed], signal.SIGKILL)).start()
+    start = time.monotonic()
+    with pytest.raises(WorkerDied, match=f"worker {killed} "):
+        venv.step_wait()
+    assert time.monotonic() - start < SOON_S
+    assert gone_within(pids, SOON_S)
+
+
+def test_a_worker_that_ends_by_itself_is_named() -> None:
+    venv = make_small(wrappers=(Faulty,))
+    venv.reset(seed=1)
+    actions = STILL.copy()
+    actions[0, 0] = -1.0
+    with pytest.raises(WorkerDied, match=r"worker 0 \(environments 0 to 0\) ended with exit code 3"):
+        venv.step(actions)
+    assert venv.closed
+
+
+def test_an_exception_keeps_its_type_and_text_and_the_batch_goes_on_after_a_reset() -> None:
+    venv = make_small()
+    first = venv.reset(seed=1)[0]
+    actions = STILL.copy()
+    actions[2] = 0.3, np.nan
+    with pytest.raises(ActionError, match=r"action\[turn\]: nan does not lie in \[-1, 1\]") as caught:
+        venv.step(actions)
+    assert "in environment 2 of the batch" in caught.value.__notes__[0]
+    assert "check_velocity" in caught.value.__notes__[0]  # the traceback of the worker
+    with pytest.raises(ResetNeeded):
+        venv.step(STILL)
+    assert np.array_equal(venv.reset(seed=1)[0]["landmarks"], first["landmarks"])
+    venv.step(STILL)
+    venv.close()
+
+
+def test_an_exception_that_cannot_be_sent_keeps_its_text() -> None:
+    venv = make_small(wrappers=(Faulty,))
+    venv.reset(seed=1)
+    actions = STILL.copy()
+    actions[1, 0] = 1.0
+    with pytest.raises(WorkerError, match=r"odd: 7 is out of 0\.\.3"):
+        venv.step(actions)
+    venv.close()
+
+
+def test_an_answer_that_cannot_be_sent_is_an_error_and_no_death() -> None:
+    venv = make_small()
+    venv.reset(seed=1)
+    with pytest.raises(Exception, match="pickle"):
+        venv.each(give_a_function, [()] * N)
+    venv.step(STILL)
+    venv.close()
+
+
+def give_a_function(env: Any) -> Any:
+    return lambda: env
+
+
+def test_an_environment_that_cannot_be_made_in_a_worker_says_why() -> None:
+    before = multiprocessing.active_children()
+    owner = os.getpid()
+    with pytest.raises(ValueError, match="only in the process") as caught:
+        BatchEnv([make, partial(make_here, owner)], workers=2, context="fork")
+    assert "in environment 1 of the batch" in caught.value.__notes__[0]
+    with pytest.raises(ValueError, match="environment 1 has other spaces"):
+        BatchEnv([make, partial(make, observation={"map": True})], workers=1, context="fork")
+    assert multiprocessing.active_children() == before
+
+
+def make_here(owner: int) -> Any:
+    if os.getpid() != owner:
+        raise ValueError("only in the process that it was made for")
+    return make()
+
+
+def test_closing_does_not_wait_for_a_step_that_takes_long() -> None:
+    venv = make_small(wrappers=(Slow,))
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.step_async(STILL)
+    start = time.monotonic()
+    venv.close()
+    assert time.monotonic() - start < STOP_S + 3.0
+    assert gone_within(pids, 0.0)
+
+
+def test_closing_in_the_middle_of_a_step_is_quiet() -> None:
+    venv = make_small(max_periods=1, autoreset_mode="SameStep")
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.step_async(STILL)  # its answer is large: the last observations
+    venv.close()
+    assert gone_within(pids, 0.0)
+
+
+def test_a_batch_that_nobody_holds_closes_itself() -> None:
+    venv = make_small()
+    pids = venv.pids
+    del venv
+    assert gone_within(pids, SOON_S)
+
+
+def test_leaving_without_closing_is_clean() -> None:
+    done = run_script(START)
+    out, err = done.communicate(timeout=60)
+    assert (done.returncode, err) == (0, "")
+    assert gone_within([int(pid) for pid in out.split()], SOON_S)
+
+
+@pytest.mark.parametrize("context", ["fork", pytest.param("forkserver", marks=pytest.mark.slow)])
+def test_workers_end_when_the_process_that_they_work_for_is_killed(context: str) -> None:
+    made = f"a, b = make_small(context={context!r}), make_small(context={context!r})"
+    script = START.replace("a, b = make_small(), make_small()", made)
+    process = run_script(script + "a.step_async(np.zeros((3, 2), np.float32)); time.sleep(60)")
+    assert process.stdout is not None
+    pids = [int(pid) for pid in process.stdout.readline().split()]
+    assert len(pids) == 4
+    process.kill()
+    process.wait()
+    assert gone_within(pids, SOON_S)
+
+
+def test_interrupting_is_one_traceback_and_leaves_nothing() -> None:
+    process = run_script(START + "time.sleep(60)", start_new_session=True)
+    assert process.stdout is not None
+    pids = [int(pid) for pid in process.stdout.readline().split()]
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: to all of them
+    _, err = process.communicate(timeout=60)
+    assert err.count("Traceback") == 1
+    assert err.rstrip().endswith("KeyboardInterrupt")
+    assert gone_within(pids, SOON_S)
+
+
+def test_after_an_interrupted_wait_the_step_can_still_be_had() -> None:
+    venv = make_small()
+    venv.reset(seed=1)
+    venv.step_async(STILL)
+    real, calls = venv._crew._answer, []
+
+    def interrupted(worker: int) -> Any:
+        calls.append(worker)
+        if calls == [0, 1]:
+            raise KeyboardInterrupt
+        return real(worker)
+
+    venv._crew._answer = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        venv.step_wait()
+    assert venv.step_wait()[4]["period"].tolist() == [1] * N
+    assert calls == [0, 1, 1]
+    venv.close()
+
+
+def test_a_worker_process_may_not_start_others() -> None:
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=make_and_tell, args=(theirs,), daemon=True)
+    process.start()
+    assert 'vectorization_mode="sync"' in ours.recv()
+    process.join()
+
+
+def make_and_tell(pipe: Any) -> None:
+    try:
+        make_small()
+    except RuntimeError as error:
+        pipe.send(str(error))
+
+
+@pytest.mark.filterwarnings("ignore:.*Calling `close` while waiting.*")
+@pytest.mark.parametrize("at_work", [False, True])
+def test_gymnasiums_own_class_can_be_stopped_by_force(at_work: bool) -> None:
+    """What docs/vector.md says of AsyncVectorEnv: after a death, only `close(terminate=True)` is sure to end."""
+    venv = make_by("async", LAYOUT, N)
+    pids = [process.pid for process in venv.processes]
+    venv.reset(seed=1)
+    if at_work:
+        venv.step_async(STILL)
+    os.kill(pids[1], signal.SIGKILL)
+    assert gone_within([pids[1]], SOON_S)
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):  # none if its answer was on the way
+        venv.step_wait() if at_work else venv.step(STILL)
+    venv.close(terminate=True)
+    assert gone_within(pids, SOON_S)

@@ -1,0 +1,151 @@
+"""Stable-Baselines3: its own vector classes and the batch as one of them give the same, masks of goals included."""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeLimit
+
+from mecp_env.vector import WorkerDied
+from tests.env.helpers import SMALL, make
+from tests.vector.helpers import LAYOUT, N, choose, equal, gone_within, make_small, needs_linux
+
+vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+utils = pytest.importorskip("sb3_contrib.common.maskable.utils")
+sb3_batch = pytest.importorskip("agents.sb3_batch")
+
+STEPS = 12
+KINDS = {"velocity": {"max_periods": 5}, "goal": {"actions": "goal", "max_periods": 30}}
+
+
+def make_batch(**keywords: Any) -> Any:
+    return sb3_batch.make(LAYOUT, N, context="fork", workers=2, **(SMALL | keywords))
+
+
+def make_theirs(kind: str, **keywords: Any) -> Any:
+    makers = [lambda: make(**keywords)] * N
+    return vec_env.DummyVecEnv(makers) if kind == "dummy" else vec_env.SubprocVecEnv(makers, start_method="fork")
+
+
+def take(venv: Any) -> list[Any]:
+    """All that a VecEnv gives on a drive, masks too; rewards are float32 in DummyVecEnv, float64 in SubprocVecEnv."""
+    rng = np.random.default_rng(0)
+    venv.seed(3)
+    rows: list[Any] = [(dict(venv.reset()), list(venv.reset_infos))]
+    for _ in range(STEPS):
+        masks = utils.get_action_masks(venv) if utils.is_masking_supported(venv) else None
+        observation, rewards, dones, infos = venv.step(choose(venv.action_space, rows[-1][0], rng))
+        rows.append((dict(observation), rewards.astype(np.float32), dones, list(infos), list(venv.reset_infos), masks))
+    return rows
+
+
+@pytest.mark.parametrize("actions", KINDS)
+@pytest.mark.parametrize("theirs", ["dummy", pytest.param("subproc", marks=pytest.mark.slow)])
+def test_the_batch_gives_what_their_own_classes_give(actions: str, theirs: str) -> None:
+    ours, other = make_batch(**KINDS[actions]), make_theirs(theirs, **KINDS[actions])
+    given, expected = take(ours), take(other)
+    assert any(row[2].any() for row in given[1:])
+    for mine, yours in zip(given, expected, strict=True):
+        assert equal(plain(mine), plain(yours))
+    ours.close()
+    other.close()
+
+
+def plain(value: Any) -> Any:
+    """Without the difference between numbers of Python and of NumPy in infos."""
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+@pytest.mark.parametrize("kind", ["dummy", pytest.param("subproc", marks=pytest.mark.slow), "batch"])
+def test_masks_come_through_every_kind(kind: str) -> None:
+    goals = {"actions": "goal"}
+    venv = make_batch(**goals) if kind == "batch" else make_theirs(kind, **goals)
+    observation = venv.reset()
+    assert utils.is_masking_supported(venv)
+    assert np.array_equal(utils.get_action_masks(venv), observation["goals"][:, :, 8] == 1.0)
+    assert np.array_equal(venv.env_method("action_masks", indices=[2])[0], observation["goals"][2, :, 8] == 1.0)
+    venv.close()
+
+
+def test_methods_and_attributes_of_some_or_all_environments() -> None:
+    venv = make_batch(wrappers=(ShortTime,), render_mode="rgb_array")
+    venv.set_options({"start": "random"})
+    venv.reset()
+    assert venv.env_is_wrapped(TimeLimit) == [True] * N
+    assert venv.env_is_wrapped(gymnasium.wrappers.FlattenObservation, indices=1) == [False]
+    assert not utils.is_masking_supported(venv)
+    venv.set_attr("mark", 5, indices=[0, 2])
+    venv.set_attr("mark", 6, indices=1)
+    assert venv.get_attr("mark") == [5, 6, 5]
+    assert [summary["periods"] for summary in venv.env_method("summary", indices=[0, 1])] == [0, 0]
+    assert [image.dtype for image in venv.get_images()] == [np.uint8] * N
+    venv.close()
+    venv.close()
+
+
+class ShortTime(TimeLimit):
+    """Two steps an episode."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env, 2)
+
+
+def test_a_cut_episode_says_so() -> None:
+    venv = make_batch(wrappers=(ShortTime,))
+    venv.reset()
+    venv.step(np.zeros((N, 2), np.float32))
+    _, _, dones, infos = venv.step(np.zeros((N, 2), np.float32))
+    assert dones.all()
+    assert [info["TimeLimit.truncated"] for info in infos] == [True] * N
+    assert [info["period"] for info in infos] == [2] * N
+    assert [info["period"] for info in venv.reset_infos] == [0] * N
+    assert set(infos[0]["terminal_observation"]) == set(venv.observation_space)
+    venv.close()
+
+
+def test_another_autoreset_mode_and_different_options_are_refused() -> None:
+    batch = make_small()
+    with pytest.raises(ValueError, match="SameStep"):
+        sb3_batch.SB3Batch(batch)
+    batch.close()
+    venv = make_batch()
+    venv.set_options([{"start": "random"}, {}, {}])
+    with pytest.raises(ValueError, match="same options"):
+        venv.reset()
+    venv.close()
+
+
+@needs_linux
+def test_a_killed_worker_is_named_and_closing_is_quiet() -> None:
+    venv = make_batch()
+    pids = venv.batch.pids
+    venv.reset()
+    os.kill(pids[0], signal.SIGKILL)
+    with pytest.raises(WorkerDied, match="worker 0"):
+        venv.step(np.zeros((N, 2), np.float32))
+    venv.close()
+    assert gone_within(pids, 5.0)
+
+
+@pytest.mark.slow
+def test_maskable_ppo_learns_on_the_batch_as_on_their_own_class() -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    weights = []
+    for venv in (make_batch(**KINDS["goal"]), make_theirs("dummy", **KINDS["goal"])):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = contrib.MaskablePPO("MultiInputPolicy", venv, n_steps=8, batch_size=12, seed=0, n_epochs=2)
+            model.learn(2 * 8 * N)
+        weights.append([parameter.detach().numpy().copy() for parameter in model.policy.parameters()])
+        venv.close()
+    assert equal(*weights)

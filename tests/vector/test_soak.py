@@ -1,0 +1,56 @@
+"""Memory and open files stay what they are, over many steps, many episodes and many batches."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mecp_env.vector import BatchEnv
+from tests.vector.helpers import make_small, needs_linux
+
+GROWTH_MB = 5.0
+PERIODS = 20  # of an episode
+pytestmark = needs_linux
+
+
+def footprint(venv: BatchEnv) -> tuple[float, int]:
+    """Resident memory (MB) and open files of a batch: its workers and this process."""
+    pids = [os.getpid(), *venv.pids]
+    pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids)
+
+
+def drive(venv: BatchEnv, steps: int) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(steps):
+        venv.step(rng.uniform(-1.0, 1.0, (venv.num_envs, 2)).astype(np.float32))
+
+
+@pytest.mark.parametrize("steps", [600, pytest.param(30_000, marks=pytest.mark.slow)])
+def test_steps_and_episodes_cost_no_memory_and_no_files(steps: int) -> None:
+    venv = make_small(4, max_periods=PERIODS, autoreset_mode="SameStep")
+    venv.reset(seed=0)
+    drive(venv, 300)
+    memory, files = footprint(venv)
+    drive(venv, steps)
+    grown, left = footprint(venv)
+    venv.close()
+    assert grown - memory < GROWTH_MB
+    assert left == files
+
+
+def test_batches_leave_no_files_and_no_processes_behind() -> None:
+    def once() -> int:
+        venv = make_small()
+        venv.reset(seed=0)
+        venv.close()
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    once()
+    before = once()
+    assert [once() for _ in range(5)] == [before] * 5
+    assert not [child for child in multiprocessing.active_children() if child.name.startswith("mecp_env")]

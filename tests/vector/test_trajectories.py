@@ -1,0 +1,114 @@
+"""The same trajectories, bit for bit: N single environments, the vector classes of Gymnasium, and the batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from tests.env.helpers import SMALL, same
+from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, equal, make_by
+
+BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
+KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "velocity": (LAYOUT, SMALL | {"max_periods": 6}),
+    "discrete": (LAYOUT, SMALL | {"actions": "discrete", "max_periods": 6}),
+    "goal": (LAYOUT, SMALL | {"actions": "goal", "max_periods": 30}),
+    "buildings": (ROOMS, BUILDINGS | PEOPLE | {"max_periods": 6}),
+    "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_periods": 30}),
+}
+STEPS = 16
+MODES = list(AutoresetMode)
+
+
+def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
+    """All that a vector environment gives on a drive; without autoreset, environments are reset by mask."""
+    rng = np.random.default_rng(0)
+    rows = [venv.reset(seed=11)]
+    for _ in range(steps):
+        rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
+        over = rows[-1][2] | rows[-1][3]
+        if autoreset == AutoresetMode.DISABLED and over.any():
+            rows.append(venv.reset(seed=[5 * len(rows) + i for i in range(N)], options={"reset_mask": over}))
+    return rows
+
+
+def take_alone(name: str, keywords: dict[str, Any]) -> list[list[tuple[Any, ...]]]:
+    """The drive of `take` with the autoreset NEXT_STEP, by single environments: for each row, what each gave."""
+    envs = [gymnasium.make(name, disable_env_checker=True, **keywords) for _ in range(N)]
+    rng = np.random.default_rng(0)
+    rows = [[env.reset(seed=11 + i) for i, env in enumerate(envs)]]
+    over = [False] * N
+    for _ in range(STEPS):
+        seen = {key: np.stack([row[0][key] for row in rows[-1]]) for key in ("pose", "goals")}
+        actions = choose(envs[0].action_space, seen, rng)
+        rows.append([advance(envs[i], actions[i], over[i]) for i in range(N)])
+        over = [row[2] or row[3] for row in rows[-1]]
+    return rows
+
+
+def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any, ...]:
+    if over:
+        observation, info = env.reset()
+        return observation, 0.0, False, False, info
+    return env.step(action)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["sync", "batch", pytest.param("async", marks=pytest.mark.slow)])
+def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
+    name, keywords = KINDS[kind]
+    venv = make_by(mode, name, N, **keywords)
+    together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(name, keywords)
+    venv.close()
+    assert len(together) == len(alone)
+    assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
+    for row, singles in zip(together, alone, strict=True):
+        for i, single in enumerate(singles):
+            assert all(same(row[0][key][i], single[0][key]) for key in single[0])
+            assert [part[i] for part in row[1:-1]] == list(single[1:-1])
+            assert all(np.array_equal(row[-1][key][i], value) for key, value in single[-1].items())
+            assert all(row[-1][f"_{key}"][i] for key in single[-1])
+
+
+@pytest.mark.parametrize("kind", ["velocity", "goals in buildings"])
+@pytest.mark.parametrize("autoreset", MODES)
+@pytest.mark.parametrize("mode", ["batch", pytest.param("async", marks=pytest.mark.slow)])
+def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
+    kind: str, autoreset: AutoresetMode, mode: str
+) -> None:
+    name, keywords = KINDS[kind]
+    one, several = make_by("sync", name, N, autoreset, **keywords), make_by(mode, name, N, autoreset, **keywords)
+    expected, given = take(one, autoreset), take(several, autoreset)
+    assert several.metadata["autoreset_mode"] == autoreset
+    assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
+    assert equal(given, expected)
+    one.close()
+    several.close()
+
+
+def test_how_the_environments_are_shared_out_changes_nothing() -> None:
+    name, keywords = KINDS["velocity"]
+    rollouts = []
+    for workers in (1, 2, 3):
+        venv = gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)
+        rollouts.append(take(venv, AutoresetMode.NEXT_STEP))
+        assert len(venv.pids) == workers
+        venv.close()
+    assert equal(rollouts[0], rollouts[1])
+    assert equal(rollouts[0], rollouts[2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("context", ["forkserver", "spawn"])
+def test_how_processes_are_started_changes_nothing(context: str) -> None:
+    name, keywords = KINDS["velocity"]
+    rollouts = []
+    for start in ("fork", context):
+        venv = gymnasium.make_vec(name, N, workers=2, context=start, **keywords)
+        rollouts.append(take(venv, AutoresetMode.NEXT_STEP))
+        venv.close()
+    assert equal(*rollouts)
