@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import pickle
 import signal
@@ -146,6 +147,7 @@ class Share:
 def work(pipe: Connection, others: Sequence[Connection], task: Task) -> None:
     """The process: do what comes through the pipe until told to stop, or until nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that we work for
+    gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
     for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
         other.close()
     share = Share(task, lay_out(task.fields, task.memory))

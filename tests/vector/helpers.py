@@ -17,7 +17,7 @@ from tests.env.helpers import SMALL
 LAYOUT, ROOMS = "mecp_env/Layout-v0", "mecp_env/Rooms-v0"
 N = 3
 PEOPLE: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2, "closed_doors": 0.3}}
-needs_linux = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
+needs_linux = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads /proc")
 
 
 def make_small(count: int = N, **keywords: Any) -> BatchEnv:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ pytestmark = needs_linux
 
 
 def footprint(venv: BatchEnv) -> tuple[float, int]:
-    """Resident memory (MB) and open files of a batch: its workers and this process."""
+    """Memory of their own (MB) and open files of a batch: its workers and this process."""
     pids = [os.getpid(), *venv.pids]
-    pages = sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids)
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids)
+    private = (re.findall(r"Private_\w+:\s+(\d+)", Path(f"/proc/{pid}/smaps_rollup").read_text()) for pid in pids)
+    kilobytes = sum(int(part) for parts in private for part in parts)
+    return kilobytes / 1e3, sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids)
 
 
 def drive(venv: BatchEnv, steps: int) -> None:
