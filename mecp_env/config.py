@@ -25,15 +25,17 @@ class ObservationConfig(Settings):
 
 
 class RewardConfig(Settings):
-    """Weight of each term of the reward; the unit of the term stands beside it (see rewards.py)."""
+    """Weight of each term of the reward; the unit of the term stands beside it (see docs/rewards.md)."""
 
     source: Literal["belief", "truth"] = "belief"  # what the area is measured on
+    area_sigma_m: float = Field(0.3, gt=0.0)  # the belief's area counts while it is drawn at least so well
     area: float = 0.1  # a m^2 newly mapped
-    pose_information: float = 0.05  # a nat: the drop of 0.5 log det of the pose covariance
-    landmark_information: float = 0.05  # a m^2: the drop of the trace of the landmarks' covariances
+    pose_information: float = 0.05  # a nat: the rise of -0.5 log det of the pose covariance
+    landmark_information: float = 0.05  # a nat: the rise of -0.5 log det of a landmark's covariance, mean over all
     contact: float = -0.1  # a period in which the robot touched something
     time: float = -0.005  # a period
-    completion: float = 10.0  # once, when the task ends by itself
+    completion: float = 10.0  # 100 m^2 of map, once, when the task ends by itself
+    divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
 
 
 class EndConfig(Settings):

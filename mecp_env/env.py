@@ -32,7 +32,7 @@ from mecp_env.metrics import EpisodeMetrics, figures
 from mecp_env.observations import Observer
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.render.view import View
-from mecp_env.rewards import TERMS, quantities, remember, weigh
+from mecp_env.rewards import TERMS, Moment, events, quantities, remember, weigh
 from mecp_env.site import Site
 from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
 from mecp_env.slam.pipeline import SlamPipeline
@@ -82,8 +82,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ## Rewards
 
     The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): area
-    newly mapped (m^2), pose information (nat), landmark information (m^2), contact, time, completion. They are
-    measured on the belief; `reward={"source": "truth"}` measures the area on the truth.
+    newly mapped (m^2), pose and landmark information (nat), contact, time, completion (100 m^2 of map), divergence.
+    They are measured on the belief; `reward={"source": "truth"}` measures the area on the truth. docs/rewards.md has
+    the formulas, and why a wrong map does not pay.
 
     ## Starting State
 
@@ -323,7 +324,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             metrics.look(self._site.truth, pose, report, self._site.others())
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
-        remember(episode.memory, report.belief, report.grid, self._true_area(episode))
+        remember(episode.memory, self._moment(episode), self.config.reward)
         self._follow(episode, pose)
         return episode
 
@@ -378,8 +379,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
         seen = enough is not None and episode.metrics.coverage(self._site.truth) >= enough
-        done = self._nothing_left(episode) or seen
-        cut = not done and (episode.metrics.periods >= self.config.max_periods or episode.report.diverged)
+        lost = episode.report.diverged  # then it does not matter what the map says
+        done = (self._nothing_left(episode) or seen) and not lost
+        cut = not done and (episode.metrics.periods >= self.config.max_periods or lost)
         episode.over = done or cut
         if episode.over:
             episode.metrics.compare_map(self._site.truth, episode.report, due=True)
@@ -398,13 +400,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:
         """The terms of this period's reward, weighted."""
-        report = episode.report
-        measured = quantities(episode.memory, report.belief, report.grid, self._true_area(episode))
-        facts = {"contact": float(episode.contact), "time": 1.0, "completion": float(terminated)}
-        return weigh(self.config.reward, measured | facts)
+        measured = quantities(episode.memory, self._moment(episode), self.config.reward)
+        happened = events(episode.memory, episode.contact, terminated, episode.report.diverged)
+        return weigh(self.config.reward, measured | happened)
 
-    def _true_area(self, episode: Episode) -> float | None:
-        return episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
+    def _moment(self, episode: Episode) -> Moment:
+        """What the reward is measured on."""
+        report = episode.report
+        true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
+        return Moment(report.belief, report.grid, report.diverged, true_area)
 
     def _observe(self, episode: Episode) -> Observation:
         features = episode.pipeline.features

@@ -1,9 +1,15 @@
-"""The reward: named terms in their own units, a weight for each (`RewardConfig`). By default all from the belief."""
+"""The reward: named terms in their own units, a weight for each (`RewardConfig`); docs/rewards.md tells it at length.
+
+What is measured is a potential: a term is by how much it changed in a period, so that the terms of an episode add up to
+its value at the end less that at the start, whatever happened in between. Uncertainty that grows and shrinks again, an
+area mapped twice, a map redrawn and drawn again earn nothing.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,67 +20,89 @@ from mecp_env.slam.data import Belief, SemanticGrid
 from mecp_env.slam.linalg import factor_lower
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
-TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion")
+TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence")
 LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose
+COMPLETION_M2 = 100.0  # the unit of a completed area
+AHEAD_M = 5.0  # how far from the robot a wall typically is that it draws
+
+
+class Moment(NamedTuple):
+    """What the measured terms of a period are measured on."""
+
+    belief: Belief
+    grid: SemanticGrid
+    diverged: bool = False
+    true_area_m2: float | None = None  # the true free area seen; None where the belief's counts
 
 
 @dataclass(slots=True, eq=False)
 class RewardMemory:
-    """What the last period left behind to compare with; plain state."""
+    """The potentials as they were in the period before; plain state."""
 
     area_m2: float = 0.0
-    half_log_det: float = 0.0
-    ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) landmarks
-    traces: Array = field(default_factory=lambda: np.empty(0))  # (N,) m^2
-    grid_version: int = -1
+    pose_nat: float = 0.0
+    landmark_nat: float = 0.0
+    grid_version: int = -1  # of the map whose area that is
 
 
-def remember(memory: RewardMemory, belief: Belief, grid: SemanticGrid, area_m2: float | None) -> float:
-    """Bring `memory` up to this period; how much surer the landmarks known before are now, m^2.
+def remember(memory: RewardMemory, now: Moment, config: RewardConfig) -> None:
+    """Bring `memory` up to this period."""
+    sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(now.belief.pose_cov), now.belief.covs)
+    memory.area_m2 = area(memory, now, sigma <= config.area_sigma_m)
+    memory.landmark_nat = 0.0 if now.diverged else landmark_nat
 
-    `area_m2` is the truth's area, None where the belief's counts.
+
+def area(memory: RewardMemory, now: Moment, sure: bool) -> float:
+    """m^2 that count as mapped: the cells not UNKNOWN, as they were when the robot last was `sure` of its pose.
+
+    What it draws while it is not sure counts once it is sure again, if it still stands. A map that diverged is none.
     """
-    if area_m2 is not None:
-        memory.area_m2 = area_m2
-    elif grid.version != memory.grid_version:
-        memory.area_m2 = mapped_area(grid)
-    memory.grid_version = grid.version
-    traces = np.empty(len(belief.ids))
-    cov = np.ascontiguousarray(belief.pose_cov)
-    memory.half_log_det, drop = information(cov, belief.covs, memory.ids, memory.traces, belief.ids, traces)
-    memory.ids, memory.traces = belief.ids, traces
-    return drop
+    if now.true_area_m2 is not None:
+        return now.true_area_m2
+    if now.diverged:
+        return 0.0
+    if not sure or now.grid.version == memory.grid_version:
+        return memory.area_m2
+    memory.grid_version = now.grid.version
+    return mapped_area(now.grid)
 
 
-def quantities(
-    memory: RewardMemory, belief: Belief, grid: SemanticGrid, area_m2: float | None = None
-) -> dict[str, float]:
+def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[str, float]:
     """The terms that are measured, in their own units; `memory` is brought up to this period.
 
-    - `area`: m^2 newly mapped: the cells of the semantic grid that are not UNKNOWN (or the true free area seen, with
-      `source="truth"`), now minus the period before. A loop closure that redraws the map can make it negative.
-    - `pose_information`: nat, 0.5 log det P_before - 0.5 log det P_now of the pose covariance.
-    - `landmark_information`: m^2, the drop of trace(P) summed over the landmarks that were known before; a new landmark
-      counts from the period after its birth.
+    - `area`: m^2 newly mapped, what a redrawn map lost taken off (see `area`); with `source="truth"` newly seen.
+    - `pose_information`: nat, by how much -0.5 log det P of the pose grew.
+    - `landmark_information`: nat, by how much the mean of -0.5 log det P over the landmarks grew.
     """
-    area, half = memory.area_m2, memory.half_log_det
-    drop = remember(memory, belief, grid, area_m2)
+    area_m2, pose_nat, landmark_nat = memory.area_m2, memory.pose_nat, memory.landmark_nat
+    remember(memory, now, config)
     return {
-        "area": memory.area_m2 - area,
-        "pose_information": half - memory.half_log_det,
-        "landmark_information": drop,
+        "area": memory.area_m2 - area_m2,
+        "pose_information": memory.pose_nat - pose_nat,
+        "landmark_information": memory.landmark_nat - landmark_nat,
     }
 
 
-def weigh(config: RewardConfig, measured: dict[str, float]) -> dict[str, float]:
-    """Each term times its weight, in the order of `TERMS`; the reward is their sum.
+def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool) -> dict[str, float]:
+    """The terms that happen; `memory` is that of this period.
 
-    Beside the measured ones: `contact` is 1 in a period in which the robot touched something, `time` is 1 in every
-    period, `completion` is 1 once, when the episode terminates.
+    - `contact`: 1 in a period in which the robot touched something.
+    - `time`: 1 in every period.
+    - `completion`: once, when the episode terminates, the area that counts as mapped then, in 100 m^2.
+    - `divergence`: 1 once, when the filter diverges, which ends the episode.
     """
-    return {name: getattr(config, name) * measured[name] for name in TERMS}
+    return {
+        "contact": float(contact),
+        "time": 1.0,
+        "completion": memory.area_m2 / COMPLETION_M2 if terminated else 0.0,
+        "divergence": float(diverged),
+    }
+
+
+def weigh(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
+    """Each term times its weight, in the order of `TERMS`; the reward is their sum."""
+    return {name: getattr(config, name) * terms[name] for name in TERMS}
 
 
 def mapped_area(grid: SemanticGrid) -> float:
@@ -83,16 +111,27 @@ def mapped_area(grid: SemanticGrid) -> float:
 
 
 @kernel
-def information(
-    pose_cov: Array, covs: Array, ids_before: Ints, traces_before: Array, ids: Ints, traces: Array
-) -> tuple[float, float]:
-    """0.5 log det of the pose covariance (3,3), and the `trace_drop` of the landmarks since before.
+def information(pose_cov: Array, covs: Array) -> tuple[float, float, float]:
+    """`drawing_sigma`, m; -0.5 log det of the pose covariance (3,3); `landmark_information` of covariances (N,2,2)."""
+    return drawing_sigma(pose_cov, AHEAD_M), -half_log_det(pose_cov), landmark_information(covs)
 
-    Writes the traces (N,) of the covariances (N,2,2) of the landmarks `ids` (N,).
-    """
+
+@kernel
+def drawing_sigma(pose_cov: Array, ahead_m: float) -> float:
+    """Standard deviation, m, of where the robot draws what stands so far ahead; inf for a covariance that is none."""
+    square = max(pose_cov[0, 0], pose_cov[1, 1]) + ahead_m * ahead_m * pose_cov[2, 2]
+    return math.sqrt(square) if square >= 0.0 else math.inf
+
+
+@kernel
+def landmark_information(covs: Array) -> float:
+    """Mean of -0.5 log det P, P in m^2, over the landmarks' covariances (N,2,2), nat; 0 without a landmark."""
+    total = 0.0
     for i in range(covs.shape[0]):
-        traces[i] = covs[i, 0, 0] + covs[i, 1, 1]
-    return half_log_det(pose_cov), trace_drop(ids_before, traces_before, ids, traces)
+        det = covs[i, 0, 0] * covs[i, 1, 1] - covs[i, 0, 1] * covs[i, 1, 0]
+        positive = covs[i, 0, 0] > 0.0 and det > 0.0
+        total -= within(0.5 * math.log(det)) if positive else MOST_LOG_DET
+    return float(total / max(covs.shape[0], 1))
 
 
 @kernel
@@ -104,18 +143,11 @@ def half_log_det(cov: Array) -> float:
     total = 0.0
     for i in range(factor.shape[0]):
         total += math.log(factor[i, i])
-    return max(LEAST_LOG_DET, min(MOST_LOG_DET, total))
+    kept: float = within(total)
+    return kept
 
 
 @kernel
-def trace_drop(ids_before: Ints, before: Array, ids_now: Ints, now: Array) -> float:
-    """Sum of before - now over the ids that stand in both lists (n,) and (m,); ids mostly keep their order."""
-    drop, j = 0.0, 0
-    for i in range(ids_before.shape[0]):
-        for k in range(ids_now.shape[0]):
-            at = (j + k) % ids_now.shape[0]
-            if ids_now[at] == ids_before[i]:
-                drop += before[i] - now[at]
-                j = at + 1
-                break
-    return drop
+def within(nat: float) -> float:
+    """`nat`, kept within [-60, 60]."""
+    return float(max(LEAST_LOG_DET, min(MOST_LOG_DET, nat)))

@@ -48,13 +48,12 @@ class Bodies:
 
     def _let_in(self, near: list[int], forget: bool) -> None:
         """Have the shapes of these people in the space; to `forget`, all go out and in: then they have no past."""
-        stay = [] if forget else [i for i in self._inside if i in near]
-        leave = [self._discs[i] for i in self._inside if i not in stay] + (self._blocks if forget else [])
-        if leave:
-            self._space.remove(*leave)
-        come = [self._discs[i] for i in near if i not in stay] + (self._blocks if forget else [])
-        if come:
-            self._space.add(*come)
+        stay = set() if forget else set(self._inside) & set(near)
+        blocks = self._blocks if forget else []
+        leave = [self._discs[i] for i in self._inside if i not in stay] + blocks
+        come = [self._discs[i] for i in near if i not in stay] + blocks
+        self._space.remove(*leave)
+        self._space.add(*come)
         self._inside = near
 
     def leave(self, segments: Array, dt: float) -> None:

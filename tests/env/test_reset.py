@@ -121,4 +121,5 @@ def test_coverage_can_end_an_episode():
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (True, False)
-    assert info["reward_completion"] == 10.0
+    assert info["reward_completion"] == pytest.approx(10.0 * env._episode.memory.area_m2 / 100.0)
+    assert info["reward_completion"] > 1.0

@@ -1,12 +1,29 @@
+"""Each term of the reward: its formula and unit, that what is better earns more, and that no detour earns anything."""
+
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from mecp_env.config import RewardConfig
-from mecp_env.rewards import TERMS, RewardMemory, half_log_det, quantities, remember, trace_drop, weigh
+from mecp_env.rewards import (
+    TERMS,
+    Moment,
+    RewardMemory,
+    drawing_sigma,
+    events,
+    half_log_det,
+    landmark_information,
+    quantities,
+    remember,
+    weigh,
+)
 from mecp_env.slam.data import Belief, SemanticGrid
 from tests.env.helpers import drive, make
+
+CONFIG = RewardConfig()
+CELL_M2 = 0.25
+SURE, LOST = 1e-4, 1.0  # variances of a pose, m^2 and rad^2
 
 
 def grid_of(known: int, version: int) -> SemanticGrid:
@@ -15,37 +32,121 @@ def grid_of(known: int, version: int) -> SemanticGrid:
     return SemanticGrid(label, label > 0, np.zeros((10, 10), np.int16), np.zeros(2), 0.5, version)
 
 
-def belief_of(scale: float, traces: dict[int, float]) -> Belief:
-    covs = np.array([np.eye(2) * trace / 2 for trace in traces.values()]).reshape(-1, 2, 2)
-    return Belief(np.zeros(3), np.eye(3) * scale, np.array(list(traces), np.int64), np.zeros((len(traces), 2)), covs)
+def belief_of(pose: float = SURE, landmarks: tuple[float, ...] = (0.01,)) -> Belief:
+    """A pose and landmarks of these variances."""
+    covs = np.array([np.eye(2) * variance for variance in landmarks]).reshape(-1, 2, 2)
+    ids = np.arange(len(landmarks))
+    return Belief(np.zeros(3), np.eye(3) * pose, ids, np.zeros((len(landmarks), 2)), covs)
+
+
+def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -> Moment:
+    return Moment(belief_of(**belief), grid_of(known, version), diverged)
+
+
+def sums(*moments: Moment, config: RewardConfig = CONFIG) -> dict[str, float]:
+    """The measured terms added up over an episode that goes through these moments."""
+    memory = RewardMemory()
+    remember(memory, moments[0], config)
+    rows = [quantities(memory, now, config) for now in moments[1:]]
+    return {name: sum(row[name] for row in rows) for name in rows[0]}
 
 
 def test_quantities_in_their_units():
-    memory = RewardMemory()
-    remember(memory, belief_of(1.0, {3: 0.5, 7: 0.2}), grid_of(10, 1), None)
-    measured = quantities(memory, belief_of(0.25, {3: 0.1, 7: 0.2, 9: 5.0}), grid_of(30, 2))
-    assert measured["area"] == pytest.approx(20 * 0.25)
+    measured = sums(
+        moment(known=10, version=1, pose=4e-4, landmarks=(0.04, 0.01)),
+        moment(known=30, version=2, pose=1e-4, landmarks=(0.01, 0.01)),
+    )
+    assert measured["area"] == pytest.approx(20 * CELL_M2)
     assert measured["pose_information"] == pytest.approx(0.5 * 3 * np.log(4.0))
-    assert measured["landmark_information"] == pytest.approx(0.4)  # the new landmark does not count yet
-    measured = quantities(memory, belief_of(0.25, {3: 0.1, 9: 4.0}), grid_of(30, 2))
-    assert measured == pytest.approx({"area": 0.0, "pose_information": 0.0, "landmark_information": 1.0})
+    assert measured["landmark_information"] == pytest.approx(0.5 * np.log(4.0))  # log 4 of one, nothing of the other
+
+
+def test_more_new_area_earns_more():
+    begin = moment(known=10, version=1)
+    more, less, none = (sums(begin, moment(known=n, version=2))["area"] for n in (40, 20, 10))
+    assert more > less > none == 0.0
+
+
+def test_area_that_a_redrawn_map_loses_is_taken_back():
+    assert sums(moment(10, 1), moment(40, 2), moment(30, 3))["area"] == pytest.approx(20 * CELL_M2)
+
+
+def test_area_drawn_from_a_pose_that_is_not_known_counts_once_it_is_known_again():
+    begin, drawn = moment(10, 1), moment(60, 2, pose=LOST)
+    assert sums(begin, drawn)["area"] == 0.0
+    assert sums(begin, drawn, moment(70, 3, pose=LOST))["area"] == 0.0
+    assert sums(begin, drawn, moment(60, 2))["area"] == pytest.approx(50 * CELL_M2)  # it stood
+    assert sums(begin, drawn, moment(20, 3))["area"] == pytest.approx(10 * CELL_M2)  # it did not
+
+
+def test_how_well_is_drawn():
+    assert drawing_sigma(np.diag([0.04, 0.09, 0.0]), 5.0) == pytest.approx(0.3)
+    assert drawing_sigma(np.diag([0.0, 0.0, 1e-4]), 5.0) == pytest.approx(0.05)
+    assert drawing_sigma(np.full((3, 3), np.nan), 5.0) == drawing_sigma(-np.eye(3), 5.0) == np.inf
+    unsure = moment(60, 2, pose=0.01)
+    assert sums(moment(10, 1), unsure)["area"] == 0.0
+    assert sums(moment(10, 1), unsure, config=RewardConfig(area_sigma_m=1.0))["area"] > 0.0
+
+
+def test_a_map_that_diverged_is_worth_nothing():
+    measured = sums(moment(10, 1), moment(80, 2), moment(90, 3, diverged=True))
+    assert measured["area"] == pytest.approx(-10 * CELL_M2)  # what was there at the start is lost too
+    assert measured["landmark_information"] == pytest.approx(0.5 * 2 * np.log(0.01))
+
+
+def test_a_surer_pose_earns_more():
+    surer, same, less = (sums(moment(pose=SURE), moment(pose=p))["pose_information"] for p in (1e-5, SURE, 1e-3))
+    assert surer > same == 0.0 > less
+
+
+def test_surer_landmarks_earn_more_and_more_of_them_do_not():
+    begin = moment(landmarks=(0.04, 0.04))
+    surer, better, same, worse = (
+        sums(begin, moment(landmarks=variances))["landmark_information"]
+        for variances in ((0.01, 0.01), (0.01, 0.04), (0.04, 0.04), (0.04, 0.09))
+    )
+    assert surer > better > same == 0.0 > worse
+    assert sums(begin, moment(landmarks=(0.04,) * 9))["landmark_information"] == pytest.approx(0.0)  # copies
+
+
+def test_the_first_landmark_counts_from_a_metre():
+    assert sums(moment(landmarks=()), moment(landmarks=(0.01,)))["landmark_information"] == pytest.approx(np.log(100.0))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_detour_earns_anything(seed):
+    """Whatever grows, shrinks, is born, dies, is drawn and redrawn: back where it was, the sums are 0."""
+    rng = np.random.default_rng(seed)
+    begin = moment(20, 1, pose=SURE, landmarks=(0.01, 0.02))
+    detour = [
+        moment(
+            int(rng.integers(0, 100)),
+            version,
+            pose=float(10.0 ** rng.uniform(-6, 1)),
+            landmarks=tuple(10.0 ** rng.uniform(-5, 1, rng.integers(0, 6))),
+        )
+        for version in range(2, 30)
+    ]
+    back = moment(20, 99, pose=SURE, landmarks=(0.01, 0.02))
+    assert sums(begin, *detour, back) == pytest.approx(dict.fromkeys(sums(begin, back), 0.0), abs=1e-9)
 
 
 def test_the_true_area_counts_where_it_is_asked_for():
-    memory = RewardMemory()
-    remember(memory, belief_of(1.0, {}), grid_of(10, 1), 3.0)
-    assert quantities(memory, belief_of(1.0, {}), grid_of(90, 2), 4.5)["area"] == 1.5
+    def at(true_area: float, **changes) -> Moment:
+        return moment(**changes)._replace(true_area_m2=true_area)
+
+    assert sums(at(3.0), at(4.5, known=90, version=2, pose=LOST))["area"] == 1.5
+    assert sums(at(3.0), at(4.5, diverged=True))["area"] == 1.5
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_trace_drop_against_a_plain_twin(seed):
+def test_landmark_information_against_a_plain_twin(seed):
     rng = np.random.default_rng(seed)
-    before = {int(i): float(rng.random()) for i in rng.permutation(30)[: rng.integers(0, 20)]}
-    now = {int(i): float(rng.random()) for i in rng.permutation(30)[: rng.integers(0, 20)]}
-    drop = trace_drop(
-        *(np.array(list(x), t) for d in (before, now) for x, t in ((d.keys(), np.int64), (d.values(), float)))
-    )
-    assert drop == pytest.approx(sum(before[i] - now[i] for i in before if i in now))
+    factors = rng.normal(size=(7, 2, 2)) * 0.1
+    covs = factors @ factors.transpose(0, 2, 1) + 1e-4 * np.eye(2)
+    assert landmark_information(covs) == pytest.approx(np.mean([-0.5 * np.linalg.slogdet(P)[1] for P in covs]))
+    assert landmark_information(covs[:0]) == 0.0
+    assert landmark_information(-covs[:1]) == landmark_information(np.full((1, 2, 2), np.nan)) == -60.0
 
 
 def test_half_log_det_is_finite_and_right():
@@ -55,6 +156,13 @@ def test_half_log_det_is_finite_and_right():
     assert half_log_det(cov) == pytest.approx(0.5 * np.linalg.slogdet(cov)[1])
     assert half_log_det(np.eye(3) * 1e-300) == -60.0
     assert half_log_det(-np.eye(3)) == half_log_det(np.full((3, 3), np.nan)) == 60.0
+
+
+def test_events():
+    memory = RewardMemory(area_m2=150.0)
+    assert events(memory, False, False, False) == {"contact": 0.0, "time": 1.0, "completion": 0.0, "divergence": 0.0}
+    assert events(memory, True, False, True) == {"contact": 1.0, "time": 1.0, "completion": 0.0, "divergence": 1.0}
+    assert events(memory, False, True, False)["completion"] == 1.5  # of 100 m^2
 
 
 def test_weights():
@@ -67,7 +175,13 @@ def test_weights():
         "contact": -3.0,
         "time": -1.0,
         "completion": 10.0,
+        "divergence": -20.0,
     }
+
+
+def test_to_diverge_costs_more_than_the_time_of_a_whole_episode():
+    max_periods = make().unwrapped.config.max_periods
+    assert CONFIG.divergence < CONFIG.time * max_periods < 0.0
 
 
 @pytest.mark.parametrize("source", ["belief", "truth"])
@@ -94,3 +208,15 @@ def test_a_contact_costs():
         assert info["reward_time"] == -0.005
     assert info["contact"]
     assert info["contacts"] > 0
+
+
+def test_a_filter_that_diverged_completes_nothing():
+    env = make(end={"coverage": 0.1}).unwrapped
+    env.reset(seed=1)
+    env._episode.pipeline.diverged = True
+    _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+    assert (terminated, truncated) == (False, True)
+    assert info["reward_divergence"] == -20.0
+    assert info["reward_completion"] == 0.0
+    assert info["reward_area"] < 0.0
+    assert reward < -20.0

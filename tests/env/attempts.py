@@ -1,0 +1,159 @@
+"""Attempts to be paid without exploring, against honest exploration; each is told the true pose, which no agent is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.env import MecpEnv
+from mecp_env.observations import GOALS
+from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.rewards import TERMS
+from mecp_env.truth import CELL_M
+from mecp_env.wrappers import GoalActions
+
+Array = NDArray[np.float64]
+Drive = Iterator[tuple[float, float]]
+MEASURED = ("area", "pose_information", "landmark_information")
+
+
+@dataclass
+class Episode:
+    """What an episode paid, period by period."""
+
+    free_m2: float = 0.0  # of the building
+    mapped_m2: float = 0.0  # what counted as mapped at the end
+    rewards: list[dict[str, float]] = field(default_factory=list)  # of each term
+    metres: list[float] = field(default_factory=list)
+    last: dict[str, Any] = field(default_factory=dict)
+
+    def note(self, info: dict[str, Any]) -> None:
+        self.rewards.append({name: info[f"reward_{name}"] for name in TERMS})
+        self.metres.append(info["metres"])
+        self.last = info
+
+    def weigh_up(self, env: MecpEnv) -> None:
+        """Note what there is at the end."""
+        self.free_m2, self.mapped_m2 = env._site.truth.free_cells * CELL_M**2, env._episode.memory.area_m2
+
+    @property
+    def seen_m2(self) -> float:
+        """The free area that was truly seen."""
+        return float(self.last["coverage"]) * self.free_m2
+
+    def paid(self, *terms: str, until_m: float = math.inf) -> float:
+        """The sum of some terms (all by default) up to a distance driven."""
+        rows = zip(self.rewards, self.metres, strict=True)
+        return sum(row[name] for row, metres in rows if metres <= until_m for name in terms or TERMS)
+
+
+def stand(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    while True:
+        yield 0.0, 0.0
+
+
+def spin(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    while True:
+        yield 0.0, 1.0
+
+
+def swing(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """To the left and to the right, again and again."""
+    for period in range(10**6):
+        yield 0.0, 1.0 if period % 16 < 8 else -1.0
+
+
+def shuttle(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """Through the door of the first room and back."""
+    start = env._site.T_world_robot[:2]
+    doors = env._site.outline.doors.centre
+    door = doors[np.argmin(np.hypot(*(doors - start).T))]
+    across = np.array([0.0, 1.0]) if abs(door[1] - start[1]) > abs(door[0] - start[0]) else np.array([1.0, 0.0])
+    while True:
+        yield from go(env, door - across)
+        yield from go(env, door + across)
+
+
+def blind(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """Full speed, whatever stands in the way."""
+    while True:
+        turn = rng.uniform(-0.3, 0.3)
+        for _ in range(20):
+            yield 1.0, turn
+
+
+def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """Scrape along walls, so that uncertainty grows, and go home, so that it shrinks."""
+    home = env._site.T_world_robot[:2].copy()
+    while True:
+        for period in range(30):
+            yield 1.0, 0.6 if period % 10 < 5 else -0.6
+        yield from go(env, home)
+        for _ in range(10):
+            yield 0.0, 0.8
+
+
+def sprawl(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """Spin as fast as it goes while scraping along walls: the most heading error a metre."""
+    while True:
+        for turn in (1.0, -1.0):
+            for _ in range(int(rng.integers(4, 12))):
+                yield 1.0, turn
+
+
+def walk(env: MecpEnv, rng: np.random.Generator) -> Drive:
+    """A random walk."""
+    while True:
+        held = int(rng.integers(3, 21))
+        command = (0.0, rng.uniform(-1, 1)) if rng.random() < 0.3 else (rng.uniform(0.5, 1), rng.uniform(-0.25, 0.25))
+        for _ in range(held):
+            yield command
+
+
+ATTEMPTS: dict[str, Callable[[MecpEnv, np.random.Generator], Drive]] = {
+    attempt.__name__: attempt for attempt in (stand, spin, swing, shuttle, blind, bump, sprawl, walk)
+}
+
+
+def go(env: MecpEnv, p_world: Array) -> Drive:
+    """Towards a point, until there, or for at most 40 periods."""
+    for _ in range(40):
+        x, y, heading = env._site.T_world_robot
+        if math.hypot(p_world[0] - x, p_world[1] - y) < 0.25:
+            return
+        turn = math.remainder(math.atan2(p_world[1] - y, p_world[0] - x) - heading, 2.0 * math.pi)
+        yield max(0.0, math.cos(turn)) ** 3, min(max(1.5 * turn, -1.0), 1.0)
+
+
+def attempt(name: str, seed: int, **keywords: Any) -> Episode:
+    """An episode of an attempt."""
+    env, episode = MecpEnv(**keywords), Episode()
+    env.reset(seed=seed)
+    drive = ATTEMPTS[name](env, np.random.default_rng(seed))
+    over = False
+    while not over:
+        _, _, terminated, truncated, info = env.step(np.array(next(drive), np.float32))
+        episode.note(info)
+        over = terminated or truncated
+    episode.weigh_up(env)
+    return episode
+
+
+def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
+    """An episode of the breadth-first explorer, who may wait some periods before he begins."""
+    episode, policy = Episode(), BreadthFirst()
+    env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: episode.note(step[4]))
+    observation, _ = env.reset(seed=seed)
+    for _ in range(waits):
+        observation = env.step(GOALS - 1)[0]  # no goal there
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
+        over = terminated or truncated
+    episode.weigh_up(env.base)
+    return episode

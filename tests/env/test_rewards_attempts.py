@@ -1,0 +1,97 @@
+"""Attempts to be paid without exploring, or by a wrong map, lose against honest exploration."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.config import RewardConfig
+from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
+
+PERIODS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
+WEIGHTS = RewardConfig()
+BUILDINGS: dict[str, dict[str, Any]] = {
+    "paper": {"layout": "paper", "laser": {"sweeps": 1}},
+    "twins": {"layout": "twins", "laser": {"sweeps": 1}},  # rooms that look alike
+    "short-sighted": {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 4.0}, "odometry": {"scale": 4.0}},
+    "nearest": {
+        "layout": "paper",
+        "laser": {"sweeps": 1},
+        "slam": {"association": {"method": "nearest"}, "filter": {"kind": "ekf"}},
+    },
+}
+
+
+@cache
+def honest(building: str, seed: int) -> Episode:
+    return explore(seed, start="random", max_periods=4 * PERIODS, **BUILDINGS[building])
+
+
+@cache
+def tried(name: str, building: str, seed: int) -> Episode:
+    return attempt(name, seed, start="random", max_periods=PERIODS, **BUILDINGS[building])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", ATTEMPTS)
+def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:
+    given, other = tried(name, "paper", seed), honest("paper", seed)
+    as_far = max(given.metres[-1], 5.0)
+    assert given.paid() < 0.2 * other.paid()
+    assert given.paid() < other.paid(until_m=as_far)  # without what it paid to complete
+    assert given.paid("completion") == 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", ATTEMPTS)
+def test_no_area_is_paid_that_there_is_not(name: str, seed: int) -> None:
+    given = tried(name, "paper", seed)
+    assert given.mapped_m2 <= 1.1 * given.seen_m2  # walls are mapped too
+    assert given.paid("area") <= WEIGHTS.area * given.mapped_m2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("building", ["twins", "short-sighted", "nearest"])
+@pytest.mark.parametrize("name", ATTEMPTS)
+def test_an_attempt_loses_where_maps_go_wrong_more_easily(name: str, building: str) -> None:
+    for seed in range(3):
+        assert tried(name, building, seed).paid() < 0.5 * honest(building, seed).paid()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_driving_blind_until_the_filter_diverges_loses_all(seed: int) -> None:
+    keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
+    slam = {"filter": {"diverged_sigma_m": 0.4}}
+    lost = attempt("blind", seed, start="random", max_periods=PERIODS, slam=slam, **keywords)
+    idle = attempt("stand", seed, start="random", max_periods=PERIODS, slam=slam, **keywords)
+    assert lost.last["diverged"]
+    assert lost.paid("area") < 0.0  # the map of the start as well
+    assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than to stand for a whole episode
+
+
+def test_breadth_first_earns_most_and_time_counts() -> None:
+    """The totals of the default weights: exploring pays, standing costs its time, a random walk its contacts."""
+    stand, walk, other = tried("stand", "paper", 0), tried("walk", "paper", 0), honest("paper", 0)
+    assert other.paid() > 30.0
+    assert other.paid("area") + other.paid("completion") > 10.0 * abs(other.paid("time", "contact"))
+    assert walk.paid() < stand.paid() < 0.0
+    assert walk.paid("area") > 5.0 * stand.paid("area")
+
+
+def test_to_complete_earlier_earns_more() -> None:
+    keywords = {"layout": "two_rooms", "laser": {"sweeps": 1}}
+    soon, late = explore(1, **keywords), explore(1, waits=40, **keywords)
+    assert soon.paid("completion") == pytest.approx(late.paid("completion"), rel=0.05)
+    assert soon.paid("completion") > 3.0  # 10 for 100 m^2, of 45
+    assert soon.paid("time") == pytest.approx(late.paid("time") - 40 * WEIGHTS.time, abs=0.03)
+    assert soon.paid() > late.paid() + 0.1
+
+
+def test_a_bigger_map_completes_for_more() -> None:
+    small, big = explore(0, layout="two_rooms", laser={"sweeps": 1}), honest("paper", 0)
+    assert big.paid("completion") > 4.0 * small.paid("completion") > 0.0
+    assert np.isclose(big.paid("completion"), 10.0 * big.free_m2 / 100.0, rtol=0.1)
