@@ -99,6 +99,9 @@ def parse(words: str, line: list[str]) -> Command:
     import tyro  # the overview does without
 
     kind = load(words)
+    line = kind.completed(line)
+    for hint in kind.hints(line):
+        print(f"mecp-env: {hint}", file=sys.stderr)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class

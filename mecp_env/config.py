@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.errors import ConfigError
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.settings import Settings, no_bool
+from mecp_env.settings import Settings, guess, no_bool
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 
@@ -212,8 +211,14 @@ def refuse_unknown(section: type[Settings], fields: Mapping[str, Any], where: st
             refuse_unknown(kind, value, f"{where}.{name}")
 
 
+def refuse_keywords(keywords: Iterable[str], others: Iterable[str], where: str) -> None:
+    """Raise `ConfigError` for the first keyword that is neither a field of `EnvConfig` nor one of `others`."""
+    known = [*others, *EnvConfig.model_fields, "config"]
+    for name in keywords:
+        if name not in known:
+            raise ConfigError(unknown(name, known, where))
+
+
 def unknown(name: object, known: list[str], where: str) -> str:
     """What to say about an unknown name: the nearest known one, and all of them."""
-    nearest = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
-    guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return f"{where}.{name}: no such field{guess} (fields: {', '.join(known)})"
+    return f"{where}.{name}: no such field{guess(name, known)} (fields: {', '.join(known)})"

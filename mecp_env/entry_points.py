@@ -6,10 +6,10 @@ from typing import Any
 
 import gymnasium
 
-from mecp_env.config import EnvConfig, merge, plain
+from mecp_env.config import EnvConfig, merge, plain, refuse_keywords
 from mecp_env.env import MecpEnv
 from mecp_env.errors import ConfigError
-from mecp_env.world.source import GENERATE, PLAN, generator_keywords, plan_keywords
+from mecp_env.world.source import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
 from mecp_env.wrappers import GoalActions
 
 PAPER_LAYOUT = "paper"
@@ -61,6 +61,7 @@ def _make_from(
     key: str, fields: dict[str, Any], config: Any, render_mode: str | None, keywords: dict[str, Any]
 ) -> gymnasium.Env[Any, Any]:
     """As `make`, with the layout `{key: ...}` of a configuration, `fields` over it."""
+    refuse_keywords(keywords, KEYWORDS[key], "Rooms-v0" if key == GENERATE else "FloorPlan-v0")
     layout = merge(plain(config), keywords).get("layout", {key: {}})
     if not isinstance(layout, dict) or key not in layout:
         raise ConfigError(f"layout: {layout!r:.80}, this environment makes its own; Layout-v0 takes any")

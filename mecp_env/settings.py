@@ -2,19 +2,99 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+import difflib
+import re
+import reprlib
+from collections.abc import Iterable, Iterator
+from typing import Any, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mecp_env.errors import ConfigError
 
+MOST_TOLD = 3  # wrong fields that one message tells of
+PLACEHOLDER = re.compile(r"'([^']+)'")  # the words in what pydantic says is expected
 
-def describe(error: ValidationError, root: str) -> str:
-    """One line per wrong field: its path, the value given and the bound it breaks."""
-    return "; ".join(
-        f"{'.'.join([root, *map(str, e['loc'])])}: {e['msg']} (given: {e['input']!r:.80})" for e in error.errors()
-    )
+
+def describe(error: ValidationError, root: str, model: type[BaseModel]) -> str:
+    """A few wrong fields of a `model`: the path of each, the value given, the bound it breaks, a guess what was meant.
+
+    A field that is wrong because of another one within it is left out.
+    """
+    errors = list(_innermost(error))
+    told = [_told(one, root, model) for one in errors[:MOST_TOLD]]
+    more = [f"and {len(errors) - MOST_TOLD} more"] if len(errors) > MOST_TOLD else []
+    return "; ".join(told + more)
+
+
+def _innermost(error: ValidationError) -> Iterator[Any]:
+    """The errors without those of a field that holds another wrong one; an unknown name before what is missing."""
+    errors: list[Any] = error.errors(include_url=False)
+    paths = {one["loc"] for one in errors}
+    outer = {path[:length] for path in paths for length in range(1, len(path))}
+    kept = [one for one in errors if one["loc"] not in outer]
+    return iter(sorted(kept, key=lambda one: one["type"] != "extra_forbidden"))
+
+
+def _told(one: Any, root: str, model: type[BaseModel]) -> str:
+    path, kind, context = one["loc"], one["type"], one.get("ctx", {})
+    place, given = ".".join([root, *map(str, path)])[:200], one["input"]
+    if kind == "extra_forbidden":
+        return f"{place}: no such field{guess(path[-1], fields_at(model, path[:-1]))} (given: {shown(given)})"
+    if kind in ("literal_error", "union_tag_invalid"):
+        word = context.get("tag", given)
+        known = PLACEHOLDER.findall(str(context.get("expected") or context.get("expected_tags")))
+        return f"{place}: {one['msg']}{guess(word, known)} (given: {shown(given)})"
+    said = f"{place}: {one['msg'].removeprefix('Value error, ')}"
+    return said if not path and kind == "value_error" else f"{said} (given: {shown(given)})"  # which names the value
+
+
+def fields_at(model: type[BaseModel], path: Iterable[int | str]) -> list[str]:
+    """The names of the fields that there are at a path below a model."""
+    models = [model]
+    for key in path:
+        models = _models_at(models, key) or models  # the number of an entry, or the kind of one, leads no deeper
+    return [name for m in models for name in m.model_fields]
+
+
+def _models_at(models: list[type[BaseModel]], key: int | str) -> list[type[BaseModel]]:
+    fields = [model.model_fields[key] for model in models if isinstance(key, str) and key in model.model_fields]
+    return [inner for field in fields for inner in _models_in(field.annotation)]
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
+
+
+def guess(word: object, known: Iterable[str]) -> str:
+    """`; did you mean 'medium'?`, of the known words the nearest to a wrong one; nothing when none is near."""
+    near = difflib.get_close_matches(str(word)[:80], list(known), n=1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def shown(value: Any) -> str:
+    """The beginning of what was given, for a message."""
+    try:
+        return f"{reprlib.repr(value):.80}"
+    except ValueError:  # an integer of too many digits
+        return type(value).__name__
+
+
+def as_range(value: Any) -> Any:
+    """A single number as the range from it to itself, a range as it is. Raises `ValueError` for anything else."""
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        return (float(value), float(value))
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise ValueError("a number or a range of two, the lower first, expected")
+    return value
+
+
+def as_many(value: Any) -> Any:
+    """A single word as a tuple of one; anything else as it is."""
+    return (value,) if isinstance(value, str) else value
 
 
 def no_bool(value: Any) -> Any:
@@ -33,7 +113,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            raise ConfigError(describe(error, type(self).__name__)) from None
+            raise ConfigError(describe(error, type(self).__name__, type(self))) from None
 
     @classmethod
     def parse(cls, given: Self | dict[str, Any] | None) -> Self:

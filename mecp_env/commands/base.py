@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Self
 
 from mecp_env.errors import ConfigError
+from mecp_env.settings import guess
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
 
@@ -17,6 +19,20 @@ class Command(ABC):
     """A command: a dataclass of its options, whose docstring is its help."""
 
     examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
+
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> the words that it takes
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with what a user may leave out."""
+        return list(line)
+
+    @classmethod
+    def hints(cls, line: Sequence[str]) -> list[str]:
+        """What was probably meant by words that an option does not take."""
+        pairs = [pair for pair in pairwise(line) if pair[1] not in cls.choices.get(pair[0], (pair[1],))]
+        near = [(option, word, guess(word, cls.choices[option])) for option, word in pairs]
+        return [f"{option} {word}{found}" for option, word, found in near if found]
 
     @classmethod
     def defaults(cls, line: Sequence[str]) -> Self | None:

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.errors import ConfigError, LayoutError, MecpError
+from mecp_env.settings import guess
 from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
@@ -95,9 +96,17 @@ def load(word: str, reading: Reading | None = None) -> Layout:
     if word in shipped_layouts():
         return load_layout(word)
     if not Path(word).exists():
-        shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
-        raise LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}")
+        raise _no_such(word)
     from mecp_env.world.importers import load_plan
 
     reading = reading or Reading()
     return load_plan(word, kind=reading.kind, resolution_m=reading.resolution_m)
+
+
+def _no_such(word: str) -> MecpError:
+    preset, _, seeds = word.partition(":")
+    if preset in DIFFICULTIES:
+        return ConfigError(f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9")
+    shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
+    nearest = guess(word, [*shipped_layouts(), *(f"{name}:{seeds or 0}" for name in DIFFICULTIES)])
+    return LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}{nearest}")

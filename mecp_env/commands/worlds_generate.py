@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self, get_args
 
 import tyro
 
 from mecp_env.commands.base import Command, check_writable
 from mecp_env.commands.buildings import counted
 from mecp_env.errors import ConfigError
-from mecp_env.world.generator.spec import DIFFICULTIES, Difficulty, GeneratorSpec, split_seed
+from mecp_env.world.generator.spec import (
+    DIFFICULTIES,
+    SPLITS,
+    Difficulty,
+    GeneratorSpec,
+    Piece,
+    Shape,
+    split_seed,
+)
 from mecp_env.world.schema import Layout
 
 MOST = 10_000
 OPTION = "--difficulty"
+RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,22 @@ class Generate(Command):
     out: Path = Path("runs/worlds")  # folder for DIFFICULTY-SEED.json, or for one building a .json file
     sheet: Path | None = None  # also draw all of them here, .png or .svg
     spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
+
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {
+        OPTION: tuple(DIFFICULTIES),
+        "--split": tuple(SPLITS),
+        "--shapes": get_args(Shape),
+        "--pieces": get_args(Piece),
+    }
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with a single number for a range as the range from it to itself."""
+        whole: list[str] = []
+        for before, word, after in zip(["", *line], line, [*line[1:], ""], strict=False):
+            single = before in RANGES and _is_number(word) and not _is_number(after)
+            whole += [word, word] if single else [word]
+        return whole
 
     @classmethod
     def defaults(cls, line: Sequence[str]) -> Self | None:
@@ -84,6 +109,14 @@ class Generate(Command):
             seed = split_seed(self.split, number) if self.split else number
             whole = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
             yield whole, generate(self.spec, seed)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _value(line: Sequence[str]) -> str:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry import LineString, Point, Polygon
 
 from mecp_env.errors import LayoutError
+from mecp_env.settings import guess
 from mecp_env.world.outline import (
     GAP_POST_M,
     ROBOT_RADIUS_M,
+    Array,
+    Ints,
     Outline,
     build_outline,
     door_ring,
@@ -28,7 +33,12 @@ SQUARE_DEG = 1.0
 OVERLAP_M2 = 0.01
 GRID_M = 1e-6  # without one, GEOS finds rooms that touch along a slanted wall to be one inside the other
 DOORSTEP_M = 0.15  # what lies so near to a room's border may be its doorway
-MAX_PAIRS = 200_000  # every wall counts with itself, and every pair twice
+MAX_CROSSINGS = 10_000  # pairs of walls, obstacles and solids that touch
+MAX_TOUCHING = 10_000  # pairs of rooms that touch
+MAX_BOXES = 200_000  # pairs of which the boxes around them touch; each counts twice, and with itself
+MAX_SLANTED = 1_000_000  # the same of faces
+MAX_NEAR = 200_000  # pairs of faces so near to each other; each counts twice, and with itself
+NEAR_M = 0.44
 CHUNK = 100
 OPEN_SHARE = 0.9  # of a doorway that is a gap
 
@@ -44,6 +54,7 @@ def check_geometry(layout: Layout) -> Layout:
         outline = build_outline(layout)
         _check_gaps(layout, outline)
         _check_starts(layout, outline)
+        _check_density(outline)
         _check_reach(layout, outline)
     except shapely.errors.GEOSException as error:
         raise LayoutError(f"walls: their union cannot be computed ({error})") from None
@@ -51,16 +62,36 @@ def check_geometry(layout: Layout) -> Layout:
 
 
 def _check_rooms(layout: Layout) -> None:
-    names = [room.name for room in layout.rooms]
-    shapes = [Polygon(room.polygon) for room in layout.rooms]
+    first: dict[str, int] = {}
+    for i, room in enumerate(layout.rooms):
+        if first.setdefault(room.name, i) != i:
+            raise LayoutError(f"rooms.{i}.name: {room.name!r} is the name of rooms.{first[room.name]} too")
+    shapes = np.array([Polygon(room.polygon) for room in layout.rooms], dtype=np.object_)
     for i, shape in enumerate(shapes):
-        if names.index(names[i]) != i:
-            raise LayoutError(f"rooms.{i}.name: {names[i]!r} is the name of rooms.{names.index(names[i])} too")
         _require_simple(shape, f"rooms.{i}.polygon")
-    for i, j in shapely.STRtree(shapes).query(shapes).T.tolist():
-        shared = shapely.intersection(shapes[i], shapes[j], grid_size=GRID_M).area
-        if j < i and shared > OVERLAP_M2:
-            raise LayoutError(f"rooms.{i}.polygon: shares {shared:.2f} m2 with rooms.{j}, at most {OVERLAP_M2} m2")
+    one, other = _touching(shapes, MAX_TOUCHING, "rooms")
+    shared = shapely.area(shapely.intersection(shapes[one], shapes[other], grid_size=GRID_M))
+    for pair in np.flatnonzero(shared > OVERLAP_M2)[:1].tolist():
+        what = f"shares {shared[pair]:.2f} m2 with rooms.{other[pair]}, at most {OVERLAP_M2} m2"
+        raise LayoutError(f"rooms.{one[pair]}.polygon: {what}")
+
+
+def _touching(shapes: NDArray[np.object_], most: int, field: str) -> tuple[Ints, Ints]:
+    """The pairs i > j of shapes that touch or overlap. Raises LayoutError for too many of them."""
+    tree, pairs = shapely.STRtree(shapes), [np.empty((2, 0), np.int64)]
+    boxes, touching = 0, 0
+    for first in range(0, len(shapes), CHUNK):
+        some = shapes[first : first + CHUNK]
+        boxes += tree.query(some).shape[1]
+        if boxes <= MAX_BOXES:
+            found = tree.query(some, predicate="intersects") + np.array([[first], [0]])
+            pairs.append(found[:, found[0] > found[1]])
+            touching += pairs[-1].shape[1]
+        if boxes > MAX_BOXES or touching > most:
+            bounds = f"at most {most} pairs, of the boxes around them at most {MAX_BOXES}"
+            raise LayoutError(f"{field}: too many of them lie across each other, {bounds}")
+    i, j = np.concatenate(pairs, axis=1)
+    return i, j
 
 
 def _check_solids(layout: Layout) -> None:
@@ -75,13 +106,9 @@ def _check_obstacles(layout: Layout) -> None:
 
 
 def _check_crowding(layout: Layout) -> None:
-    """The boxes around walls and obstacles overlap seldom enough for their union to be quick."""
+    """Walls, obstacles and solids lie on each other seldom enough for their union to be quick."""
     shapes = [*wall_lines(layout)[0], *map(obstacle_shape, layout.obstacles), *map(solid_shape, layout.solids)]
-    tree, pairs = shapely.STRtree(shapes), 0
-    for first in range(0, len(shapes), CHUNK):
-        pairs += tree.query(shapes[first : first + CHUNK]).shape[1]
-        if pairs > MAX_PAIRS:
-            raise LayoutError(f"walls: too many of them lie across each other, at most {MAX_PAIRS} pairs")
+    _touching(np.array(shapes, dtype=np.object_), MAX_CROSSINGS, "walls")
 
 
 def _require_simple(shape: Polygon, field: str) -> None:
@@ -93,20 +120,21 @@ def _check_doors(layout: Layout) -> None:
     require_walls(layout)
     lines, thickness = wall_lines(layout)
     tree = shapely.STRtree(lines)
+    floors = {room.name: Polygon(room.polygon) for room in layout.rooms}
     for i, door in enumerate(layout.doors):
-        _check_door_rooms(layout, door, i)
+        _check_door_rooms(floors, door, i)
         if door.depth_m is not None:
-            _check_door_sides(layout, door, door.depth_m, i)
+            _check_door_sides(floors, door, door.depth_m, i)
             continue
         nearest = int(tree.nearest(Point(door.centre)))
         _check_door_wall(door, lines[nearest], i)
-        _check_door_sides(layout, door, thickness[nearest], i)
+        _check_door_sides(floors, door, thickness[nearest], i)
 
 
-def _check_door_rooms(layout: Layout, door: Door, index: int) -> None:
+def _check_door_rooms(floors: Mapping[str, Polygon], door: Door, index: int) -> None:
     for side, name in enumerate(door.rooms):
-        if layout.room_index(name) < 0:
-            raise LayoutError(f"doors.{index}.rooms.{side}: no room is called {name!r}")
+        if name not in floors:
+            raise LayoutError(f"doors.{index}.rooms.{side}: no room is called {name!r}{guess(name, floors)}")
 
 
 def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
@@ -127,43 +155,67 @@ def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
         )
 
 
-def _check_door_sides(layout: Layout, door: Door, thickness: float, index: int) -> None:
+def _check_door_sides(floors: Mapping[str, Polygon], door: Door, thickness: float, index: int) -> None:
     """A step before the door lies in the first room, a step behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)
     ahead = step * np.array([math.cos(heading), math.sin(heading)])
     for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
-        room = layout.rooms[layout.room_index(name)]
-        if not Polygon(room.polygon).contains(Point(point)):
+        if not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
             raise LayoutError(f"doors.{index}.centre: {door.centre} is not between its rooms, {beside}")
 
 
 def _check_gaps(layout: Layout, outline: Outline) -> None:
     """A gap is open, and there is a wall at either end of its width."""
+    gaps = np.flatnonzero(outline.doors.gap).tolist()
+    rings = np.array([door_ring(outline.doors, i, 0.0) for i in gaps]).reshape(-1, 4, 2)
+    ends = np.stack([rings[:, :2].mean(axis=1), rings[:, 2:].mean(axis=1)], axis=1)
+    off = _from_faces(outline, ends.reshape(-1, 2)).reshape(-1, 2).max(axis=1)
     free = outline.free_area
     shapely.prepare(free)
-    for i in np.flatnonzero(outline.doors.gap).tolist():
-        ring = door_ring(outline.doors, i, 0.0)
-        open_share = 1.0 if free.covers(Polygon(ring)) else Polygon(ring).intersection(free).area / Polygon(ring).area
+    for i, ring, far in zip(gaps, rings, off.tolist(), strict=True):
+        open_share = 1.0 if free.covers(Polygon(ring)) else _open_share(Polygon(ring), free)
         if open_share < OPEN_SHARE:
             raise LayoutError(f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}")
-        ends = shapely.points([ring[:2].mean(axis=0), ring[2:].mean(axis=0)])
-        off = float(free.boundary.distance(ends).max())
-        if off > GAP_POST_M:
-            raise LayoutError(f"doors.{i}.width_m: an end is {off:.2f} m from a wall, at most {GAP_POST_M} m")
+        if far > GAP_POST_M:
+            raise LayoutError(f"doors.{i}.width_m: an end is {far:.2f} m from a wall, at most {GAP_POST_M} m")
+
+
+def _open_share(gap: Polygon, free: Polygon) -> float:
+    around = gap.buffer(0.01).bounds
+    return float(shapely.clip_by_rect(free, *around).buffer(0.0).intersection(gap).area / gap.area)
+
+
+def _from_faces(outline: Outline, points: Array) -> Array:
+    """Distance (n,) m of points (n,2) from the nearest face."""
+    tree = shapely.STRtree(shapely.linestrings(outline.segments))
+    _, far = tree.query_nearest(shapely.points(points), all_matches=False, return_distance=True)
+    distances: Array = far
+    return distances
 
 
 def _check_starts(layout: Layout, outline: Outline) -> None:
-    for i, start in enumerate(layout.starts):
-        point = Point(start.point)
-        if not outline.free_area.contains(point):
-            raise LayoutError(f"starts.{i}.point: {start.point} lies inside a wall or cut off from starts.0")
-        clearance = outline.free_area.boundary.distance(point)
+    points = outline.starts[:, :2]
+    inside = shapely.contains_xy(outline.free_area, points)
+    for i, clearance in enumerate(_from_faces(outline, points).tolist()):
+        given = f"starts.{i}.point: {layout.starts[i].point}"
+        if not inside[i]:
+            raise LayoutError(f"{given} lies inside a wall or cut off from starts.0")
         if clearance < ROBOT_RADIUS_M:
-            raise LayoutError(
-                f"starts.{i}.point: {start.point} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}"
-            )
+            raise LayoutError(f"{given} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}")
+
+
+def _check_density(outline: Outline) -> None:
+    """Straight faces lie near each other seldom enough for the robot's reach to be computed quickly."""
+    lines = shapely.linestrings(outline.segments[~outline.round])
+    tree, boxes, near = shapely.STRtree(lines), 0, 0
+    for first in range(0, len(lines), CHUNK):
+        some = lines[first : first + CHUNK]
+        boxes += tree.query(some).shape[1]
+        near += tree.query(some, predicate="dwithin", distance=NEAR_M).shape[1] if boxes <= MAX_SLANTED else 0
+        if near > MAX_NEAR or boxes > MAX_SLANTED:
+            raise LayoutError(f"walls: too many faces within {NEAR_M} m of each other, at most {MAX_NEAR} pairs")
 
 
 def _check_reach(layout: Layout, outline: Outline) -> None:
@@ -179,5 +231,5 @@ def _check_reach(layout: Layout, outline: Outline) -> None:
         if not reach.intersects(Point(centre)):
             raise LayoutError(f"doors.{i}: too narrow or blocked for a radius of {ROBOT_RADIUS_M} m")
     for i, start in enumerate(layout.starts):
-        if reach.distance(Point(start.point)) > ON_LINE_M:
+        if not shapely.dwithin(reach, Point(start.point), ON_LINE_M):
             raise LayoutError(f"starts.{i}.point: {start.point} cannot be reached from starts.0")

@@ -20,10 +20,11 @@ from shapely.geometry.base import BaseGeometry
 from mecp_env.errors import LayoutError
 from mecp_env.slam.data import Cell, SemanticGrid
 from mecp_env.world.layout import Layout
-from mecp_env.world.outline import Outline, build_outline, door_ring
+from mecp_env.world.outline import Outline, build_outline, door_ring, thin_walls_m
 
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # as map_server's own saver writes them
 WALL_M = 0.15  # so much of what bounds the floor is drawn as wall; behind it nothing is known
+THIN = 0.95  # of a pixel: a thinner wall would have holes
 MAX_PIXELS = 4096 * 4096
 YAML = """image: {image}
 mode: trinary
@@ -41,7 +42,7 @@ def save_map_server(
     """Write `stem`.yaml and `stem`.pgm for the map_server of ROS; the two paths.
 
     A layout is drawn with pixels of `resolution_m`; a grid keeps its own. Raises LayoutError for more than 4096 x 4096
-    pixels, and OSError where the files cannot be written.
+    pixels, for walls thinner than a pixel, and OSError where the files cannot be written.
     """
     stem = Path(stem)
     if isinstance(given, Layout):
@@ -58,6 +59,9 @@ def _raster(outline: Outline, resolution_m: float) -> tuple[NDArray[np.uint8], N
     """Levels (h,w), row 0 at the bottom, of the floor and the walls around it; where its lower left corner lies."""
     if not 0.005 <= resolution_m <= 1.0:
         raise LayoutError(f"resolution_m: from 0.005 to 1 m (given: {resolution_m!r:.80})")
+    thin_m = thin_walls_m(outline.free_area, THIN * resolution_m)
+    if thin_m > 0.0:
+        raise LayoutError(f"resolution_m: {thin_m:.1f} m of walls are thinner than a pixel of {resolution_m:g} m")
     wall = max(WALL_M, 1.5 * resolution_m)
     x0, y0, x1, y1 = outline.free_area.buffer(wall + resolution_m).bounds
     width, height = math.ceil((x1 - x0) / resolution_m), math.ceil((y1 - y0) / resolution_m)

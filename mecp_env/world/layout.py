@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.errors import LayoutError
+from mecp_env.settings import guess
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.schema import Layout
 
@@ -16,7 +17,7 @@ LIBRARY = Path(__file__).parent / "library"
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 32
 
-__all__ = ["Layout", "load_layout", "shipped_layouts"]
+__all__ = ["MAX_BYTES", "Layout", "load_layout", "shipped_layouts"]
 
 
 def shipped_layouts() -> tuple[str, ...]:
@@ -53,11 +54,11 @@ def _parse(given: str | Path | dict[str, Any] | Layout) -> Layout:
 
 def _read(given: str | Path) -> bytes:
     """The bytes of the file that a shipped name or a path stands for."""
-    shipped = LIBRARY / f"{given}.json"
-    path = shipped if str(given) in shipped_layouts() else Path(given)
+    names = shipped_layouts()
+    path = LIBRARY / f"{given}.json" if str(given) in names else Path(given)
     try:
         if not path.is_file():
-            raise LayoutError(f"no such file; shipped layouts are {', '.join(shipped_layouts())}")
+            raise LayoutError(f"no such file; shipped layouts are {', '.join(names)}{guess(given, names)}")
         if path.suffix != ".json":
             raise LayoutError(f"a layout file ends in .json, given {path.suffix!r}")
         if path.stat().st_size > MAX_BYTES:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from mecp_env.errors import LayoutError
 from mecp_env.slam.geometry import wrap_angle
-from mecp_env.world.schema import Box, Layout, Obstacle, Pillar, Solid
+from mecp_env.world.schema import ROUND_FACES, Box, Layout, Obstacle, Pillar, Solid
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,8 +31,9 @@ ROBOT_RADIUS_M = 0.22  # the paper's robot
 SNAP_M = 1e-6  # the free area is rounded to this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
 GAP_POST_M = 0.12  # between a corner of a gap and the convex corner that is its post
+THIN_FOR_M = 0.2  # a wall that is thin for so long is a thin wall
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-CIRCLE_SIDES = 32  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
+CIRCLE_SIDES = ROUND_FACES  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,9 +121,9 @@ def build_outline(layout: Layout) -> Outline:
 
 def wall_lines(layout: Layout) -> tuple[list[LineString], Array]:
     """Middle line of every straight stretch of wall, and the thickness (n,) of each."""
-    lines = [LineString(pair) for wall in layout.walls for pair in pairwise(wall.points)]
+    stretches = [pair for wall in layout.walls for pair in pairwise(wall.points)]
     thickness = [wall.thickness_m for wall in layout.walls for _ in pairwise(wall.points)]
-    return lines, np.array(thickness)
+    return shapely.linestrings(np.array(stretches).reshape(-1, 2, 2)).tolist(), np.array(thickness)
 
 
 def reachable(outline: Outline) -> BaseGeometry:
@@ -145,6 +148,15 @@ def random_free_pose(outline: Outline, rng: np.random.Generator, clearance_m: fl
             return np.array([x, y, rng.uniform(-math.pi, math.pi)])
 
 
+def thin_walls_m(floor: Polygon, least_m: float) -> float:
+    """Length, m, of the walls between parts of `floor` that are thinner than that; shorter ones than 0.2 m are none."""
+    closed = floor.buffer(least_m / 2.0, join_style="mitre").buffer(-least_m / 2.0, join_style="mitre")
+    parts = shapely.get_parts(closed.difference(floor))
+    around, area = shapely.length(parts), shapely.area(parts)
+    walls = (around > 2.0 * THIN_FOR_M) & (area > 0.5 * SAME_M * around)  # the others are rounding along a face
+    return float(around[walls].sum() / 2.0)
+
+
 def obstacle_shape(obstacle: Obstacle) -> Polygon:
     """The solid of an obstacle."""
     if isinstance(obstacle, Pillar):
@@ -165,7 +177,8 @@ def _rotation(angle: float) -> Array:
 def _doors(layout: Layout) -> Doors:
     """The doors with the thickness of the wall that each is cut from. Raises LayoutError for a cut without a wall."""
     centres = np.array([door.centre for door in layout.doors]).reshape(-1, 2)
-    rooms = [(layout.room_index(door.rooms[0]), layout.room_index(door.rooms[1])) for door in layout.doors]
+    index = {room.name: i for i, room in reversed(list(enumerate(layout.rooms)))}
+    rooms = [(index.get(door.rooms[0], -1), index.get(door.rooms[1], -1)) for door in layout.doors]
     return Doors(
         centre=centres,
         width=np.array([door.width_m for door in layout.doors]),
@@ -213,7 +226,9 @@ def _free_area(layout: Layout, doors: Doors) -> Polygon:
 
 def _wall_solids(layout: Layout) -> NDArray[np.object_]:
     """The solid of each wall, with square ends and mitred corners."""
-    lines = np.array([LineString(wall.points) for wall in layout.walls], dtype=np.object_)
+    points = np.array([point for wall in layout.walls for point in wall.points]).reshape(-1, 2)
+    wall_of = np.repeat(np.arange(len(layout.walls)), [len(wall.points) for wall in layout.walls])
+    lines = shapely.linestrings(points, indices=wall_of)
     half = np.array([wall.thickness_m / 2.0 for wall in layout.walls])
     solids: NDArray[np.object_] = shapely.buffer(lines, half, cap_style="square", join_style="mitre")
     return solids
@@ -291,19 +306,23 @@ def _door_of(p_world: Array, convex: Bools, doors: Doors) -> Ints:
     The posts of a gap are the convex corners nearest to its own four: what was drawn or measured is not quite square.
     """
     door = np.full(len(p_world), -1, dtype=np.int64)
-    for index in range(len(doors)):
-        far = np.linalg.norm(p_world[:, None] - door_ring(doors, index, 0.0)[None], axis=2)
+    reach = 0.5 * np.hypot(doors.width, doors.thickness) + 1.01 * GAP_POST_M
+    around: Any = cKDTree(p_world).query_ball_point(doors.centre, reach) if len(p_world) and len(doors) else []
+    for index, near in enumerate(map(sorted, around)):
+        far = np.linalg.norm(p_world[near][:, None] - door_ring(doors, index, 0.0)[None], axis=2)
         if doors.gap[index]:
-            far[~convex] = np.inf
+            far[~convex[near]] = np.inf
             far[far > far.min(axis=0, initial=GAP_POST_M)] = np.inf
-        door[np.any(far < (GAP_POST_M if doors.gap[index] else SAME_M), axis=1)] = index
+        posts = np.any(far < (GAP_POST_M if doors.gap[index] else SAME_M), axis=1)
+        door[np.array(near, np.int64)[posts]] = index
     return door
 
 
 def _nearest_room(p_world: Array, rooms: tuple[Polygon, ...]) -> Ints:
     """Index (n,) of the room nearest to each point, or -1 where none lies within 0.3 m."""
-    points = shapely.points(p_world)
-    far = np.stack([shapely.distance(points, room) for room in rooms])
-    nearest: Ints = np.argmin(far, axis=0)
-    nearest[np.min(far, axis=0) > 0.3] = -1
+    tree, points = shapely.STRtree(rooms), shapely.points(p_world)
+    point, room = tree.query_nearest(points, max_distance=0.3)
+    nearest = np.full(len(p_world), len(rooms), dtype=np.int64)
+    np.minimum.at(nearest, point, room)
+    nearest[nearest == len(rooms)] = -1
     return nearest

@@ -22,13 +22,16 @@ from mecp_env.settings import describe
 EXTENT_M = 1000.0
 MAX_WALLS = 10_000
 MAX_SOLID_POINTS = 20_000
+MAX_ROOM_POINTS = 20_000  # of all rooms
+MAX_FACES = 20_000  # of walls, solids and obstacles as if none touched another
+ROUND_FACES = 32
 
 Length = Annotated[float, Strict(), Field(ge=-EXTENT_M, le=EXTENT_M)]
 Size = Annotated[float, Strict(), Field(ge=0.02, le=EXTENT_M)]
 Degrees = Annotated[float, Strict(), Field(ge=-360.0, le=360.0)]
 Point = tuple[Length, Length]
-Ring = Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)]
-LongRing = Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_SOLID_POINTS)]
+Ring = Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000, fail_fast=True)]
+LongRing = Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_SOLID_POINTS, fail_fast=True)]
 Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 
@@ -39,7 +42,7 @@ class _Part(BaseModel):
 class Wall(_Part):
     """A wall as a thick solid: the polyline of its middle, with square ends."""
 
-    points: Annotated[tuple[Point, ...], Field(min_length=2, max_length=1000)]
+    points: Annotated[tuple[Point, ...], Field(min_length=2, max_length=1000, fail_fast=True)]
     thickness_m: Annotated[float, Strict(), Field(ge=0.02, le=5.0)] = 0.12
 
     @model_validator(mode="after")
@@ -108,6 +111,13 @@ class Pillar(_Part):
 Obstacle = Annotated[Box | Block | Pillar, Field(discriminator="kind")]
 
 
+def faces_of(obstacle: Box | Block | Pillar) -> int:
+    """How many faces an obstacle has."""
+    if isinstance(obstacle, Block):
+        return len(obstacle.points)
+    return 4 if isinstance(obstacle, Box) else ROUND_FACES
+
+
 class Start(_Part):
     """A pose from which an episode may start."""
 
@@ -133,7 +143,7 @@ class Layout(_Part):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            raise LayoutError(describe(error, "layout")) from None
+            raise LayoutError(describe(error, "layout", type(self))) from None
 
     @field_validator("solids")
     @classmethod
@@ -149,6 +159,25 @@ class Layout(_Part):
         if not walls and not info.data.get("solids"):
             raise ValueError("Tuple should have at least 1 item, for there are no solids")
         return walls
+
+    @field_validator("rooms")
+    @classmethod
+    def _are_few_corners(cls, rooms: tuple[Room, ...]) -> tuple[Room, ...]:
+        corners = sum(len(room.polygon) for room in rooms)
+        if corners > MAX_ROOM_POINTS:
+            raise ValueError(f"{corners} points, at most {MAX_ROOM_POINTS}")
+        return rooms
+
+    @model_validator(mode="after")
+    def _has_few_faces(self) -> Self:
+        faces = sum(2 * len(wall.points) for wall in self.walls) + sum(map(faces_of, self.obstacles))
+        faces += sum(len(ring) for solid in self.solids for ring in (solid.outer, *solid.holes))
+        if faces > MAX_FACES:
+            raise ValueError(
+                f"walls, solids, obstacles: {faces} faces, at most {MAX_FACES} "
+                f"(two for each point of a wall, one of a solid or polygon, 4 a box, {ROUND_FACES} a pillar)"
+            )
+        return self
 
     def room_index(self, name: str) -> int:
         """Index of the room called `name`, or -1."""

@@ -11,13 +11,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from mecp_env.errors import ConfigError
-from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
+from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
 from mecp_env.world.importers import PlanOptions, load_plan
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 
 GENERATE, PLAN = "generate", "plan"  # the keys of a layout given as a specification, and as plans
 PLAN_ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
+KEYWORDS = {  # beside the fields of the environment's configuration
+    GENERATE: ("difficulty", "split", *GeneratorSpec.model_fields),
+    PLAN: ("plan", "kind", *PlanOptions.model_fields),
+}
 
 
 class Source(Protocol):
@@ -99,7 +103,7 @@ def _made(key: str, given: Any) -> Source:
 
 def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
     if split not in SPLITS:
-        raise ConfigError(f"split: {split!r:.80} is none of {', '.join(SPLITS)}")
+        raise ConfigError(unknown_split(split))
     return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
 
 
@@ -116,17 +120,16 @@ def _plans(path: str | os.PathLike[str] | None = None, **reading: Any) -> PlanFi
 
 def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Keywords of `FloorPlan-v0`, those of the plans and those of the environment."""
-    plan = {name: value for name, value in keywords.items() if name in {"kind", *PlanOptions.model_fields}}
+    plan = {name: value for name, value in keywords.items() if name in KEYWORDS[PLAN] and name != "plan"}
     if "plan" in keywords:
         plan["path"] = os.fspath(keywords["plan"])
-    return plan, {name: value for name, value in keywords.items() if name not in {"plan", *plan}}
+    return plan, {name: value for name, value in keywords.items() if name not in KEYWORDS[PLAN]}
 
 
 def generator_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Keywords of `Rooms-v0`, those of the buildings and those of the environment."""
-    mine = {"difficulty", "split", *GeneratorSpec.model_fields}
-    spec = {name: value for name, value in keywords.items() if name in mine}
-    return spec, {name: value for name, value in keywords.items() if name not in mine}
+    spec = {name: value for name, value in keywords.items() if name in KEYWORDS[GENERATE]}
+    return spec, {name: value for name, value in keywords.items() if name not in KEYWORDS[GENERATE]}
 
 
 def draw_building(source: Source, rng: np.random.Generator) -> int:

@@ -5,6 +5,6 @@ doors along a spanning tree and as many more as there shall be loops (`doorplan`
 """
 
 from mecp_env.world.generator.build import generate
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
 
-__all__ = ["DIFFICULTIES", "SPLITS", "GeneratorSpec", "generate", "split_seed"]
+__all__ = ["DIFFICULTIES", "SPLITS", "GeneratorSpec", "generate", "split_seed", "unknown_split"]

@@ -3,58 +3,83 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from mecp_env.errors import ConfigError
+from mecp_env.errors import ConfigError, LayoutError
 from mecp_env.world.generator.doorplan import Opening, plan_doors
-from mecp_env.world.generator.furniture import Placed, edge_distances, furnish, inside
+from mecp_env.world.generator.furniture import Array, Placed, edge_distances, furnish, inside
 from mecp_env.world.generator.partition import Point, Space, partition
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 from mecp_env.world.generator.walls import Line, borders, joined, shared_stretches, wall_lines
 from mecp_env.world.schema import Layout
 
-ATTEMPTS = 100  # buildings thrown away before a specification is called impossible
+ATTEMPTS = 100  # buildings thrown away before a specification is called impossible,
+FURNISHED = 10  # and of these with too little furniture
 START_CLEAR_M = 0.45  # between a start and every wall and piece
 MOST_STARTS = 4
 START_TRIES = 20  # to find one in a room
 
 
 def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) -> Layout:
-    """The building of a seed: rooms, corridors, doors and furniture as the specification declares them.
+    """The building of a seed: rooms, corridors, doors, slanted corners and furniture as the specification declares.
 
     The same specification and seed give the same layout. Every room and door is in reach of a robot of 0.22 m; no two
     corners of a room but the posts of a door are nearer to each other than 0.25 m. Raises `ConfigError` for a wrong
     field, and for a specification that no building fulfils.
     """
     spec = GeneratorSpec.parse(spec)
+    spec.require_doors()
     rng = np.random.default_rng(seed)
-    for _ in range(ATTEMPTS):
-        layout = _attempt(spec, seed, rng)
-        if layout is not None:
+    rejected: list[Rejected] = []
+    while len(rejected) < ATTEMPTS and sum(why.field == "furniture" for why in rejected) < FURNISHED:
+        try:
+            layout = _attempt(spec, seed, rng)
+        except LayoutError as error:
+            raise ConfigError(f"rooms, furniture: more than a layout may hold ({error})") from None
+        if isinstance(layout, Layout):
             return layout
-    raise ConfigError(
-        f"no building of {spec.rooms} rooms with {spec.loops} loops found in {ATTEMPTS} attempts; ask for less"
-    )
+        rejected.append(layout)
+    raise ConfigError(_impossible(spec, rejected))
 
 
-def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout | None:
-    """One try: None when rooms do not fit into the plot, or doors not between the rooms."""
+def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
+    """What to say of a specification: the field that failed most often or last, its value, the most that there was."""
+    counts = Counter(why.field for why in rejected)
+    field = "furniture" if counts["furniture"] >= FURNISHED else counts.most_common(1)[0][0]
+    most = max(why.most for why in rejected if why.field == field)
+    value, tried = getattr(spec, field), f"in {len(rejected)} tries at buildings of {spec.rooms} rooms"
+    say = {
+        "rooms": "rooms with these corridors and shapes, none fitted together",
+        "loops": f"loops, at most {most:.0f} came about",
+        "slanted_corners": f"slanted corners, at most {most:.0f} came about",
+        "furniture": f"pieces on 10 m2, at most {most:.2f} found room (0.8 m clear of each other and of walls)",
+    }
+    return f"{field}: {value:g} {say[field]} {tried}; ask for less, or for larger rooms"
+
+
+def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout | Rejected:
+    """One try: rejected when rooms do not fit into the plot, doors not between the rooms, furniture not into them."""
     spaces = partition(spec, rng)
     if spaces is None:
-        return None
-    thickness = round(float(rng.uniform(*spec.wall_thickness_m)), 3)
+        return Rejected("rooms")
+    thickness = spec.drawn_thickness_m(rng)
     slants = _cut_corners(spaces, spec, rng)
+    if len(slants) < spec.slanted_corners:
+        return Rejected("slanted_corners", len(slants))
     lines = borders(spaces)
     doors = plan_doors(spaces, shared_stretches(lines), thickness, spec, rng)
-    if doors is None:
-        return None
+    if isinstance(doors, Rejected):
+        return doors
     furniture = furnish(spaces, doors, thickness, spec, rng)
+    if isinstance(furniture, Rejected):
+        return furniture
     starts = _starts(spaces, furniture, rng)
     if not starts:
-        return None
+        return Rejected("furniture")
     walls = joined(wall_lines(lines), slants)
     turn = math.radians(rng.uniform(*spec.turned_deg))
     return _layout(f"rooms-{spec.rooms}-{seed}", _Turned(turn), (spaces, walls, doors, furniture, starts), thickness)
@@ -84,19 +109,21 @@ def _cut(ring: list[Point], corner: Point, rng: np.random.Generator) -> tuple[Po
 
 def _starts(spaces: list[Space], furniture: list[Placed], rng: np.random.Generator) -> list[tuple[Point, float]]:
     """A start in each of a few rooms in random order: point and heading in degrees."""
-    points = (_free_point(spaces[index].ring, furniture, rng) for index in rng.permutation(len(spaces)).tolist())
+    circles = np.concatenate([piece.circles for piece in furniture] or [np.empty((0, 3))])
+    points = (
+        _free_point(np.array(spaces[index].ring), circles, rng) for index in rng.permutation(len(spaces)).tolist()
+    )
     found = [point for point in islice(points, 2 * MOST_STARTS) if point is not None]
     return [(point, float(rng.integers(-180, 180))) for point in found[:MOST_STARTS]]
 
 
-def _free_point(ring: list[Point], furniture: list[Placed], rng: np.random.Generator) -> Point | None:
-    """A point of a room, clear of its walls and of all furniture."""
-    low, high = np.min(ring, axis=0), np.max(ring, axis=0)
-    for x, y in rng.uniform(low, high, (START_TRIES, 2)).tolist():
-        clear = inside(ring, x, y) and min(edge_distances(ring, x, y)) > START_CLEAR_M + 0.1
-        if clear and all(math.dist(p[:2], (x, y)) > p.radius + START_CLEAR_M for p in furniture):
-            return x, y
-    return None
+def _free_point(ring: Array, circles: Array, rng: np.random.Generator) -> Point | None:
+    """A point of a room, clear of its walls and of the circles (c,3) around all furniture."""
+    points = rng.uniform(ring.min(axis=0), ring.max(axis=0), (START_TRIES, 2))
+    off = np.hypot(points[:, :1] - circles[:, 0], points[:, 1:] - circles[:, 1]) - circles[:, 2]
+    clear = inside(ring, points) & (edge_distances(ring, points).min(axis=1) > START_CLEAR_M + 0.1)
+    found = np.flatnonzero(clear & (off.min(axis=1, initial=np.inf) > START_CLEAR_M))
+    return (float(points[found[0], 0]), float(points[found[0], 1])) if len(found) else None
 
 
 class _Turned:

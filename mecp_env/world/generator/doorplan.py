@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mecp_env.world.generator.partition import Point, Space
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 from mecp_env.world.generator.walls import Shared
 
 ANY = 1000  # doors of a corridor
@@ -26,13 +26,13 @@ class Opening(NamedTuple):
 
 def plan_doors(
     spaces: list[Space], stretches: list[Shared], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Opening] | None:
-    """rooms - 1 + loops doors that join all rooms, no two between the same rooms; None when that cannot be."""
+) -> list[Opening] | Rejected:
+    """rooms - 1 + loops doors that join all rooms, no two between the same rooms; else what could not be."""
     widths = rng.uniform(*spec.door_width_m, spec.rooms - 1 + spec.loops)
     places = _places(stretches, float(widths.max()) + 2.0 * POST_M + thickness)
     pairs = _chosen(list(places), spaces, spec, rng)
-    if pairs is None:
-        return None
+    if isinstance(pairs, Rejected):
+        return pairs
     return [_opening(places[pair], float(width), thickness, rng) for pair, width in zip(pairs, widths, strict=True)]
 
 
@@ -48,7 +48,7 @@ def _places(stretches: list[Shared], least: float) -> dict[tuple[int, int], Shar
 
 def _chosen(
     pairs: list[tuple[int, int]], spaces: list[Space], spec: GeneratorSpec, rng: np.random.Generator
-) -> list[tuple[int, int]] | None:
+) -> list[tuple[int, int]] | Rejected:
     """The pairs of rooms that get a door: first a tree in random order, through corridors rather, then the loops."""
     corridor = np.array([space.corridor for space in spaces])
     order = rng.random(len(pairs)) - 0.5 * corridor[np.array(pairs, np.int64).reshape(-1, 2)].sum(axis=1)
@@ -56,8 +56,9 @@ def _chosen(
     most = np.where(corridor, ANY, spec.max_doors).tolist()
     tree = _tree(ranked, most)
     loops = [pair for pair in ranked if pair not in tree and _take(pair, most)]
-    whole = len(tree) == spec.rooms - 1 and len(loops) >= spec.loops
-    return tree + loops[: spec.loops] if whole else None
+    if len(tree) < spec.rooms - 1:
+        return Rejected("rooms")
+    return tree + loops[: spec.loops] if len(loops) >= spec.loops else Rejected("loops", len(loops))
 
 
 def _tree(ranked: list[tuple[int, int]], most: list[int]) -> list[tuple[int, int]]:

@@ -1,48 +1,112 @@
-"""Furniture that leaves every way open: clear of doors, of other pieces, and of walls or flush with one."""
+"""Furniture that leaves every way open: clear of doors, of other pieces, and of walls or flush with one.
+
+A piece is covered by circles, so that all distances are those of points, of many candidate places at a time.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mecp_env.world.generator.doorplan import Opening
 from mecp_env.world.generator.partition import Point, Space
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.generator.spec import GeneratorSpec, Rejected
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that it does not stand against
 DOOR_CLEAR_M = 1.1  # between a piece and the middle of a door
-TRIES = 4  # to find a place for a piece
+PLACES = 32  # that are looked at for a piece in a room
+ROUNDS = 3  # through all rooms with what found no place in the room that it was meant for
+LEAST_SHARE = 0.85  # of the pieces that are asked for
 
 
 class Placed(NamedTuple):
-    """A piece of furniture by a circle around it, and as the layout has it."""
+    """A piece of furniture by circles that cover it, and as the layout has it."""
 
-    x: float
-    y: float
-    radius: float
+    circles: Array  # (k,3) x, y, radius, m
     obstacle: dict[str, Any]
+
+
+class Places(NamedTuple):
+    """Where a piece may stand."""
+
+    centres: Array  # (m,k,2) m, of its circles
+    radius: float  # m, of each
+    wall: NDArray[np.int64]  # (m,) the wall that it stands against, or -1
+    obstacles: list[dict[str, Any]]  # (m,) the piece at each place
 
 
 def furnish(
     spaces: list[Space], doors: list[Opening], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Placed]:
-    """The furniture of all rooms but the corridors; fewer pieces than asked for where there is no room for them."""
-    placed: list[Placed] = []
-    for index, space in enumerate(spaces):
-        if space.corridor:
-            continue
-        count = rng.poisson(spec.furniture * ring_area(space.ring) / 10.0)
-        here = [door.centre for door in doors if index in door.rooms]
-        mine: list[Placed] = []
-        for kind in rng.choice(spec.pieces, count).tolist():
-            piece = _try(kind, space.ring, thickness, here, mine, rng)
-            mine += [piece] if piece is not None else []
-        placed += mine
-    return placed
+) -> list[Placed] | Rejected:
+    """The furniture of all rooms but the corridors, as many pieces as the specification says; else what did fit.
+
+    Each room has its share; what finds no place there stands in another one.
+    """
+    rooms = [_room(index, space, doors, thickness) for index, space in enumerate(spaces) if not space.corridor]
+    areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
+    wanted = spec.furniture * float(areas.sum()) / 10.0
+    if wanted == 0.0:
+        return []
+    left: list[str] = []
+    for room, count in zip(rooms, _counts(areas, round(wanted), rng), strict=True):
+        left += [kind for kind in rng.choice(spec.pieces, count).tolist() if not room.put(kind, rng)]
+    _elsewhere(left, rooms, spec, rng)
+    placed = [piece for room in rooms for piece in room.pieces]
+    enough = len(placed) >= min(round(wanted), LEAST_SHARE * wanted)
+    return placed if enough else Rejected("furniture", spec.furniture * len(placed) / wanted)
+
+
+def _counts(areas: Array, total: int, rng: np.random.Generator) -> list[int]:
+    """So many pieces in all, for each room by its area, rounded up or down by chance."""
+    ends = np.floor(np.cumsum(areas) * (total / float(areas.sum())) + rng.uniform(1e-6, 1.0 - 1e-6))
+    counts: list[int] = np.diff(ends, prepend=0.0).astype(np.int64).tolist()
+    return counts
+
+
+def _elsewhere(kinds: list[str], rooms: list[Room], spec: GeneratorSpec, rng: np.random.Generator) -> None:
+    """Put pieces into any rooms; in the last round pieces of any kind that may be."""
+    for turn in range(ROUNDS):
+        tried = rng.choice(spec.pieces, len(kinds)).tolist() if turn == ROUNDS - 1 else kinds
+        orders = [rng.permutation(len(rooms)).tolist() for _ in kinds]
+        kinds = [k for k, order in zip(tried, orders, strict=True) if not any(rooms[i].put(k, rng) for i in order)]
+
+
+@dataclass(slots=True)
+class Room:
+    """A room and what stands in it."""
+
+    ring: Array  # (n,2) m
+    doors: Array  # (d,2) m, their middles
+    thickness: float  # m, of the walls
+    circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
+    pieces: list[Placed] = field(default_factory=list)
+
+    def put(self, kind: str, rng: np.random.Generator) -> bool:
+        """Put a piece where it is in nobody's way; False where no such place was found."""
+        places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _standing(kind, self.ring, rng)
+        fits = np.flatnonzero(_is_clear(places, self))
+        if not len(fits):
+            return False
+        first = int(fits[0])
+        centres = places.centres[first]
+        piece = Placed(np.column_stack([centres, np.full(len(centres), places.radius)]), places.obstacles[first])
+        self.pieces.append(piece)
+        self.circles = np.concatenate([self.circles, piece.circles])
+        return True
+
+
+def _room(index: int, space: Space, doors: list[Opening], thickness: float) -> Room:
+    here = [door.centre for door in doors if index in door.rooms]
+    return Room(np.array(space.ring), np.array(here).reshape(-1, 2), thickness)
 
 
 def ring_area(ring: Sequence[Point]) -> float:
@@ -50,71 +114,93 @@ def ring_area(ring: Sequence[Point]) -> float:
     return 0.5 * abs(sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise([*ring, ring[0]])))
 
 
-def inside(ring: Sequence[Point], x: float, y: float) -> bool:
-    """True when the point lies in the simple polygon."""
-    crossings = 0
-    for (x0, y0), (x1, y1) in pairwise([*ring, ring[0]]):
-        crossings += (y0 > y) != (y1 > y) and x < (x1 - x0) * (y - y0) / (y1 - y0) + x0
-    return crossings % 2 == 1
+def inside(ring: Array, points: Array) -> Bools:
+    """Which points (m,2) lie in the simple polygon (n,2)."""
+    (x0, y0), (x1, y1) = ring.T, following(ring).T
+    x, y = points[:, :1], points[:, 1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossed = ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
+    odd: Bools = crossed.sum(axis=1) % 2 == 1
+    return odd
 
 
-def edge_distances(ring: Sequence[Point], x: float, y: float) -> list[float]:
-    """Distance of a point from each edge of a ring, m."""
-    distances = []
-    for (x0, y0), (x1, y1) in pairwise([*ring, ring[0]]):
-        dx, dy = x1 - x0, y1 - y0
-        t = min(max(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0.0), 1.0)
-        distances.append(math.hypot(x - x0 - t * dx, y - y0 - t * dy))
-    return distances
+def edge_distances(ring: Array, points: Array) -> Array:
+    """Distances (...,n) m of points (...,2) from each edge of a ring (n,2)."""
+    (x0, y0), (dx, dy) = ring.T, (following(ring) - ring).T
+    x, y = points[..., :1] - x0, points[..., 1:] - y0
+    share = np.minimum(np.maximum((x * dx + y * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+    far: Array = np.hypot(x - share * dx, y - share * dy)
+    return far
 
 
-def _try(
-    kind: str, ring: list[Point], thickness: float, doors: list[Point], placed: list[Placed], rng: np.random.Generator
-) -> Placed | None:
-    """A piece where it is in nobody's way, or None after a few tries."""
-    for _ in range(TRIES):
-        piece, wall = _shelf(ring, thickness, rng) if kind == "shelf" else (_standing(kind, ring, rng), -1)
-        if _is_clear(piece, ring, wall, thickness) and _is_free(piece, doors, placed):
-            return piece
-    return None
+def following(ring: Array) -> Array:
+    """For each corner (n,2) of a ring the next one."""
+    return np.concatenate([ring[1:], ring[:1]])
 
 
-def _is_clear(piece: Placed, ring: list[Point], wall: int, thickness: float) -> bool:
-    """True when a piece stands in the room, away from every wall but the one that it stands against (-1: none)."""
-    least = piece.radius + CLEAR_M + thickness / 2.0
-    far = edge_distances(ring, piece.x, piece.y)
-    return inside(ring, piece.x, piece.y) and all(d >= least for edge, d in enumerate(far) if edge != wall)
+def _is_clear(places: Places, room: Room) -> Bools:
+    """At which places (m,) a piece stands in the room, away from doors, pieces, and walls but its own."""
+    far = edge_distances(room.ring, places.centres).min(axis=1)
+    own = places.wall[:, None] == np.arange(len(room.ring))
+    clear = inside(room.ring, places.centres.mean(axis=1))
+    clear &= (far + np.where(own, np.inf, 0.0)).min(axis=1) >= places.radius + CLEAR_M + room.thickness / 2.0
+    return clear & _is_off(places, room.doors, DOOR_CLEAR_M) & _is_off(places, room.circles, CLEAR_M)
 
 
-def _is_free(piece: Placed, doors: list[Point], placed: list[Placed]) -> bool:
-    """True when a piece stands away from the doors and from the other pieces."""
-    free = all(math.dist(door, piece[:2]) >= piece.radius + DOOR_CLEAR_M for door in doors)
-    return free and all(math.dist(p[:2], piece[:2]) >= p.radius + piece.radius + CLEAR_M for p in placed)
+def _is_off(places: Places, others: Array, least_m: float) -> Bools:
+    """At which places (m,) a piece keeps so far from points (n,2) or circles (n,3)."""
+    if not len(others):
+        return np.ones(len(places.centres), np.bool_)
+    gap = np.hypot(places.centres[..., :1] - others[:, 0], places.centres[..., 1:] - others[:, 1]) - places.radius
+    gap -= others[:, 2] if others.shape[1] == 3 else 0.0
+    off: Bools = gap.min(axis=(1, 2)) >= least_m
+    return off
 
 
-def _standing(kind: str, ring: list[Point], rng: np.random.Generator) -> Placed:
+def _standing(kind: str, ring: Array, rng: np.random.Generator) -> Places:
     """A pillar or a box anywhere in the box around a room."""
-    x, y = (float(rng.uniform(min(values), max(values))) for values in zip(*ring, strict=True))
-    centre = (round(x, 3), round(y, 3))
+    centres = rng.uniform(ring.min(axis=0), ring.max(axis=0), (PLACES, 2)).round(3)
+    offsets, radius, piece = _piece(kind, rng)
+    pieces = [piece | {"centre": (x, y)} for x, y in centres.tolist()]
+    return Places(centres[:, None] + offsets, radius, np.full(PLACES, -1), pieces)
+
+
+def _piece(kind: str, rng: np.random.Generator) -> tuple[Array, float, dict[str, Any]]:
+    """A pillar or a box without a place: its circles around its middle, their radius, and as the layout has it."""
     if kind == "round_pillar":
         radius = round(float(rng.uniform(0.15, 0.3)), 3)
-        return Placed(*centre, radius, {"kind": "round", "centre": centre, "radius_m": radius})
+        return np.zeros((1, 2)), radius, {"kind": "round", "radius_m": radius}
     low, high = (0.25, 0.5) if kind == "square_pillar" else (0.4, 1.0)
     width, depth = (round(float(size), 3) for size in rng.uniform(low, high, 2))
-    size = (width, width) if kind == "square_pillar" else (width, depth)
-    turn = 0.0 if kind == "square_pillar" else round(float(rng.choice([0.0, rng.uniform(-45.0, 45.0)])), 2)
-    return Placed(*centre, math.hypot(*size) / 2.0, {"kind": "box", "centre": centre, "size": size, "turn_deg": turn})
+    if kind == "square_pillar":
+        return *_cover((width, width), 0.0), {"kind": "box", "size": (width, width), "turn_deg": 0.0}
+    turn = round(float(rng.choice([0.0, rng.uniform(-45.0, 45.0)])), 2)
+    return *_cover((width, depth), math.radians(turn)), {"kind": "box", "size": (width, depth), "turn_deg": turn}
 
 
-def _shelf(ring: list[Point], thickness: float, rng: np.random.Generator) -> tuple[Placed, int]:
-    """A shelf with its back to a wall of the room, and which wall that is."""
-    wall = int(rng.integers(len(ring)))
-    (x0, y0), (x1, y1) = ring[wall], ring[(wall + 1) % len(ring)]
-    long = math.hypot(x1 - x0, y1 - y0)
+def _shelf(ring: Array, thickness: float, rng: np.random.Generator) -> Places:
+    """A shelf with its back to a wall of the room."""
     length, depth = (round(float(size), 3) for size in (rng.uniform(0.8, 2.0), rng.uniform(0.3, 0.5)))
-    along, off = float(rng.uniform(0.0, long)), (depth + thickness) / 2.0
-    ux, uy = (x1 - x0) / long, (y1 - y0) / long
-    centre = (x0 + along * ux - off * uy, y0 + along * uy + off * ux)
-    turn = math.degrees(math.atan2(uy, ux))
-    obstacle = {"kind": "box", "centre": centre, "size": (length, depth), "turn_deg": turn}
-    return Placed(*centre, math.hypot(length, depth) / 2.0, obstacle), wall
+    wall = rng.integers(len(ring), size=PLACES)
+    ahead = (following(ring) - ring)[wall]
+    ahead /= np.hypot(ahead[:, :1], ahead[:, 1:])
+    share = rng.uniform(0.0, 1.0, (PLACES, 1))
+    centres = ring[wall] * (1.0 - share) + following(ring)[wall] * share
+    centres += (depth + thickness) / 2.0 * np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    offsets, radius = _cover((length, depth), 0.0)
+    circles = centres[:, None] + offsets[:, :1] * ahead[:, None]
+    turns = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])).tolist()
+    boxes = [
+        {"kind": "box", "centre": (x, y), "size": (length, depth), "turn_deg": turn}
+        for (x, y), turn in zip(centres.tolist(), turns, strict=True)
+    ]
+    return Places(circles, radius, wall, boxes)
+
+
+def _cover(size: tuple[float, float], turn: float) -> tuple[Array, float]:
+    """Circles that cover a rectangle along its longer side: centres (k,2) from its middle, and their radius, m."""
+    long, short = max(size), min(size)
+    count = max(1, round(long / short))
+    along = (np.arange(count) + 0.5 - count / 2.0) * long / count
+    turn += 0.0 if size[0] >= size[1] else math.pi / 2.0
+    return np.outer(along, (math.cos(turn), math.sin(turn))), math.hypot(long / count, short) / 2.0

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings
+from mecp_env.settings import Settings, as_many, as_range, guess
 
 Difficulty = Literal["easy", "medium", "hard", "huge"]
 Shape = Literal["L", "T", "U"]
 Piece = Literal["shelf", "box", "square_pillar", "round_pillar"]
+Single, Word = BeforeValidator(as_range), BeforeValidator(as_many)
 Side = Annotated[float, Field(ge=2.4, le=15.0)]
 Thickness = Annotated[float, Field(ge=0.05, le=0.4)]
 Width = Annotated[float, Field(ge=0.6, le=2.0)]
@@ -27,34 +29,50 @@ SPLITS: dict[str, range] = {
 }
 
 
-class GeneratorSpec(Settings):
-    """A building to generate; ranges (low, high) are drawn from evenly.
+class Rejected(NamedTuple):
+    """Why a try gave no building: the field that it could not keep, and how much of it there was."""
 
-    Rooms, doors, corridors and shapes come out exactly; slanted corners and furniture as far as there is room for them.
+    field: str
+    most: float = 0.0
+
+
+class GeneratorSpec(Settings):
+    """A building to generate; ranges (low, high) are drawn from evenly, a single number is the range of itself.
+
+    Rooms, doors, corridors, shapes and slanted corners come out exactly, furniture within 15 % (or the nearest whole
+    piece); a specification of which no building can be found is refused.
     """
 
     rooms: int = Field(8, ge=2, le=60)  # corridors are rooms too
     loops: int = Field(0, ge=0, le=30)  # doors beyond those that join all rooms: rooms - 1 + loops doors
     corridors: int = Field(0, ge=0, le=8)
-    corridor_width_m: tuple[Width, Width] = (1.6, 2.0)
-    room_side_m: tuple[Side, Side] = (3.2, 5.5)  # the side of a square of the room's area
+    corridor_width_m: Annotated[tuple[Width, Width], Single] = (1.6, 2.0)
+    room_side_m: Annotated[tuple[Side, Side], Single] = (3.2, 5.5)  # the side of a square of the room's area
     shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are no rectangle
-    shapes: Annotated[tuple[Shape, ...], Field(min_length=1)] = ("L", "T", "U")  # which they may be
+    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # which they may be
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
-    turned_deg: tuple[Turn, Turn] = (0.0, 0.0)  # the whole building against the axes
-    wall_thickness_m: tuple[Thickness, Thickness] = (0.12, 0.12)
-    door_width_m: tuple[Width, Width] = (0.9, 0.9)
+    turned_deg: Annotated[tuple[Turn, Turn], Single] = (0.0, 0.0)  # the whole building against the axes
+    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single] = (0.12, 0.12)
+    door_width_m: Annotated[tuple[Width, Width], Single] = (0.9, 0.9)
     max_doors: int = Field(4, ge=1, le=20)  # of a room; corridors may have any number
-    furniture: float = Field(0.0, ge=0.0, le=3.0)  # pieces on 10 m^2, as far as there is room for them
-    pieces: Annotated[tuple[Piece, ...], Field(min_length=1)] = ("shelf", "box", "square_pillar", "round_pillar")
+    # pieces on 10 m^2 of rooms, none in corridors; in rooms of 3.2-5.5 m about 2 find room (boxes 1), over 6 m 3
+    furniture: float = Field(0.0, ge=0.0, le=3.0)
+    pieces: Annotated[tuple[Piece, ...], Field(min_length=1), Word] = ("shelf", "box", "square_pillar", "round_pillar")
 
     @classmethod
     def preset(cls, difficulty: str = "medium", **fields: Any) -> Self:
         """The specification of a difficulty, with `fields` over it. Raises `ConfigError` for an unknown one."""
         if difficulty not in DIFFICULTIES:
-            raise ConfigError(f"difficulty: {difficulty!r:.80} is none of {', '.join(DIFFICULTIES)}")
+            raise ConfigError(
+                f"difficulty: {difficulty!r:.80} is none of {', '.join(DIFFICULTIES)}{guess(difficulty, DIFFICULTIES)}"
+            )
         return cls(**(DIFFICULTIES[difficulty] | fields))
+
+    def drawn_thickness_m(self, rng: np.random.Generator) -> float:
+        """A thickness of the walls, in whole millimetres where the range has one."""
+        low, high = self.wall_thickness_m
+        return min(max(round(float(rng.uniform(low, high)), 3), low), high)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -75,6 +93,21 @@ class GeneratorSpec(Settings):
                 f"door_width_m: up to {self.door_width_m[1]:g} m is too wide for rooms of {self.room_side_m[0]:g} m"
             )
         return self
+
+    def require_doors(self) -> None:
+        """Raise `ConfigError` for doors that no plan can have.
+
+        No two join the same rooms, and the plan is flat: one of n rooms has at most 3n - 6 doors (Euler).
+        """
+        ends = (self.rooms - self.corridors) * self.max_doors + self.corridors * (self.rooms - 1)
+        least, most = self.rooms - 1, min(max(3 * self.rooms - 6, 1), ends // 2)
+        if most < least:
+            raise ConfigError(f"max_doors: {self.max_doors}, too few to join {self.rooms} rooms")
+        if self.loops > most - least:
+            raise ConfigError(
+                f"loops: {self.loops} loops, at most {most - least} with {self.rooms} rooms on one floor, "
+                f"{self.corridors} of them corridors, the others of at most {self.max_doors} doors each"
+            )
 
 
 DIFFICULTIES: dict[str, dict[str, Any]] = {
@@ -105,10 +138,15 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
 }
 
 
+def unknown_split(split: object) -> str:
+    """What to say about an unknown split."""
+    return f"split: {split!r:.80} is none of {', '.join(SPLITS)}{guess(split, SPLITS)}"
+
+
 def split_seed(split: str, index: int) -> int:
     """The seed of building `index` of a split. Raises `ConfigError` for an unknown split or an index outside."""
     if split not in SPLITS:
-        raise ConfigError(f"split: {split!r:.80} is none of {', '.join(SPLITS)}")
+        raise ConfigError(unknown_split(split))
     if not 0 <= index < len(SPLITS[split]):
         raise ConfigError(f"index: {index}, split {split!r} has {len(SPLITS[split])} buildings")
     return SPLITS[split][index]

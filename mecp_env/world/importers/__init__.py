@@ -16,7 +16,7 @@ from mecp_env.world.importers.image import read_plain_image
 from mecp_env.world.importers.labelled import read_labelled_image
 from mecp_env.world.importers.map_server import read_map_server
 from mecp_env.world.importers.options import PlanOptions
-from mecp_env.world.layout import decode_json, load_layout
+from mecp_env.world.layout import MAX_BYTES, decode_json, load_layout
 from mecp_env.world.schema import Layout
 
 __all__ = ["KINDS", "PlanOptions", "load_plan"]
@@ -69,8 +69,11 @@ def _agreed(kind: Kind | None, *possible: Kind) -> Kind:
 
 
 def _load_json(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
-    document = decode_json(read_bytes(path, MAX_JSON_BYTES))
+    data = read_bytes(path, MAX_JSON_BYTES)
+    document = decode_json(data)
     found: Kind = "houseexpo" if "verts" in document else "layout"
+    if found == "layout" and len(data) > MAX_BYTES:
+        raise LayoutError(f"the file has {len(data)} bytes, at most {MAX_BYTES} of a layout")
     if _agreed(kind, "layout", "houseexpo") != found and kind is not None:
         raise LayoutError(f"kind: {kind}, but the fields are those of {found}")
     return load_layout(document) if found == "layout" else layout_of(read_houseexpo(document, path), options)

@@ -14,7 +14,6 @@ from mecp_env.world.checks import check_geometry
 from mecp_env.world.importers.clean import largest_part, reachable_floor
 from mecp_env.world.importers.doors_of import (
     FINE_STEP_M,
-    LEAST_DEPTH_M,
     Gap,
     Walls,
     find_doors,
@@ -25,7 +24,7 @@ from mecp_env.world.importers.doors_of import (
 from mecp_env.world.importers.options import FreeSpace, PlanOptions
 from mecp_env.world.importers.pieces import fitted
 from mecp_env.world.importers.rooms_of import Rooms, split
-from mecp_env.world.importers.straighten import directions, straightened, thinned
+from mecp_env.world.importers.straighten import along_directions, directions, straightened, thinned
 from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
 
@@ -34,11 +33,13 @@ MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
 MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
 RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
 MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
+CLEAN_SHARE = 0.7  # of the length of all edges of a plan that is not ragged goes along its directions
 MAX_FACES = 2_500  # of a floor drawn as coarsely as that
 MANY_CORNERS = 900  # of a room
 WALL_M = 0.15  # thickness of the walls around the building
 MOST_STARTS = 4
 START_CLEAR_M = 0.4  # between a start and every wall, where there is room
+DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
 MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 
@@ -84,9 +85,10 @@ def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
 
 
 def _is_ragged(floor: Polygon) -> bool:
-    """Whether its edges are many and short."""
+    """Whether its edges are many and short, and go anywhere: those of a large clean plan go along its directions."""
     faces = int(shapely.get_num_coordinates(floor))
-    return faces > MANY_FACES and floor.length / faces < SHORT_EDGE_M
+    many = faces > MANY_FACES and floor.length / faces < SHORT_EDGE_M
+    return many and along_directions(floor) < CLEAN_SHARE
 
 
 def _require_few(area: Polygon, most: int) -> None:
@@ -151,7 +153,7 @@ def _door(gap: Gap, rooms: tuple[str, str]) -> dict[str, object]:
         "rooms": rooms,
         "direction_deg": heading,
         "opening": "gap",
-        "depth_m": max(gap.depth_m, LEAST_DEPTH_M),
+        "depth_m": max(gap.depth_m, DOOR_DEPTH_M),
     }
 
 

@@ -33,7 +33,7 @@ PILLAR_M = 0.45  # and so is a smaller one of any shape
 FURNITURE_FILL = 0.55  # when it fills so much of the rectangle around it
 SAME_DOOR_M = 0.5  # two doorways so near to each other are one
 SIGHT_M = 4.0  # how far is far enough
-LEAST_DEPTH_M = 0.02  # of a doorway
+LEAST_DEPTH_M = 0.004  # of a doorway: of a wall as thin as a pixel less than a pixel may be left
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
 
 

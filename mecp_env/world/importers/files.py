@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import reprlib
 import struct
 import warnings
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from mecp_env.errors import LayoutError
+from mecp_env.settings import shown
 
 MAX_JSON_BYTES = 2_000_000
 MAX_IMAGE_BYTES = 20_000_000
@@ -90,11 +90,3 @@ def require(value: Any, field: str, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise LayoutError(f"{field}: a number from {low:g} to {high:g} expected (given: {shown(value)})")
     return float(value)
-
-
-def shown(value: Any) -> str:
-    """The beginning of what was given, for a message."""
-    try:
-        return f"{reprlib.repr(value):.80}"
-    except ValueError:  # an integer of too many digits
-        return type(value).__name__

@@ -9,7 +9,8 @@ from shapely.geometry import Polygon, box
 from shapely.validation import explain_validity
 
 from mecp_env.errors import LayoutError
-from mecp_env.world.importers.files import require, shown
+from mecp_env.settings import shown
+from mecp_env.world.importers.files import require
 from mecp_env.world.importers.options import FreeSpace
 from mecp_env.world.schema import EXTENT_M
 

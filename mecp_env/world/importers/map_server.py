@@ -11,7 +11,8 @@ import yaml
 from numpy.typing import NDArray
 
 from mecp_env.errors import LayoutError
-from mecp_env.world.importers.files import grey, read_bytes, read_image, require, shown
+from mecp_env.settings import shown
+from mecp_env.world.importers.files import grey, read_bytes, read_image, require
 from mecp_env.world.importers.options import FreeSpace, PlanOptions
 from mecp_env.world.importers.vectorise import Placement, floor_polygon
 

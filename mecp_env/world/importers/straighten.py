@@ -8,9 +8,10 @@ The corners are where neighbouring lines cross.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -18,15 +19,20 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
+from mecp_env.world.outline import thin_walls_m
+
 Array = NDArray[np.float64]
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing
-LESS_NOISE = (1.0, 1.6, 2.5)  # tried one after the other
+IN_LINE = (1.0, 0.5, 0.25, 0.0)  # of the noise between faces of one line; walls as thin as a pixel stand less by it
+LESS_NOISE = (1.0, 0.6, 0.4)  # believed, one after the other, until nothing crosses
+LEAST_WALL_M = 0.01  # a thinner one is lost
 BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
 THIN = 0.75  # of the noise, for the vertices that stay
 AXES = 3  # directions that a building may have, each with its square
 AXIS_SHARE = 0.12  # of the length of all edges, for a direction to be one of the building
 ONE_AXIS, OTHER_AXIS = math.radians(2.0), math.radians(10.0)  # edges nearer are of one, further of another direction
+DRAWN_AXIS = math.radians(3.0)  # an edge of a drawing that is nearer goes along it
 BINS, SPREAD = 360, 6  # of a quarter of a degree; a peak is so many bins wide on either side
 LEVEL = math.radians(0.25)  # a building turned by less stands along x and y
 NEAR_AXIS = math.radians(40.0)  # no edge is turned by more
@@ -45,31 +51,60 @@ class Line:
     on_axis: bool
 
 
+class Try(NamedTuple):
+    """A straightened floor."""
+
+    crossing: int  # rings left as they were, for their edges would cross
+    lost_m: float  # length of the walls whose faces have come to lie on each other
+    area: Polygon
+
+
 def straightened(area: Polygon, noise_m: float, turn: bool = True) -> Polygon:
     """`area` with straight edges, none further than about twice `noise_m` from where it was; `turn` to directions.
 
-    Where straight edges would cross, less noise is believed; where they still do, the edges are only thinned.
+    Where straight edges would cross, or both faces of a wall be one, less noise is believed; where they still cross,
+    the edges of that ring, or of all, are only thinned.
     """
-    drawn = _from_corners(area)
-    if turn:
-        tries = (_turned(drawn, noise_m / share) for share in LESS_NOISE)
-        sound = next((turned for turned in tries if turned.is_valid), None)
-        if sound is not None:
-            return orient(shapely.simplify(sound, noise_m / 10.0), 1.0)
-    return thinned(drawn, noise_m)
+    drawn = _from_corners(area, noise_m)
+    turned = _soundest(drawn, noise_m) if turn else None
+    return thinned(drawn, noise_m) if turned is None else orient(shapely.simplify(turned, noise_m / 10.0), 1.0)
 
 
-def _turned(drawn: Polygon, noise_m: float) -> Polygon:
-    """`drawn` with its edges along lines; it may cross itself."""
+def _soundest(drawn: Polygon, noise_m: float) -> Polygon | None:
+    """`drawn` with the edges of its rings along lines: of as many rings, and with as few walls lost, as can be."""
+    best: Try | None = None
+    for share in LESS_NOISE:
+        tries = (_try(drawn, share * noise_m, in_line * share * noise_m) for in_line in IN_LINE)
+        best = min([best, *_until_good(tries)], key=lambda one: (math.inf, 0.0) if one is None else one[:2])
+        if best and not best.crossing:
+            break
+    return best and best.area
+
+
+def _until_good(tries: Iterable[Try | None]) -> Iterator[Try | None]:
+    """The tries up to the first in which nothing crosses and no wall is lost."""
+    for one in tries:
+        yield one
+        if one and not one.crossing and one.lost_m == 0.0:
+            return
+
+
+def _try(drawn: Polygon, noise_m: float, in_line_m: float) -> Try | None:
+    """`drawn` with its edges along lines; None where rings cross each other."""
+    turned, crossing = _turned(drawn, noise_m, in_line_m)
+    return Try(crossing, thin_walls_m(turned, LEAST_WALL_M), turned) if turned.is_valid else None
+
+
+def _turned(drawn: Polygon, noise_m: float, in_line_m: float) -> tuple[Polygon, int]:
+    """`drawn` with its edges along lines; rings may cross each other, those that cross themselves (how many) stay."""
     thin = thinned(drawn, noise_m)
     axes = max((_voted(thin), _voted(thinned(drawn, FINE * noise_m))))[1]
     rings = [_lines(chains, noise_m, axes) for chains in map(_chains, _rings(drawn), _rings(thin))]
-    rings = _aligned([_merged(_squared(lines, noise_m), noise_m) for lines in rings], noise_m)
+    rings = _aligned([_merged(_squared(lines, noise_m), noise_m) for lines in rings], in_line_m)
     corners = [_corners(lines, noise_m) for lines in rings]
-    kept = [
-        new if len(new) >= 3 and Polygon(new).is_valid else old for new, old in zip(corners, _rings(thin), strict=True)
-    ]
-    return Polygon(kept[0], kept[1:])
+    sound = [len(new) >= 3 and Polygon(new).is_valid for new in corners]
+    kept = [new if fits else old for new, old, fits in zip(corners, _rings(thin), sound, strict=True)]
+    return Polygon(kept[0], kept[1:]), sound.count(False)
 
 
 def thinned(area: Polygon, noise_m: float) -> Polygon:
@@ -80,6 +115,15 @@ def thinned(area: Polygon, noise_m: float) -> Polygon:
 def directions(area: Polygon) -> tuple[float, ...]:
     """Directions (rad, modulo a right angle) that most edges of `area` have; the main one first."""
     return _voted(area)[1]
+
+
+def along_directions(area: Polygon) -> float:
+    """The share of the length of all edges of `area` that goes along one of its directions."""
+    axes = directions(area)
+    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
+    length, angle = np.hypot(*edges.T), np.arctan2(edges[:, 1], edges[:, 0])
+    near = [np.abs(_quarter(angle - axis)) < DRAWN_AXIS for axis in axes]
+    return float(length[np.logical_or.reduce(near)].sum() / length.sum()) if near else 0.0
 
 
 def _voted(area: Polygon) -> tuple[float, tuple[float, ...]]:
@@ -118,11 +162,22 @@ def _rings(area: Polygon) -> list[Array]:
     return [np.array(ring.coords) for ring in (area.exterior, *area.interiors)]
 
 
-def _from_corners(area: Polygon) -> Polygon:
-    """`area`, the outline counter-clockwise, with rings that begin at a corner and not amid an edge."""
+def _from_corners(area: Polygon, noise_m: float) -> Polygon:
+    """`area`, the outline counter-clockwise, with rings that begin where their longest edge begins.
+
+    A ring that begins amid an edge has a corner there that is none; the end of a wall would be cut in two.
+    """
     rings = [ring[:-1] for ring in _rings(orient(area, 1.0))]
     turned = [np.roll(ring, -int(np.argmax(np.hypot(*(ring - ring.mean(axis=0)).T))), axis=0) for ring in rings]
+    turned = [np.roll(ring, -_longest(ring, noise_m), axis=0) for ring in turned]
     return Polygon(turned[0], turned[1:])
+
+
+def _longest(ring: Array, noise_m: float) -> int:
+    """Index in an open ring (n,2), which begins at a corner, of the start of its longest edge."""
+    thin = shapely.get_coordinates(shapely.simplify(shapely.linearrings(ring), THIN * noise_m))
+    start = thin[int(np.argmax(np.hypot(*np.diff(thin, axis=0).T)))]
+    return int(np.argmax((ring == start).all(axis=1)))
 
 
 def _chains(drawn: Array, thin: Array) -> list[Array]:
@@ -173,7 +228,8 @@ def _squared(lines: list[Line], noise_m: float) -> list[Line]:
     """`lines` of a ring without bevels between lines that are square to each other; the ends of walls are square."""
     kept = []
     for before, line, after in zip([lines[-1], *lines[:-1]], lines, [*lines[1:], lines[0]], strict=True):
-        short = before.on_axis and after.on_axis and not line.on_axis and line.length < BEVEL * noise_m
+        oblique = abs(math.sin(2.0 * (line.angle - before.angle))) > 1e-3  # though it may go along another direction
+        short = before.on_axis and after.on_axis and oblique and line.length < BEVEL * noise_m
         turn = math.cos(before.angle - after.angle)
         if short and turn < -0.999:
             square = before.angle + math.copysign(math.pi / 2.0, math.sin(line.angle - before.angle))
@@ -213,10 +269,10 @@ def _with_step(a: Line, b: Line) -> list[Line]:
     return [a, Line(across, _offset(across, a.end), 0.0, a.end, a.end, True)]
 
 
-def _aligned(rings: list[list[Line]], noise_m: float) -> list[list[Line]]:
+def _aligned(rings: list[list[Line]], in_line_m: float) -> list[list[Line]]:
     """Faces of the building that look the same way at nearly the same offset get one offset."""
     lines = [line for ring in rings for line in ring]
-    for group in _groups(lines, noise_m):
+    for group in _groups(lines, in_line_m):
         offset = float(np.average([lines[i].offset for i in group], weights=[lines[i].length + 1e-6 for i in group]))
         for i in group:
             lines[i] = replace(lines[i], offset=offset)
@@ -224,13 +280,13 @@ def _aligned(rings: list[list[Line]], noise_m: float) -> list[list[Line]]:
     return [list(islice(fresh, len(ring))) for ring in rings]
 
 
-def _groups(lines: list[Line], noise_m: float) -> list[list[int]]:
-    """Indices of the lines along axes, in groups of one direction and offsets within `noise_m`."""
+def _groups(lines: list[Line], in_line_m: float) -> list[list[int]]:
+    """Indices of the lines along axes, in groups of one direction and offsets within `in_line_m`."""
     on_axis = [i for i, line in enumerate(lines) if line.on_axis]
     groups: list[list[int]] = []
     for i in sorted(on_axis, key=lambda i: (round(lines[i].angle % (2.0 * math.pi), 3), lines[i].offset)):
         first = lines[groups[-1][0]] if groups else None
-        if first and _same_way(first, lines[i]) and lines[i].offset - first.offset <= noise_m:
+        if first and _same_way(first, lines[i]) and lines[i].offset - first.offset <= in_line_m:
             groups[-1].append(i)
         else:
             groups.append([i])
