@@ -50,8 +50,9 @@ def make_floor_plan(
 ) -> gymnasium.Env[Any, Any]:
     """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan; of a folder, in one drawn at every reset.
 
-    Beside the fields of `EnvConfig`, keywords are `plan`, the path of a file or a folder, and the options of
-    `load_plan`. Raises `ConfigError`, for a layout too, and `LayoutError` for a plan that cannot be read.
+    Beside the fields of `EnvConfig`, keywords are `plan`, the path of a file or of a folder (with those in it; images
+    are taken where `resolution_m` is given), and the options of `load_plan`. Raises `ConfigError`, for a layout too,
+    and `LayoutError` for a plan that cannot be read.
     """
     plans, rest = plan_keywords(keywords)
     return _make_from(PLAN, plans, config, render_mode, rest)

@@ -45,15 +45,18 @@ def expand(word: str) -> list[str]:
         raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
     series = SERIES.fullmatch(word)
     if series:
-        preset, first, last = series[1], int(series[2]), int(series[3] or series[2])
-        if last < first:
-            raise ConfigError(f"{word}: the first seed comes first, as {preset}:{last}-{first}")
-        if last - first >= MOST_SEEDS:
-            raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
-        return [f"{preset}:{seed}" for seed in range(first, last + 1)]
+        return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
     if word and Path(word).is_dir():
         return _files(Path(word))
     return [word]
+
+
+def _series(word: str, preset: str, first: int, last: int) -> list[str]:
+    if last < first:
+        raise ConfigError(f"{word}: the first seed comes first, as {preset}:{last}-{first}")
+    if last - first >= MOST_SEEDS:
+        raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
+    return [f"{preset}:{seed}" for seed in range(first, last + 1)]
 
 
 def expand_all(words: Sequence[str]) -> list[str]:

@@ -12,12 +12,12 @@ import numpy as np
 
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
-from mecp_env.world.importers import PlanOptions, load_plan
+from mecp_env.world.importers import PlanOptions, load_plan, plan_files
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 
 GENERATE, PLAN = "generate", "plan"  # the keys of a layout given as a specification, and as plans
-PLAN_ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
+KEPT_PLANS = 100  # that are read and not read again
 KEYWORDS = {  # beside the fields of the environment's configuration
     GENERATE: ("difficulty", "split", *GeneratorSpec.model_fields),
     PLAN: ("plan", "kind", *PlanOptions.model_fields),
@@ -65,7 +65,7 @@ class GeneratedLayouts:
 
 @dataclass(frozen=True, slots=True)
 class PlanFiles:
-    """Real floor plans, each read once."""
+    """Real floor plans; the last ones are kept as they were read."""
 
     paths: tuple[Path, ...]
     reading: dict[str, Any]  # options of `load_plan`
@@ -77,6 +77,8 @@ class PlanFiles:
 
     def layout(self, building: int) -> Layout:
         if building not in self.read:
+            for oldest in list(self.read)[: len(self.read) - KEPT_PLANS + 1]:
+                del self.read[oldest]
             self.read[building] = load_plan(self.paths[building], **self.reading)
         return self.read[building]
 
@@ -108,14 +110,13 @@ def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) 
 
 
 def _plans(path: str | os.PathLike[str] | None = None, **reading: Any) -> PlanFiles:
-    """The plan at `path`, or all in that folder in the order of their names."""
+    """The plan at `path`, or all in that folder and those in it, in the order of their paths."""
     if path is None or path == "":
         raise ConfigError("plan: the path of a floor plan, or of a folder of them, is needed")
     place = Path(path)
-    paths = sorted(p for p in place.iterdir() if p.suffix.lower() in PLAN_ENDINGS) if place.is_dir() else [place]
-    if not paths:
-        raise ConfigError(f"plan: {path}, no file in it ends in {', '.join(PLAN_ENDINGS)}")
-    return PlanFiles(tuple(paths), reading)
+    images = reading.get("resolution_m") is not None
+    paths = plan_files(place, reading.get("kind"), images) if place.is_dir() else (place,)
+    return PlanFiles(paths, reading)
 
 
 def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -243,3 +243,40 @@ def test_a_series_names_its_seeds() -> None:
     assert expand("hard:8") == ["hard:8"]
     with pytest.raises(ConfigError, match="easy:0"):
         expand("easy")
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (["generate", "--difficulty", "medum"], "did you mean 'medium'?"),
+        (["generate", "--split", "tests"], "did you mean 'test'?"),
+        (["generate", "--pieces", "box", "--shapes", "LL"], "did you mean 'L'?"),
+        (["generate", "--lops", "1"], "--loops"),
+    ],
+)
+def test_a_wrong_word_of_an_option_gets_a_guess(line: list[str], named: str, capsys: Said) -> None:
+    with pytest.raises(SystemExit):
+        run(*line)
+    assert named in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (["draw", "ofice"], "did you mean 'office'?"),
+        (["stats", "medum:3"], "did you mean 'medium:3'?"),
+        (["draw", "medium:0-x"], "medium:0-x: seeds are whole numbers, as medium:7"),
+        (["generate", "--loops", "20"], "loops: 20 loops, at most 10"),
+    ],
+)
+def test_a_building_that_is_none_gets_a_guess(line: list[str], named: str, capsys: Said) -> None:
+    assert run(*line) == 2
+    assert named in capsys.readouterr().err
+
+
+def test_a_single_number_is_a_range(tmp_path: Path) -> None:
+    out = tmp_path / "one.json"
+    line = ["--door-width-m", "0.8", "--turned-deg", "-30", "--wall-thickness-m", "0.1", "0.2", "--out", out]
+    assert run("generate", "--difficulty", "easy", *line) == 0
+    fields = {"door_width_m": 0.8, "turned_deg": -30.0, "wall_thickness_m": (0.1, 0.2)}
+    assert load_layout(out) == generate(GeneratorSpec.preset("easy", **fields), 0)

@@ -11,7 +11,10 @@ import pytest
 
 import mecp_env  # noqa: F401
 from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.world import source
 from mecp_env.world.exporters import save_map_server
+from mecp_env.world.importers import folder as folders
+from mecp_env.world.importers import plan_files
 from mecp_env.world.layout import LIBRARY, load_layout
 
 PLAN = "mecp_env/FloorPlan-v0"
@@ -70,3 +73,88 @@ def test_wrong_input_is_named(folder: Path, monkeypatch, keywords: dict, error: 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no file in it"):
         gymnasium.make(PLAN, plan=tmp_path)
+
+
+@pytest.fixture
+def tree(folder: Path) -> Path:
+    """Folders in folders: a layout, a map_server pair, an image with a pair beside it, one that is hidden."""
+    for name in ("z", "m/n", ".hidden"):
+        (folder / name).mkdir(parents=True)
+    shutil.copy(LIBRARY / "paper.json", folder / "m" / "n" / "p.json")
+    shutil.copy(LIBRARY / "office.json", folder / ".hidden" / "o.json")
+    shutil.copy(folder / "b.pgm", folder / "z" / "alone.pgm")
+    save_map_server(load_layout("two_rooms"), folder / "z" / "pair", 0.05)
+    return folder
+
+
+def names(plans: tuple[Path, ...], folder: Path) -> list[str]:
+    return [path.relative_to(folder).as_posix() for path in plans]
+
+
+def test_the_folders_in_a_folder_are_entered_in_order(tree: Path) -> None:
+    assert names(plan_files(tree), tree) == ["a.json", "b.yaml", "m/n/p.json", "z/pair.yaml"]
+    assert names(plan_files(tree, images=True), tree) == [
+        "a.json",
+        "b.yaml",
+        "m/n/p.json",
+        "z/alone.pgm",
+        "z/pair.yaml",
+    ]
+    assert names(plan_files(tree, "map_server"), tree) == ["b.yaml", "z/pair.yaml"]
+    assert names(plan_files(tree, "image"), tree) == ["z/alone.pgm"]
+
+
+def test_plain_images_of_a_folder_are_plans_with_a_resolution(tree: Path) -> None:
+    env = gymnasium.make(PLAN, plan=tree, resolution_m=0.05, **QUICK)
+    rooms = [env.reset(seed=0, options={"building": building})[1]["rooms"] for building in range(5)]
+    assert rooms == [4, 2, 9, 2, 2]
+    again = gymnasium.make(PLAN, config=env.unwrapped.config)
+    assert again.reset(seed=3)[1]["building"] == env.reset(seed=3)[1]["building"]
+
+
+def test_only_images_without_a_resolution_say_what_is_missing(tree: Path) -> None:
+    (tree / "z" / "pair.yaml").unlink()
+    with pytest.raises(ConfigError, match=r"no file in it ends in .*resolution_m"):
+        plan_files(tree / "z")
+
+
+@pytest.mark.parametrize("target", ["file", "folder"])
+def test_a_link_that_leaves_the_folder_is_refused(
+    target: str, tree: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    outside = tmp_path_factory.mktemp("outside")
+    shutil.copy(LIBRARY / "paper.json", outside / "p.json")
+    (tree / "m" / "link.json").symlink_to(outside / "p.json" if target == "file" else outside)
+    with pytest.raises(LayoutError, match=r"link\.json: a link that leaves the folder"):
+        gymnasium.make(PLAN, plan=tree)
+
+
+def test_links_within_the_folder_are_plans_or_not_followed(tree: Path) -> None:
+    (tree / "c.json").symlink_to(tree / "a.json")
+    (tree / "round").symlink_to(tree)
+    assert names(plan_files(tree), tree) == ["a.json", "b.yaml", "c.json", "m/n/p.json", "z/pair.yaml"]
+
+
+def test_too_many_files_and_levels_are_refused(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folders, "MAX_FILES", 5)
+    with pytest.raises(ConfigError, match="more than 5 files"):
+        plan_files(tree)
+    monkeypatch.undo()
+    (tree / "/".join("d" * 17)).mkdir(parents=True)
+    with pytest.raises(ConfigError, match="more than 16 folders in each other"):
+        plan_files(tree)
+
+
+def test_so_many_plans_are_kept_and_no_more(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "KEPT_PLANS", 2)
+    plans = source.make_source({"plan": {"path": str(tree)}})
+    for building in (0, 1, 2, 3, 0):
+        plans.layout(building)
+    assert set(plans.read) == {3, 0}
+
+
+def test_a_keyword_that_is_none_gets_a_guess(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"FloorPlan-v0\.resolution: no such field; did you mean 'resolution_m'"):
+        gymnasium.make(PLAN, plan=folder, resolution=0.05)
+    with pytest.raises(ConfigError, match=r"door_width_m: two widths, the narrowest and the widest door"):
+        gymnasium.make(PLAN, plan=folder / "b.yaml", door_width_m=0.9)

@@ -108,3 +108,24 @@ def test_the_configuration_of_one_makes_another() -> None:
     assert again.unwrapped.config.layout == {"generate": {"difficulty": "easy", "rooms": 3, "split": "test"}}
     with pytest.raises(ConfigError, match="stands alone"):
         gymnasium.make("mecp_env/Layout-v0", layout={"generate": {}, "name": "x"})
+
+
+@pytest.mark.parametrize(
+    ("keywords", "named"),
+    [
+        ({"lops": 2}, r"Rooms-v0\.lops: no such field; did you mean 'loops'"),
+        ({"door_width": 0.9}, r"did you mean 'door_width_m'"),
+        ({"max_period": 9}, r"did you mean 'max_periods'"),
+        ({"difficulty": "medum"}, r"difficulty: 'medum' .*did you mean 'medium'"),
+        ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
+        ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),
+        ({"loops": 20}, r"loops: 20 loops, at most 10 with 8 rooms"),
+    ],
+)
+def test_a_wrong_keyword_gets_a_guess_or_the_bound(keywords: dict, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        gymnasium.make(ROOMS, **keywords)
+
+
+def test_a_single_width_is_a_range() -> None:
+    assert gymnasium.make(ROOMS, door_width_m=0.9, difficulty="easy").reset(seed=0)[1]["rooms"] == 4

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,11 +56,10 @@ def furnish(
     wanted = spec.furniture * float(areas.sum()) / 10.0
     if wanted == 0.0:
         return []
-    left: list[str] = []
-    for room, count in zip(rooms, _counts(areas, round(wanted), rng), strict=True):
-        left += [kind for kind in rng.choice(spec.pieces, count).tolist() if not room.put(kind, rng)]
+    shares = zip(rooms, _counts(areas, round(wanted), rng), strict=True)
+    left = [left for room, count in shares for left in room.put_all(rng.choice(spec.pieces, count).tolist(), rng)]
     _elsewhere(left, rooms, spec, rng)
-    placed = [piece for room in rooms for piece in room.pieces]
+    placed = list(chain.from_iterable(room.pieces for room in rooms))
     enough = len(placed) >= min(round(wanted), LEAST_SHARE * wanted)
     return placed if enough else Rejected("furniture", spec.furniture * len(placed) / wanted)
 
@@ -89,6 +88,10 @@ class Room:
     thickness: float  # m, of the walls
     circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
     pieces: list[Placed] = field(default_factory=list)
+
+    def put_all(self, kinds: list[str], rng: np.random.Generator) -> list[str]:
+        """Put pieces where they are in nobody's way; those for which no such place was found."""
+        return [kind for kind in kinds if not self.put(kind, rng)]
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Put a piece where it is in nobody's way; False where no such place was found."""

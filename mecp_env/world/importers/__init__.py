@@ -9,8 +9,10 @@ from typing import Any, Literal, get_args
 from shapely.errors import GEOSException
 
 from mecp_env.errors import LayoutError
+from mecp_env.settings import guess
 from mecp_env.world.importers.assemble import layout_of
 from mecp_env.world.importers.files import MAX_JSON_BYTES, read_bytes
+from mecp_env.world.importers.folder import IMAGES, YAML, plan_files
 from mecp_env.world.importers.houseexpo import read_houseexpo
 from mecp_env.world.importers.image import read_plain_image
 from mecp_env.world.importers.labelled import read_labelled_image
@@ -19,12 +21,10 @@ from mecp_env.world.importers.options import PlanOptions
 from mecp_env.world.layout import MAX_BYTES, decode_json, load_layout
 from mecp_env.world.schema import Layout
 
-__all__ = ["KINDS", "PlanOptions", "load_plan"]
+__all__ = ["KINDS", "PlanOptions", "load_plan", "plan_files"]
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
 KINDS: tuple[str, ...] = get_args(Kind)
-YAML = (".yaml", ".yml")
-IMAGES = (".png", ".pgm", ".ppm", ".pbm")
 
 
 def load_plan(
@@ -40,7 +40,7 @@ def load_plan(
     """
     chosen = PlanOptions(resolution_m=resolution_m, **options)
     if kind not in (None, *KINDS):
-        raise LayoutError(f"kind: one of {', '.join(KINDS)} expected (given: {kind!r:.80})")
+        raise LayoutError(f"kind: one of {', '.join(KINDS)} expected (given: {kind!r:.80}){guess(kind, KINDS)}")
     try:
         return _load(Path(path), kind, chosen)
     except LayoutError as error:

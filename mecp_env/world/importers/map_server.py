@@ -36,6 +36,14 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
 
 
+def image_of(path: Path) -> Path | None:
+    """The image that a yaml file names, with all links followed; None where it names none that may be read."""
+    try:
+        return _beside(path, _fields(read_bytes(path, MAX_YAML_BYTES))["image"])
+    except LayoutError:
+        return None
+
+
 def _fields(data: bytes) -> dict[str, Any]:
     """The fields of the yaml file. Raises LayoutError for tags, anchors, aliases, and what is no flat mapping."""
     try:
