@@ -22,14 +22,18 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
     ConfigError for a folder without plans, with too many files or levels, and LayoutError for a link that leaves it.
     """
     endings = ENDINGS.get(kind or "", (*JSON, *YAML, *(IMAGES if images else ())))
-    root = folder.resolve()
-    files = sorted(_files(folder, root), key=lambda path: path.relative_to(folder).parts)
-    named = {image_of(path) for path in files if path.suffix.lower() in YAML} if set(endings) & set(IMAGES) else set()
+    files = sorted(_files(folder, folder.resolve()), key=lambda path: path.relative_to(folder).parts)
+    named = _named_images(files) if set(IMAGES) & set(endings) else set()
     plans = [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
     if not plans:
         hint = "" if images else "; images are taken where resolution_m says their metres a pixel"
         raise ConfigError(f"plan: {folder}, no file in it ends in {', '.join(endings)}{hint}")
     return tuple(plans)
+
+
+def _named_images(files: list[Path]) -> set[Path | None]:
+    """The images of the yaml files."""
+    return {image_of(path) for path in files if path.suffix.lower() in YAML}
 
 
 def _files(folder: Path, root: Path) -> Iterator[Path]:
