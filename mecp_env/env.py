@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -361,7 +362,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Look for goals now, however lately that was done; the grid is told which rooms have none left."""
         episode = self._started()
         episode.goals = find_goals(episode.report, episode.book, self._planning)
-        episode.pipeline.grid.complete(complete_rooms(episode.goals, episode.book, episode.report.graph))
+        painter, graph = episode.pipeline.grid, episode.report.graph
+        painter.complete(complete_rooms(episode.goals, episode.book, graph))
+        if not len(episode.goals):
+            episode.report = replace(episode.report, grid=painter.finish(graph))
         episode.goals_period, episode.goals_key = episode.report.period, goals_key(episode.report)
 
     def _compare(self, episode: Episode, motion: Motion, T_world_robot: Array) -> None:

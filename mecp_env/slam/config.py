@@ -91,6 +91,7 @@ class TransientConfig(Settings):
     longest_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer line is a wall, whatever the map says
     refutations: int = Field(4, ge=0, le=1000)  # scans that look through a landmark before it is forgotten; 0: never
     refute_range_m: float = Field(5.0, gt=0.0, le=100.0)
+    closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # less sure, one end of a body recognises no room
 
 
 class TrackConfig(Settings):
@@ -185,7 +186,7 @@ class SlamConfig(Settings):
             segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
             corners=CornerConfig(short_faces=False, covariance="sensor"),  # two lines or an end; IV: constant sigmas
             polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False),  # III-A.2: exact, walls are not asked
-            transients=TransientConfig(margin_m=0.0, refutations=0),  # a static world
+            transients=TransientConfig(margin_m=0.0, refutations=0, closure_sigma_m=100.0),  # a static world
             tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly

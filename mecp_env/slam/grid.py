@@ -78,6 +78,11 @@ class GridPainter:
         """Say which rooms hold nothing left to see: from the next period on their unknown pockets are walls."""
         self.completed = tuple(sorted(rooms))
 
+    def finish(self, graph: RoomGraph) -> SemanticGrid:
+        """The grid of this period with the pockets of what was just said to be complete: there may be no next one."""
+        self._update_pockets(graph)
+        return self.canvas.publish(self.config.occupied_ratio)
+
     def look_again(self) -> None:
         """Paint the next scan though others were taken near it: what stood there may have gone."""
         self.again = True

@@ -14,6 +14,7 @@ from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.corners import extract_corners
 from mecp_env.slam.data import (
+    NO_ID,
     Beams,
     Belief,
     Corners,
@@ -24,6 +25,7 @@ from mecp_env.slam.data import (
     Match,
     Odometry,
     Polygon,
+    Reason,
     Scan,
     Segments,
     Sighting,
@@ -41,7 +43,7 @@ from mecp_env.slam.refutation import refuted
 from mecp_env.slam.rooms import RoomKeeper
 from mecp_env.slam.segments import extract_segments
 from mecp_env.slam.sweeps import merge_sweeps
-from mecp_env.slam.tracks import forget, mark_seen, record_sightings, room_unseen_since, with_closure
+from mecp_env.slam.tracks import ends_of_bodies, forget, mark_seen, record_sightings, room_unseen_since, with_closure
 from mecp_env.slam.transients import find_transient, passing, shun_transients, without_transients
 
 Array = NDArray[np.float64]
@@ -186,6 +188,7 @@ class SlamPipeline:
 
     def _correct(self, corners: Corners, match: Match) -> Match:
         """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""
+        match = self._without_bodies(corners, match)
         index = match.recognised()
         if not len(index):
             return match
@@ -195,10 +198,28 @@ class SlamPipeline:
         self.filter.update(z, R, ids, iterate=match.closure)
         return match
 
+    def _without_bodies(self, corners: Corners, match: Match) -> Match:
+        """The match without closures by one corner that may be a side of somebody, unless the pose is sure; in place.
+
+        Differs from the paper: its world is static.
+        """
+        features, doubtful = self.features, np.empty(len(corners), np.int64)
+        columns = features.room, features.state, features.last_period, self._oldest()
+        count = ends_of_bodies((match.ids, match.decision), corners.z, *columns, doubtful)
+        for c in doubtful[:count]:
+            z, R = corners.measurements(np.array([c]))
+            _, S = self.filter.innovation(z, R, match.ids[c : c + 1])
+            if max(S[0, 0], z[0, 0] ** 2 * S[1, 1]) > self.config.transients.closure_sigma_m**2:
+                match.ids[c], match.decision[c], match.reason[c] = NO_ID, int(Decision.IGNORED), int(Reason.AMBIGUOUS)
+        return match
+
+    def _oldest(self) -> int:
+        """The first period that counts as lately."""
+        return self.period - self.config.filter.closure_gap_periods
+
     def _is_closure(self, ids: Ints) -> bool:
         """True when no landmark of some room among `ids` was updated for `closure_gap_periods`."""
-        features = self.features
-        oldest = self.period - self.config.filter.closure_gap_periods
+        features, oldest = self.features, self._oldest()
         return room_unseen_since(ids, features.room, features.state, features.last_period, oldest)
 
     def _grow_map(

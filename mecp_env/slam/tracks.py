@@ -29,6 +29,8 @@ Bools = NDArray[np.bool_]
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
 JAMB, NEW, PROVISIONAL = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.PROVISIONAL)
 ON_TRACK = int(Reason.TRACK)
+RECOGNISED = int(Decision.LANDMARK)
+BODY_M = (0.2, 0.5)  # how wide somebody is; a wall is thinner
 
 
 def record_sightings(
@@ -242,6 +244,30 @@ def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, old
         if unseen:
             return True
     return False
+
+
+@kernel
+def ends_of_bodies(
+    match: tuple[Ints, Ints], z: Array, room: Ints, state: Ints, last_period: Ints, oldest: int, doubtful: Ints
+) -> int:
+    """Write the corners (n,) to doubt: alone of a room unseen since `oldest`, beside a corner that is no landmark.
+
+    Such two corners, as far apart as somebody is wide, may be the two sides of somebody. `match`: ids and decision
+    (n,), z (n,2); the rest as in `room_unseen_since`. Returns how many there are.
+    """
+    (ids, decision), count = match, 0
+    for c in range(z.shape[0]):
+        alone, beside = decision[c] == RECOGNISED, False
+        for k in range(z.shape[0] if alone else 0):
+            if decision[k] == RECOGNISED:
+                alone &= k == c or room[ids[k]] != room[ids[c]]
+                continue
+            square = z[c, 0] ** 2 + z[k, 0] ** 2 - 2.0 * z[c, 0] * z[k, 0] * math.cos(z[c, 1] - z[k, 1])
+            beside |= BODY_M[0] ** 2 < square < BODY_M[1] ** 2
+        if alone and beside and room_unseen_since(ids[c : c + 1], room, state, last_period, oldest):
+            doubtful[count] = c
+            count += 1
+    return count
 
 
 def with_closure(match: Match, closure: bool) -> Match:

@@ -112,6 +112,9 @@ def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
     base = env.unwrapped
     inside = to_map(inverse(base._episode.metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
     assert labels_at(base.report.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
+    painter = base._episode.pipeline.grid
+    assert painter.filled == painter.completed  # those of the last room too, though the episode ends with it
+    assert base.report.grid is painter.canvas.grid
 
 
 def test_a_copy_between_two_drives_continues_bit_for_bit():

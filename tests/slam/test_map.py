@@ -17,7 +17,7 @@ from mecp_env.slam.data import (
 )
 from mecp_env.slam.duplicates import find_duplicate
 from mecp_env.slam.polygon_store import PolygonStore
-from mecp_env.slam.tracks import forget, mark_seen, record_sightings, room_unseen_since
+from mecp_env.slam.tracks import ends_of_bodies, forget, mark_seen, record_sightings, room_unseen_since
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
@@ -102,6 +102,25 @@ def test_a_room_unseen_for_a_while_is_told_apart():
     assert not room_unseen_since(np.array([0]), room, state, last, 90)
     assert room_unseen_since(np.array([2]), room, state, last, 90)
     assert room_unseen_since(np.array([1, 2]), room, state, last, 90)
+
+
+def doubted(ids, places, last=(100, 100, 5, 5)):
+    """The corners to doubt; features 0 and 1 are of room 0, 2 and 3 of room 1, which was not seen lately."""
+    found = np.empty(len(ids), np.int64)
+    decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
+    z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
+    features = np.array([0, 0, 1, 1]), np.full(4, int(FeatureState.LANDMARK)), np.array(last)
+    return found[: ends_of_bodies((np.array(ids), decision), z, *features, 90, found)].tolist()
+
+
+def test_a_room_is_not_recognised_by_one_side_of_somebody():
+    here, jamb, side = (-2.0, 0.0), (3.0, 1.0), (3.0, 1.35)
+    assert doubted([0, 2, -1], [here, jamb, side]) == [1]
+    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
+    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.6)]) == []
+    assert doubted([0, 2, 1], [here, jamb, side]) == []  # both are known
+    assert doubted([2, 3, -1], [here, jamb, side]) == []  # two landmarks of the room
+    assert doubted([0, 2, -1], [here, jamb, side], last=(100, 100, 5, 95)) == []  # a room seen all the while
 
 
 def landmarks(rooms):
