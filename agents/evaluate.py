@@ -26,7 +26,7 @@ from agents.curve import BUDGET_M_PER_M2
 from agents.episode import Episode, Task
 from agents.page import page
 from agents.pool import Failure, finished
-from agents.registry import EXPLORERS, make_agent
+from agents.registry import EXPLORERS, LEARNED, make_agent
 from agents.worlds import Setting, rooms
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.intervals import Figures
@@ -34,7 +34,9 @@ from mecp_env.intervals import Figures
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
 MOST_JOBS, MOST_EPISODES = 256, 1_000_000
 BAR = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-EXAMPLES = """examples:
+EXAMPLES = f"""policies: {", ".join(EXPLORERS)}, {", ".join(LEARNED)}, or the folder of a training run
+
+examples:
   python -m agents.evaluate bfs nearest gain --episodes 20 --jobs 2
   python -m agents.evaluate nearest runs/my-training --split validation --no-truth
   python -m agents.evaluate nearest gain --difficulty hard --record --out runs/hard
@@ -148,7 +150,8 @@ def evaluate(args: Args) -> Evaluation:
     """Play all episodes; after Ctrl-C, what was finished is there."""
     tasks = tasks_of(args)
     evaluation = Evaluation(args, list(dict.fromkeys((task.policy, task.setting.estimator) for task in tasks)))
-    with Progress(*BAR, console=Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    with Progress(*BAR, console=console, disable=not console.is_terminal) as progress:
         bar = progress.add_task("episodes", total=len(tasks))
         collect(evaluation, tasks, lambda: progress.advance(bar))
     return evaluation
@@ -157,11 +160,18 @@ def evaluate(args: Args) -> Evaluation:
 def collect(evaluation: Evaluation, tasks: Sequence[Task], advance: Callable[[], None]) -> None:
     """Take in what comes of the tasks until they are done, or somebody presses Ctrl-C."""
     try:
-        for result in finished(tasks, evaluation.args.jobs):
+        for done, result in enumerate(finished(tasks, evaluation.args.jobs), start=1):
             evaluation.take(result)
             advance()
+            say_in_a_file(done, len(tasks))
     except KeyboardInterrupt:
         evaluation.interrupted = True
+
+
+def say_in_a_file(done: int, count: int) -> None:
+    """A line every tenth of the way where there is no terminal to draw a bar on."""
+    if not sys.stderr.isatty() and 10 * done // count > 10 * (done - 1) // count:
+        print(f"evaluate: {done} of {count} episodes", file=sys.stderr)
 
 
 def write(evaluation: Evaluation) -> None:
@@ -228,4 +238,4 @@ def write_episodes(episodes: Sequence[Episode], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Args, description=f"{Args.__doc__}\n\n{EXAMPLES}")))
+    sys.exit(main(tyro.cli(Args, prog="python -m agents.evaluate", description=f"{Args.__doc__}\n\n{EXAMPLES}")))

@@ -29,7 +29,7 @@ def make_agent(name: str) -> Agent:
         module, _, class_name = EXPLORERS[name].partition(":")
         agent: Agent = getattr(importlib.import_module(module), class_name)()
         return agent
-    if name in LEARNED or Path(name).is_dir():
+    if name in LEARNED or Path(name).exists():
         return load_learned(name)
     raise ConfigError(unknown_policy(name))
 

@@ -191,7 +191,9 @@ def test_ctrl_c_keeps_what_is_finished(
     result = json.loads((args.out / "results.json").read_text())
     assert result["interrupted"]
     assert result["buildings"] == 2  # the third was finished by one policy only
-    assert "| nearest | 0.500" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "| nearest | 0.500" in said.out
+    assert "evaluate: 4 of 18 episodes" in said.err
 
 
 def test_an_exception_ends_the_processes() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import types
@@ -10,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from agents import registry
+from agents.episode import Task, play
 from agents.nearest import Nearest
 from agents.registry import make_agent
+from agents.worlds import Setting
 from mecp_env.errors import ConfigError
 
 
@@ -56,3 +59,20 @@ def test_explorers_load_nothing_of_learning() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr
     assert not {"torch", "stable_baselines3", "sb3_contrib", "agents.learned"} & set(done.stdout.split())
+
+
+def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
+    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert code is not None
+    made = types.ModuleType("farthest")
+    exec(code[1], made.__dict__)
+    monkeypatch.setitem(sys.modules, "farthest", made)
+    monkeypatch.setitem(registry.EXPLORERS, "farthest", "farthest:Farthest")
+    episode = play(Task("farthest", 0, Setting("easy", "validation", "slam", 60)))
+    assert episode.figures["coverage"] > 0.3
+
+
+def test_the_documentation_has_every_explorer() -> None:
+    text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
+    assert all(f"| `{name}` |" in text for name in registry.EXPLORERS)
