@@ -68,6 +68,8 @@ def figures_of(row: Row) -> Figures:
     """All figures of a row."""
     figures: Figures = {name: estimate(row.values(name)) for name in MEANS}
     figures |= {name: share(row.values(name) > 0.5) for name in SHARES}
+    if row.estimator == "truth":
+        figures["log_det_mean"] = estimate([])  # a pose that is known has no covariance
     return figures | {
         "rooms_found": ratio(row.values("rooms_found"), row.values("rooms")),
         "doors_found": ratio(row.values("doors_found"), row.values("doors")),

@@ -97,8 +97,14 @@ def cell(figure: Figures, form: str, factor: float) -> str:
     """`value [low, high]` of an estimate; a dash where there is none."""
     if figure["value"] is None:
         return "-"
-    value, low, high = (f"{factor * figure[end]:{form}}" for end in ("value", "low", "high"))
+    value, low, high = (number(factor * figure[end], form) for end in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
+
+
+def number(value: float, form: str) -> str:
+    """A number as text; what is rounded to nothing has no sign."""
+    text = f"{value:{form}}"
+    return text if float(text) else text.lstrip("+-")
 
 
 def rates(timing: dict[str, float]) -> str:

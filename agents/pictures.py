@@ -3,49 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agents.comparison import SHARES_OF_BUDGET
 from agents.curve import BUDGET_M_PER_M2
-from agents.page import name_of
+from mecp_env.intervals import Figures
 
 COLOURS = ("#1f5ac8", "#e08c00", "#148c5a", "#b01830", "#784aa0", "#46afaa", "#96765a", "#5a6978")
 INK, FAINT = "#262c36", "#8c929c"
 
 
-def draw_curves(rows: list[dict[str, Any]], title: str, path: Path) -> None:
-    """Write the mean coverage over the metres driven, a band of its 95 % interval for every row.
+def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
+    """Write the mean coverage over the metres driven as a PNG.
 
-    Rows whose pose is known are dashed, in the colour of their policy.
+    The first row of each policy has a band, its 95 % interval; the other one, with the pose known, is dashed.
     """
-    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     axes = figure.add_subplot()
-    policies = list(dict.fromkeys(row["policy"] for row in rows))
-    for row in rows:
-        draw_row(axes, row, COLOURS[policies.index(row["policy"]) % len(COLOURS)])
+    for number, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
+        draw_policy(axes, [row for row in rows if row["policy"] == policy], COLOURS[number % len(COLOURS)])
     dress(axes, title)
+    heading = "area under the curve up to 1\n(dashed: pose known)"
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9, title=heading, title_fontsize=9)
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
-def draw_row(axes: Axes, row: dict[str, Any], colour: str) -> None:
-    """One curve; the band only where the robot must find out its pose."""
-    low, value, high = ([point[end] for point in row["curve"]] for end in ("low", "value", "high"))
-    known = row["estimator"] == "truth"
-    area = f"{row['figures']['auc']['value']:.3f}"
-    label = f"{name_of(row)}  {area}"
-    axes.plot(
-        SHARES_OF_BUDGET,
-        value,
-        color=colour,
-        linewidth=1.0 if known else 2.0,
-        linestyle="--" if known else "-",
-        label=label,
-    )
-    if not known:
-        axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
+def draw_policy(axes: Axes, rows: list[Figures], colour: str) -> None:
+    """The curves of one policy, the first with its band and the areas under both."""
+    low, value, high = ([point[end] for point in rows[0]["curve"]] for end in ("low", "value", "high"))
+    area, *known = (f"{row['figures']['auc']['value']:.3f}" for row in rows)
+    label = f"{rows[0]['policy']}  {area}" + "".join(f" ({other})" for other in known)
+    axes.plot(SHARES_OF_BUDGET, value, color=colour, linewidth=2.0, label=label)
+    axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    for row in rows[1:]:
+        axes.plot(SHARES_OF_BUDGET, [point["value"] for point in row["curve"]], "--", color=colour, linewidth=1.0)
 
 
 def dress(axes: Axes, title: str) -> None:
@@ -59,4 +52,3 @@ def dress(axes: Axes, title: str) -> None:
     axes.axvline(1.0, color=FAINT, linewidth=0.8, linestyle=":")
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower right", frameon=False, fontsize=8, title="area under the curve up to 1", title_fontsize=8)

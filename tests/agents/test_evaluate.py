@@ -233,6 +233,7 @@ def test_each_row_is_compared_with_the_reference_and_with_itself_unsure() -> Non
     assert "against_reference" not in sure  # the reference was not played with a known pose
     assert sure["with_the_pose_known"]["auc"]["value"] == pytest.approx(0.3)
     assert "with_the_pose_known" not in b
+    assert sure["figures"]["log_det_mean"]["value"] is None
 
 
 def test_the_bootstrap_interval_of_a_paired_difference_covers_it_about_95_times_in_100() -> None:
@@ -283,6 +284,7 @@ def test_tasks_go_building_by_building_and_a_policy_named_twice_plays_once(tmp_p
 
 def test_the_page_has_a_line_a_row_and_readable_intervals(tmp_path: Path) -> None:
     assert cell({"value": 0.5, "low": 0.25, "high": 0.75}, ".0f", 100.0) == "50 [25, 75]"
+    assert cell({"value": 1e-9, "low": -1e-9, "high": 2.0}, "+.1f", 1.0) == "0.0 [0.0, +2.0]"
     assert cell({"value": None, "low": None, "high": None}, ".0f", 1.0) == "-"
     evaluation = evaluate.Evaluation(args_of(tmp_path), [("nearest", "slam"), ("x", "truth")])
     evaluation.episodes = [toy("nearest", 0, 0.5), toy("x", 0, 0.6, "truth")]
