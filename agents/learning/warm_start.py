@@ -1,0 +1,146 @@
+"""A warm start: the policy imitates an explorer, and the critic learns what that earns, before PPO begins."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import multiprocessing
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import Tensor
+from torch.nn import functional
+
+from agents.learning.compact import Observation, compact
+from agents.learning.config import TrainConfig
+from agents.learning.environments import GOAL_VALID, make_env
+from agents.learning.report import Report
+from mecp_env.errors import ConfigError
+
+TEACHERS = {  # explorers that choose goals: name -> "module:Class"
+    "nearest": "agents.nearest:Nearest",
+    "gain": "agents.gain:Gain",
+    "bfs": "agents.bfs:BreadthFirstAgent",
+}
+BATCH = 128
+FIRST_SEED = 1_000_000_000  # of the teacher's episodes: none of those of the training itself
+Lesson = dict[str, np.ndarray]  # compact observations (n,...), `action` and `earned` (n,)
+
+
+def make_teacher(name: str) -> Any:
+    """The explorer of that name. Raises `ConfigError` with those there are."""
+    if name not in TEACHERS:
+        nearest = difflib.get_close_matches(name, TEACHERS, n=1)
+        guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        raise ConfigError(f"warm_start.teacher: {name!r:.80} is none of {', '.join(TEACHERS)}{guess}")
+    module, _, kind = TEACHERS[name].partition(":")
+    return getattr(importlib.import_module(module), kind)()
+
+
+def check_teacher(config: TrainConfig) -> None:
+    """Raise `ConfigError` for a teacher that there is not, or that does something else than the agent."""
+    name = config.warm_start.teacher
+    if name is None:
+        return
+    if make_teacher(name).actions != config.actions:
+        raise ConfigError(f"warm_start.teacher: {name} chooses goals, {config.algorithm} velocities")
+
+
+def imitate(model: OnPolicyAlgorithm, venv: VecNormalize, config: TrainConfig, report: Report) -> None:
+    """Let the policy imitate the teacher, and the critic learn its returns."""
+    lesson = gather(config, report)
+    scale_rewards(venv, lesson["earned"])
+    targets = torch.as_tensor(lesson.pop("earned") / np.sqrt(venv.ret_rms.var + venv.epsilon))
+    actions = torch.as_tensor(lesson.pop("action"))
+    observations = {name: torch.as_tensor(values) for name, values in lesson.items()}
+    rng = np.random.default_rng(config.seed)
+    agreed = float("nan")
+    for _ in range(config.warm_start.epochs):
+        parts = torch.as_tensor(rng.permutation(len(actions))).split(BATCH)
+        agreed = float(np.mean([learn(model, observations, actions, targets, rows) for rows in parts]))
+    report.say(f"warm start: {len(actions):,} decisions of {config.warm_start.teacher}, agrees with {agreed:.0%}")
+
+
+def learn(
+    model: OnPolicyAlgorithm, observations: dict[str, Tensor], actions: Tensor, targets: Tensor, rows: Tensor
+) -> float:
+    """One gradient step on some rows; in how many of them the policy would do as the teacher."""
+    policy = model.policy
+    given = {name: values[rows] for name, values in observations.items()}
+    masks = given["goals"][..., GOAL_VALID] > 0.5
+    values, log_likelihood, _ = policy.evaluate_actions(given, actions[rows], action_masks=masks)
+    loss = -log_likelihood.mean() + model.vf_coef * functional.mse_loss(values.flatten(), targets[rows])
+    policy.optimizer.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(policy.parameters(), model.max_grad_norm)
+    policy.optimizer.step()
+    with torch.no_grad():
+        chosen = policy.get_distribution(given, action_masks=masks).get_actions(deterministic=True)
+    return float((chosen == actions[rows]).float().mean())
+
+
+def scale_rewards(venv: VecNormalize, earned: np.ndarray) -> None:
+    """Let rewards be normalised by what the teacher earned."""
+    venv.ret_rms.mean, venv.ret_rms.var = np.array(earned.mean()), np.array(earned.var())
+    venv.ret_rms.count = float(len(earned))
+
+
+def gather(config: TrainConfig, report: Report) -> Lesson:
+    """At least as many decisions of the teacher as the configuration says, in whole episodes."""
+    parts, count = list[Lesson](), 0
+    for part in episodes(config):
+        parts.append(part)
+        count += len(part["action"])
+        report.status(f"warm start: {count:,} of {config.warm_start.decisions:,} decisions")
+        if count >= config.warm_start.decisions:
+            break
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def episodes(config: TrainConfig) -> Iterator[Lesson]:
+    """Episodes of the teacher without end, always the same ones in the same order."""
+    play = partial(watch, config)
+    if config.workers == "here":
+        yield from (play(number) for number in range(10**9))
+        return
+    width = max(1, min(config.environments, os.cpu_count() or 1))
+    with ProcessPoolExecutor(width, mp_context=multiprocessing.get_context("forkserver")) as pool:
+        for first in range(0, 10**9, 4 * width):
+            yield from pool.map(play, range(first, first + 4 * width))
+
+
+def watch(config: TrainConfig, number: int) -> Lesson:
+    """One episode of the teacher: what it saw, what it did, and what that earned from there on, discounted."""
+    assert config.warm_start.teacher is not None
+    torch.set_num_threads(1)
+    teacher, env = make_teacher(config.warm_start.teacher), make_env(config, number)
+    plain = env.get_wrapper_attr("plain")
+    env.reset(seed=FIRST_SEED + 1000 * config.seed + number)
+    teacher.reset(number)
+    seen, steps, over = list[Observation](), list[tuple[int, float, float]](), False
+    while not over:
+        observation = plain()
+        action = int(teacher.act(observation, observation["goals"][:, GOAL_VALID] > 0.5))
+        seen.append(compact(observation, goals=True))
+        _, reward, terminated, truncated, info = env.step(action)
+        steps.append((action, reward, info["discount"]))
+        over = terminated or truncated
+    env.close()
+    lesson = {name: np.stack([observation[name] for observation in seen]) for name in seen[0]}
+    return lesson | {"action": np.array([step[0] for step in steps]), "earned": returns(steps)}
+
+
+def returns(steps: list[tuple[int, float, float]]) -> np.ndarray:
+    """(n,) float32: what each step and those after it earned, by their discounts."""
+    earned, ahead = np.zeros(len(steps), np.float32), 0.0
+    for row in reversed(range(len(steps))):
+        _, reward, discount = steps[row]
+        earned[row] = ahead = reward + discount * ahead
+    return earned

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import csv
+import json
+import random
+import signal
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from agents import train  # noqa: E402
+from agents.learned import load  # noqa: E402
+from agents.learning.checkpoints import Checkpoints, read  # noqa: E402
+from agents.learning.config import ALGORITHMS  # noqa: E402
+from agents.learning.environments import FIGURES, make_env, make_many  # noqa: E402
+from agents.learning.models import DriveBuffer, make_model  # noqa: E402
+from tests.agents.training import quick, start, write_config  # noqa: E402
+
+
+def rows(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def run(tmp_path, *words, **fields):
+    """A run in this process; its folder and exit code."""
+    config = write_config(tmp_path / "given.json", **fields)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        code = train.main(["--config", str(config), "--out", str(tmp_path / "run"), *words])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    return tmp_path / "run", code
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path):
+    folder, code = run(tmp_path, algorithm=algorithm)
+    assert code == 0
+    config = quick(algorithm)
+    assert json.loads((folder / "config.json").read_text()) == config.to_dict()
+    about = json.loads((folder / "run.json").read_text())[0]
+    assert about["versions"]["torch"] == torch.__version__
+    assert {"command", "commit", "time", "system"} <= about.keys()
+    updates, evaluations = rows(folder / "progress.csv"), rows(folder / "evaluation.csv")
+    assert [int(float(row["decisions"])) for row in updates] == [12, 24]
+    assert all(float(row["periods_per_s"]) > 0 and 0 <= float(row["waiting_share"]) <= 1 for row in updates)
+    assert all(float(row[name]) == float(row[name]) for row in evaluations for name in FIGURES)
+    agent = load(folder)
+    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions=agent.actions)
+    observation, _ = env.reset(seed=0)
+    agent.reset(0)
+    for _ in range(2):
+        mask = env.get_wrapper_attr("action_masks")() if agent.actions == "goal" else None
+        action = agent.act(observation, mask)
+        assert mask is None or mask[action]
+        observation, *_ = env.step(action)
+
+
+def test_the_same_seed_trains_the_same_policy(tmp_path):
+    folders = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        folders.append(run(tmp_path / name)[0])
+    checks = [json.loads((folder / "policy.json").read_text())["sha256"] for folder in folders]
+    last = [read(Checkpoints(folder / "checkpoints", 3).paths()[-1]) for folder in folders]
+    assert checks[0] == checks[1]
+    assert all(torch.equal(last[0][name], last[1][name]) for name in last[0] if name.startswith("policy."))
+
+
+def test_a_warm_start_imitates_its_teacher(tmp_path, capsys):
+    folder, code = run(tmp_path, warm_start={"teacher": "bfs", "decisions": 16, "epochs": 2})
+    assert code == 0
+    assert "decisions of bfs, agrees with" in capsys.readouterr().out
+    assert (folder / "policy.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
+        ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs chooses goals, ppo velocities"),
+        ({"buildings": {"difficulty": ["mediun"]}}, "none of"),
+        ({"buildings": {"layout": "nowhere"}}, "nowhere"),
+        ({"ppo": {"epoch": 1}}, "did you mean 'epochs'"),
+    ],
+)
+def test_wrong_input_is_said_before_anything_is_written(fields, said, tmp_path, capsys):
+    folder, code = run(tmp_path, **fields)
+    assert code == 2
+    assert said in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
+    folder, _ = run(tmp_path)
+    before = (folder / "policy.json").read_bytes()
+    assert run(tmp_path)[1] == 2
+    assert "--resume" in capsys.readouterr().err
+    assert (folder / "policy.json").read_bytes() == before
+
+
+def kill_and_resume(folder, config, after_s):
+    """Kill a run without warning after some seconds, go on with it, and return what was said."""
+    process = start("--config", str(config), "--out", str(folder))
+    try:
+        process.wait(after_s)
+    except Exception:
+        process.kill()
+    process.communicate()
+    known = Checkpoints(folder / "checkpoints", 3).paths()
+    if not (folder / "config.json").exists():
+        return known, ""
+    again = start("--resume", str(folder))
+    said, _ = again.communicate(timeout=300)
+    assert again.returncode == 0, said
+    return known, said
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+    """`kill -9` in the middle of training, as soon as there is a checkpoint."""
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=96)
+    process = start("--config", str(config), "--out", str(folder))
+    checkpoints = Checkpoints(folder / "checkpoints", 3)
+    give_up = time.monotonic() + 300
+    while len(checkpoints.paths()) < 3 and time.monotonic() < give_up and process.poll() is None:
+        time.sleep(0.05)
+    process.kill()
+    process.communicate()
+    last = int(checkpoints.paths()[-1].stem)
+    assert last > 0
+    again = start("--resume", str(folder))
+    said, _ = again.communicate(timeout=300)
+    assert again.returncode == 0, said
+    assert f"resumed after {last}" in said or f"resumed after {last - 12}" in said
+    assert [int(float(row["decisions"])) for row in rows(folder / "progress.csv")] == list(range(12, 97, 12))
+    assert [event["event"] for event in json.loads((folder / "run.json").read_text())] == ["begun", "resumed"]
+    assert load(folder)
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_times_it_always_goes_on(tmp_path):
+    """At most the time since the last checkpoint is lost: nothing that was saved is."""
+    rng = random.Random(0)
+    for trial in range(20):
+        folder = tmp_path / f"run{trial}"
+        config = write_config(tmp_path / "given.json", steps=96, seed=trial)
+        known, said = kill_and_resume(folder, config, rng.uniform(2.0, 15.0))
+        if said and known:
+            assert f"resumed after {int(known[-1].stem)}" in said or "passed over" in said
+        if said:
+            assert int(float(rows(folder / "progress.csv")[-1]["decisions"])) == 96
+            assert load(folder)
+
+
+def test_ctrl_c_saves_and_says_where(tmp_path):
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
+    process = start("--config", str(config), "--out", str(folder))
+    give_up = time.monotonic() + 300
+    while not Checkpoints(folder / "checkpoints", 3).paths() and time.monotonic() < give_up:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=300)
+    assert process.returncode == 130, said
+    assert f"--resume {folder}" in said.replace("\n", "")
+    assert Checkpoints(folder / "checkpoints", 3).paths()
+
+
+def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path, capsys):
+    folder, _ = run(tmp_path, steps=60)
+    paths = Checkpoints(folder / "checkpoints", 3).paths()
+    assert len(paths) == 3
+    assert not list((folder / "checkpoints").glob(".*"))
+    paths[-1].write_bytes(paths[-1].read_bytes()[:-100])
+    config = quick(steps=60)
+    venv = make_many(config, 0)
+    model = make_model(config, venv, 0)
+    progress = Checkpoints(folder / "checkpoints", 3).load(model)
+    assert progress is not None
+    assert progress.decisions == int(paths[-2].stem)
+    assert "SHA-256" in capsys.readouterr().err
+    venv.close()
+
+
+def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres():
+    env = make_env(quick(ppo={"discount_m": 5.0}))
+    env.reset(seed=0)
+    before = env.unwrapped.summary()["metres"]
+    _, reward, _, _, info = env.step(0)
+    metres = env.unwrapped.summary()["metres"] - before
+    assert info["discount"] == pytest.approx(np.exp(-metres / 5.0))
+    plain = make_env(quick(ppo={"discount_m": 1e6}))
+    plain.reset(seed=0)
+    _, undiscounted, *_ = plain.step(0)
+    assert reward != undiscounted
+
+
+def test_advantages_of_drives_are_those_of_the_definition():
+    """Against the plain sums, over an end of an episode in the middle."""
+    config = quick()
+    venv = make_many(config, 0)
+    rng = np.random.default_rng(0)
+    buffer = DriveBuffer(6, venv.observation_space, venv.action_space, "cpu", 0.9, 1.0, n_envs=2)
+    venv.close()
+    buffer.rewards, buffer.values = (rng.normal(size=(6, 2)).astype(np.float32) for _ in range(2))
+    buffer.discounts = rng.uniform(0.5, 1.0, (6, 2)).astype(np.float32)
+    buffer.episode_starts[3, 0] = 1.0
+    last, dones = rng.normal(size=2).astype(np.float32), np.array([False, True])
+    buffer.compute_returns_and_advantage(torch.as_tensor(last), dones)
+    for column in range(2):
+        for row in range(6):
+            expected, weight = 0.0, 1.0
+            for k in range(row, 6):
+                ends = buffer.episode_starts[k + 1, column] if k < 5 else dones[column]
+                ahead = buffer.values[k + 1, column] if k < 5 else last[column]
+                onward = buffer.discounts[k, column] * (1.0 - ends)
+                expected += weight * (buffer.rewards[k, column] + onward * ahead - buffer.values[k, column])
+                weight *= onward * 0.9
+            assert buffer.advantages[row, column] == pytest.approx(expected, abs=1e-5)

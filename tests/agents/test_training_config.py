@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from agents.learning.config import ALGORITHMS, TrainConfig, read_config
+from agents.learning.line import parse
+from mecp_env.errors import ConfigError
+
+
+def test_every_field_of_environment_and_algorithm_is_an_option():
+    line = "maskable_ppo --steps 50 --env.estimator truth --env.laser.max-range-m 12 --ppo.no-anneal --network.width 32"
+    config = parse(line.split()).config
+    assert (config.steps, config.env.estimator, config.env.laser.max_range_m) == (50, "truth", 12.0)
+    assert (config.ppo.anneal, config.network.width, config.actions) == (False, 32, "goal")
+
+
+def test_what_the_line_does_not_name_still_follows_from_other_fields():
+    config = parse(["ppo", "--env.laser.preset", "lms200"]).config
+    assert config.env.estimator_config.sensor.range_sigma_m == 0.01
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
+    line = [algorithm, "--seed", "3", "--env.crowd.people", "2", "--buildings.difficulty", "easy", "hard"]
+    config = parse(line).config
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps(config.to_dict()))
+    again = parse(["--config", str(path)]).config
+    assert again == config
+    assert again.env.estimator_config == config.env.estimator_config
+
+
+def test_options_stand_above_the_file(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}}))
+    config = parse(["--config", str(path), "--seed", "5"]).config
+    assert (config.algorithm, config.seed, config.ppo.epochs) == ("ppo", 5, 9)
+
+
+def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_little():
+    configs = {name: TrainConfig.build({"algorithm": name}) for name in ALGORITHMS}
+    assert {name: config.actions for name, config in configs.items()} == {
+        "ppo": "velocity",
+        "maskable_ppo": "goal",
+        "recurrent_ppo": "velocity",
+    }
+    assert configs["ppo"].ppo.discount < 1.0 == configs["maskable_ppo"].ppo.discount
+    assert TrainConfig.build({"env": {"reward": {"time": -0.01}}}).env.reward.completion == 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"ppo": {"epoch": 3}}, "did you mean 'epochs'"),
+        ({"env": {"lasr": {}}}, "did you mean 'laser'"),
+        ({"env": {"laser": {"beems": 90}}}, "did you mean 'beams'"),
+        ({"stepps": 3}, "did you mean 'steps'"),
+        ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
+        ({"algorithm": "dqn"}, "none of ppo, maskable_ppo, recurrent_ppo"),
+        ({"ppo": {"clip": float("nan")}}, "finite"),
+    ],
+)
+def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "maskable_ppo"} | fields))
+    with pytest.raises(ConfigError, match=said):
+        parse(["--config", str(path)])
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, "\x00"])
+def test_a_file_that_is_no_configuration_is_refused(text, tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"config\.json"):
+        read_config(path)
+
+
+def test_an_algorithm_that_there_is_not_and_none_at_all_list_those_there_are():
+    for line in (["sac"], ["--seed", "1"]):
+        with pytest.raises(ConfigError, match="ppo, maskable_ppo, recurrent_ppo"):
+            parse(line)
+
+
+def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "ppo", "steps": 10}))
+    assert parse(["--resume", str(tmp_path), "--steps", "20"]).config.steps == 20
+    for line in (["--seed", "1"], ["--out", "elsewhere"], ["--ppo.epochs", "2"]):
+        with pytest.raises(ConfigError, match="only --steps"):
+            parse(["--resume", str(tmp_path), *line])
+    with pytest.raises(ConfigError, match="No such file"):
+        parse(["--resume", str(tmp_path / "nothing")])
