@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from agents.learning.line import Order, parse
@@ -13,23 +13,30 @@ from mecp_env.errors import MecpError
 if TYPE_CHECKING:
     from agents.learning.trainer import Trainer
 
-WRONG_INPUT, INTERRUPTED = 2, 130
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTED: "stopped, saved"}
 INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
 
 
 def main(words: list[str]) -> int:
-    """Train; exit code 0, 2 for wrong input, 130 after Ctrl-C."""
+    """Train; exit code 0, 1 when a worker died or the disk is full, 2 for wrong input, 130 after Ctrl-C."""
     try:
         return train(parse(words))
     except MecpError as error:
         print(f"train: {error}", file=sys.stderr)
     except ModuleNotFoundError as error:
         print(f"train: needs {error.name}: {INSTALL}", file=sys.stderr)
+    except BrokenPipeError:  # whoever reads the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"train: {error.filename or 'files'}: {error.strerror}", file=sys.stderr)
+        return FAILED
     return WRONG_INPUT
 
 
 def train(order: Order) -> int:
-    """Begin a run, or go on with one. Raises `ConfigError`."""
+    """Begin a run, or go on with one; the exit code. Raises `ConfigError`."""
     from agents.learning.environments import make_env
     from agents.learning.report import Report
     from agents.learning.run_folder import RunFolder
@@ -44,12 +51,11 @@ def train(order: Order) -> int:
     with Report(order.folder, order.config) as report, Trainer(folder, report) as trainer:
         if order.resume:
             go_on(trainer)
-        interrupted = stopping(trainer)
-        trainer.run()
-    print(f"{'stopped, saved' if interrupted() else 'done'}: {order.folder}")
-    if interrupted():
+        code = run(trainer)
+    print(f"{ENDS[code]}: {order.folder}")
+    if code:
         print(f"go on with: python -m agents.train --resume {order.folder}")
-    return INTERRUPTED if interrupted() else 0
+    return code
 
 
 def go_on(trainer: Trainer) -> None:
@@ -61,8 +67,21 @@ def go_on(trainer: Trainer) -> None:
     trainer.report.say(f"resumed {where}")
 
 
-def stopping(trainer: Trainer) -> Callable[[], bool]:
-    """Let the first Ctrl-C end the run in order, a second one at once; what comes back tells whether there was one."""
+def run(trainer: Trainer) -> int:
+    """Train until the end, Ctrl-C, or the death of a worker; the exit code."""
+    from mecp_env.vector import WorkerDied
+
+    stop_on_interrupt(trainer)
+    try:
+        trainer.run()
+    except WorkerDied as error:
+        trainer.report.say(f"train: {error}")
+        return FAILED
+    return INTERRUPTED if trainer.stop else 0
+
+
+def stop_on_interrupt(trainer: Trainer) -> None:
+    """Let the first Ctrl-C end the run in order, a second one at once."""
 
     def stop(number: int, frame: Any) -> None:
         trainer.stop = True
@@ -70,7 +89,6 @@ def stopping(trainer: Trainer) -> Callable[[], bool]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     signal.signal(signal.SIGINT, stop)
-    return lambda: trainer.stop
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ class TrainConfig(Settings):
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control periods), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
-    workers: Literal["processes", "here"] = "processes"  # here: all environments in this process, one after the other
+    workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one an environment; none
     threads: int = Field(1, ge=1, le=256)  # of PyTorch
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
@@ -128,7 +128,8 @@ COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
     "environments": 8,
-    "ppo": {"steps": 256, "batch": 512, "epochs": 4, "learning_rate": 3e-4, "discount": 0.995},
+    "network": {"width": 32, "grid_channels": 8},
+    "ppo": {"steps": 256, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
     "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},
 }
 DEFAULTS: dict[str, dict[str, Any]] = {

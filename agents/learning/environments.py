@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
@@ -19,6 +21,8 @@ import mecp_env  # noqa: F401  (registers the environments)
 from agents.curve import Curve, budget_m
 from agents.learning.compact import Compact
 from agents.learning.config import TrainConfig
+from agents.sb3_batch import SB3Batch
+from mecp_env.vector import BatchEnv
 from mecp_env.wrappers import GoalActions
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -159,8 +163,9 @@ def make_visits(config: TrainConfig, index: int, buildings: Sequence[int]) -> gy
 
 
 def in_worker(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
-    """`make()` in a process of its own, which leaves Ctrl-C to the learner."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """`make()`; a process that was started for it leaves Ctrl-C to the learner."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return make()
 
 
@@ -202,13 +207,16 @@ class Timed(VecEnvWrapper):
 def make_many(config: TrainConfig, seed: int) -> Timed:
     """The environments of a run, seeded."""
     makers = [partial(make_env, config, index) for index in range(config.environments)]
-    venv = gather(makers, config.workers == "processes")
+    venv = gather(makers, config.workers)
     venv.seed(seed)
     return Timed(venv)
 
 
-def gather(makers: list[Callable[[], gym.Env[Any, Any]]], processes: bool) -> VecEnv:
-    """Environments side by side, each in a process of its own or all in this one."""
-    if processes:
-        return SubprocVecEnv([partial(in_worker, make) for make in makers])
-    return DummyVecEnv(list(makers))
+def gather(makers: list[Callable[[], gym.Env[Any, Any]]], workers: str) -> VecEnv:
+    """Environments side by side: in few processes, each in a process of its own, or all in this one."""
+    if workers == "here":
+        return DummyVecEnv(list(makers))
+    apart = [partial(in_worker, make) for make in makers]
+    if workers == "processes":
+        return SubprocVecEnv(list(apart))
+    return SB3Batch(BatchEnv(apart, autoreset_mode=AutoresetMode.SAME_STEP))

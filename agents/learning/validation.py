@@ -53,7 +53,7 @@ class Validation:
         if self.venv is None:
             shares = [range(i, self.buildings, self.workers) for i in range(self.workers)]
             makers = [partial(make_visits, self.config, i, share) for i, share in enumerate(shares)]
-            self.venv = gather(makers, self.config.workers == "processes")
+            self.venv = gather(makers, self.config.workers)
         elif self.config.buildings.layout is None:
             self.venv.env_method("rewind")
         if self.config.buildings.layout is not None:
