@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from agents.gain import Gain
+from agents.gain import Gain, Weights
 
 Observation = dict[str, NDArray[Any]]
 
@@ -17,7 +17,7 @@ POOL = 4  # cells of the grid along a side of a coarse one
 NEAR = 32  # cells of the grid along a side of the near view: 3.2 m to each side of the robot
 TABLES = ("pose", "pose_cov", "landmarks", "goals")
 VALID = 8  # column of `goals`
-RECKONER = Gain()
+RECKONER = Gain(Weights(sight_m=6.0, beyond_m2=12.0))  # said here, because trained policies depend on it
 MOST_M2 = np.float32(np.pi * RECKONER.weights.sight_m**2)
 
 

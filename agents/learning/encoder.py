@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from agents.learning import tables
+from agents.learning.priors import PRIORS
 
 LAYERS = 8  # of the grid
 SCALES = 3
@@ -73,19 +74,21 @@ class Attention(nn.Module):
 
 
 class ObservationEncoder(BaseFeaturesExtractor):
-    """Features (B,F) of an observation: its context, and with `rows` a code of each goal for a head that points.
+    """Features (B,F) of an observation: its context, and with a prior a code of each goal for a head that points.
 
-    With `rows` the observation has a `promise`, and the features are, one after the other: context (width), codes
-    (32 x width), valid (32), way in m (32), promise in m^2 (32).
+    With a `prior` (rows) the observation has a `promise`, and the features are, one after the other: context (width),
+    codes (32 x width), valid (32), the prior's score (32).
     """
 
-    def __init__(self, observation_space: spaces.Dict, width: int, channels: int, attention: bool, rows: bool) -> None:
+    def __init__(
+        self, observation_space: spaces.Dict, width: int, channels: int, attention: bool, prior: str | None = None
+    ) -> None:
         goals = observation_space["goals"].shape
         assert goals is not None
-        super().__init__(observation_space, width + (goals[0] * (width + 3) if rows else 0))
-        self.rows = rows
+        super().__init__(observation_space, width + (goals[0] * (width + 2) if prior else 0))
+        self.prior = PRIORS[prior] if prior else None
         self.grid = GridEncoder(channels, width)
-        promises = tables.PROMISE_COLUMNS if rows else 0
+        promises = tables.PROMISE_COLUMNS if prior else 0
         self.goal = layers(tables.GOAL_COLUMNS + SCALES * LAYERS + channels + 2 + promises, width, width)
         self.attention = Attention(width) if attention else None
         self.landmark = layers(tables.LANDMARK_COLUMNS, width // 2, width // 2)
@@ -97,8 +100,9 @@ class ObservationEncoder(BaseFeaturesExtractor):
         grid, maps = self.grid(observations["coarse"], observations["near"])
         rows, valid = tables.goal_rows(goals)
         around = [tables.at_goals(layer, goals) for layer in (observations["coarse"], maps)]
-        if self.rows:
-            around.append(tables.promise_rows(observations["promise"], goals))
+        score = self._score(observations, goals, valid)
+        if score is not None:
+            around.append(tables.promise_rows(observations["promise"], score, goals))
         codes = self.goal(torch.cat([rows, *around], -1))
         if self.attention is not None:
             codes = self.attention(codes, valid, tables.apart(goals))
@@ -106,8 +110,10 @@ class ObservationEncoder(BaseFeaturesExtractor):
         pose = tables.pose_row(observations["pose"], observations["pose_cov"])
         parts = [grid, pooled(codes, valid), pooled(self.landmark(landmarks), known), pose]
         context = self.context(torch.cat(parts, -1))
-        if not self.rows:
+        if score is None:
             return context
-        shown = valid.unsqueeze(-1)
-        way, promise = goals[..., 2] * valid, observations["promise"] * valid
-        return torch.cat([context, (codes * shown).flatten(1), valid.float(), way, promise], -1)
+        return torch.cat([context, (codes * valid.unsqueeze(-1)).flatten(1), valid.float(), score], -1)
+
+    def _score(self, observations: dict[str, Tensor], goals: Tensor, valid: Tensor) -> Tensor | None:
+        """The prior's score of the goals (B,32), if there is one."""
+        return None if self.prior is None else self.prior(goals, valid, observations["promise"])

@@ -64,10 +64,10 @@ def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
     encoder = {"width": network.width, "channels": network.grid_channels, "attention": network.attention}
     common: dict[str, Any] = {"features_extractor_class": ObservationEncoder}
     if config.algorithm == "maskable_ppo":
-        mine = {"width": network.width, "prior": network.prior, "sharpness": network.sharpness}
-        return GoalPointerPolicy, common | mine | {"features_extractor_kwargs": encoder | {"rows": True}}
+        mine = {"width": network.width, "sharpness": network.sharpness}
+        return GoalPointerPolicy, common | mine | {"features_extractor_kwargs": encoder | {"prior": network.prior}}
     heads = {"pi": [network.width], "vf": [network.width]}
-    common |= {"features_extractor_kwargs": encoder | {"rows": False}, "net_arch": heads, "log_std_init": FIRST_LOG_STD}
+    common |= {"features_extractor_kwargs": encoder, "net_arch": heads, "log_std_init": FIRST_LOG_STD}
     if config.algorithm == "recurrent_ppo":
         return "MultiInputLstmPolicy", common | {"lstm_hidden_size": network.lstm}
     return "MultiInputPolicy", common

@@ -15,7 +15,7 @@ CROWD_M = 3.0  # goals as near to each other are neighbours
 HALF_M = 9.6  # of the grid's window
 KINDS = 4
 VARIANCE_FLOOR = 1e-8
-GOAL_COLUMNS, PROMISE_COLUMNS, LANDMARK_COLUMNS, POSE_COLUMNS = 24, 3, 9, 9
+GOAL_COLUMNS, PROMISE_COLUMNS, LANDMARK_COLUMNS, POSE_COLUMNS = 24, 4, 9, 9
 
 
 def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
@@ -39,10 +39,10 @@ def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
     return rows * valid.unsqueeze(-1), valid
 
 
-def promise_rows(promise: Tensor, goals: Tensor) -> Tensor:
-    """The promise (B,32) m^2 of the goals as numbers (B,32,3): itself, its logarithm, its root per metre of the way."""
+def promise_rows(promise: Tensor, score: Tensor, goals: Tensor) -> Tensor:
+    """The promise (B,32) m^2 and an explorer's score (B,32) of the goals as numbers (B,32,4)."""
     per_m = torch.sqrt(promise) / (goals[..., 2] + 1.0)
-    return torch.stack([promise / 20.0, torch.log1p(promise) / 2.0, per_m], -1)
+    return torch.stack([promise / 20.0, torch.log1p(promise) / 2.0, per_m, score], -1)
 
 
 def relations(goals: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
