@@ -22,11 +22,11 @@ from agents.curve import Curve, budget_m
 from agents.learning.compact import Compact
 from agents.learning.config import TrainConfig
 from agents.sb3_batch import SB3Batch
+from mecp_env.rewards import TERMS
 from mecp_env.vector import BatchEnv
 from mecp_env.wrappers import GoalActions
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
-TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion")
 KEPT = ("coverage", "metres", "contacts", "pose_error_final_m", "pose_rmse_m", "nees_mean", "landmarks")
 LENGTHS = ("episode_periods", "episode_decisions")
 FIGURES = ("auc", *KEPT, *LENGTHS, "reward", *(f"reward_{term}" for term in TERMS), "terminated")
