@@ -105,7 +105,7 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     goals = without_closed(find_everything(survey, book.entry, config.goals), book, config.goals)
     found = reachable(goals, report, config)
     if not found:
-        gaps = without_closed(gap_goals(survey, config.goals), book, config.goals)
+        gaps = not_visited(gap_goals(survey, config.goals), book, config.goals)
         found = reachable(gaps, report, config) or out_of_reach(goals, report.belief.T_map_robot)
     goals = with_levels(found, report, book)
     return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
@@ -128,6 +128,13 @@ def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> li
         if memory is None or not memory.closed:
             still.append(goal)
     return still
+
+
+def not_visited(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> list[Goal]:
+    """The goals where no drive ended and that are not closed; a door is confirmed in the time of one visit."""
+    memories = [book.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m) for goal in goals]
+    seen = [memory is not None and (memory.closed or memory.visits > 0) for memory in memories]
+    return [goal for goal, done in zip(goals, seen, strict=True) if not done]
 
 
 def reachable(goals: list[Goal], report: StepReport, config: PlanningConfig) -> list[Goal]:

@@ -116,8 +116,12 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     goals = find_goals(report, GoalBook(), CONFIG)
     assert goals.kind.tolist() == [GoalKind.CANDIDATE]
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 2.0]]), abs=0.01)
-    target = Target.of(goals, 0)
+    target, book = Target.of(goals, 0), GoalBook()
     assert not settled(target, report)
+    book.record(goals, 0, Outcome.REFUSED, CONFIG.goals)
+    assert len(find_goals(report, book, CONFIG)) == 1
+    book.record(goals, 0, Outcome.REACHED, CONFIG.goals)
+    assert len(find_goals(report, book, CONFIG)) == 0  # one look is enough
     known = toy.report()  # of the door
     assert gap_goals(Survey.of(known), CONFIG.goals) == []
     assert find_goals(known, GoalBook(), CONFIG).kind.tolist() == [GoalKind.DOOR]
