@@ -37,6 +37,7 @@ class Site:
     laser: Laser
     simulation: Simulation
     movers: Movers
+    _others: Others | None  # None: not worked out yet
 
     def __init__(self, config: EnvConfig) -> None:
         """The first building of `config`, nobody in it. Raises `ConfigError` or `LayoutError`."""
@@ -65,17 +66,19 @@ class Site:
 
     def drive(self, shares: tuple[float, float]) -> Motion:
         """One control period at these shares of the robot's largest speed and turn rate."""
-        robot = self._config.robot
+        robot, self._others = self._config.robot, None
         return self.simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
 
     def look(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
         """A scan from where the robot is."""
-        return self.laser.scan(T_world_robot, rng, self.movers.faces)
+        return self.laser.scan(T_world_robot, rng, self.others().faces)
 
     def others(self) -> Others:
-        """What moves beside the robot, as the metrics want it."""
-        movers = self.movers
-        return Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
+        """What moves beside the robot, as laser and metrics want it; worked out once a period."""
+        if self._others is None:
+            movers = self.movers
+            self._others = Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
+        return self._others
 
     def check_building(self, number: Any) -> int | None:
         """`number` if there is a building of that number, or None. Raises `ConfigError`."""
@@ -112,7 +115,7 @@ class Site:
         self.truth = Truth(outline, self._config.laser.max_range_m)
         self.laser = Laser(outline, self._config.laser)
         self.simulation = Simulation(outline, self._config.robot)
-        self.movers = no_movers(self._config.robot)
+        self.movers, self._others = no_movers(self._config.robot), NOBODY
         self._ways: Ways | None = None  # of people, where there are any
 
     def _populate(self, start: Array, rng: np.random.Generator) -> None:
@@ -123,6 +126,7 @@ class Site:
         if wants_movers(self._config.crowd, clutter):
             self.movers.populate(self.outline, clutter, rng)
             self.simulation.admit(self.movers)
+            self._others = None
 
     def _admit(self, moving: Moving) -> None:
         """Be in the building with these doors closed, among these people and boxes."""
@@ -132,5 +136,5 @@ class Site:
         crowd = self._config.crowd
         if self._ways is None and wants_movers(crowd, self._config.clutter):
             self._ways = Ways(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])
-        self.movers = Movers(self._ways, crowd, self._config.robot, moving)
+        self.movers, self._others = Movers(self._ways, crowd, self._config.robot, moving), None
         self.simulation.admit(self.movers)

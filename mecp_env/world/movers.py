@@ -31,6 +31,7 @@ CHOICES = 6  # places that one who gets nowhere thinks of
 STEP_M = 0.3  # along a route, by which it is told where it leads
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
+DISC = np.array([kernels.X, kernels.Y, kernels.RADIUS])
 NO_FACES, NO_ROUNDS = np.empty((0, 2, 2)), np.empty((0, 3))
 
 
@@ -85,7 +86,8 @@ class Movers:
 
     def round_people(self) -> Array:
         """(n,3) m: place and radius of the people."""
-        return np.ascontiguousarray(self.state.people[:, [kernels.X, kernels.Y, kernels.RADIUS]])
+        discs: Array = self.state.people.take(DISC, axis=1)
+        return discs
 
     def round_boxes(self) -> Array:
         """(b,3) m: place and reach of the boxes."""
