@@ -65,13 +65,14 @@ def _rooms(outline: Outline) -> tuple[PlanRoom, ...]:
     starts = [Point(start[:2]).buffer(START_M) for start in outline.starts]
     clear = outline.free_area.buffer(-CLEAR_M).difference(shapely.union_all(starts))
     colours = _colours(outline.rooms)
+    floors = [float(room.intersection(outline.free_area).area) for room in outline.rooms]
     return tuple(
-        _room(name, room, clear, colour)
-        for name, room, colour in zip(outline.room_names, outline.rooms, colours, strict=True)
+        _room(name, room, clear, colour, area_m2)
+        for name, room, colour, area_m2 in zip(outline.room_names, outline.rooms, colours, floors, strict=True)
     )
 
 
-def _room(name: str, room: Polygon, clear: BaseGeometry, colour: int) -> PlanRoom:
+def _room(name: str, room: Polygon, clear: BaseGeometry, colour: int, area_m2: float) -> PlanRoom:
     free = room.intersection(clear)
     free = free if free.area > 0.0 else room
     aspect = max(LETTER * len(name) / LINES, 1.0)
@@ -80,7 +81,7 @@ def _room(name: str, room: Polygon, clear: BaseGeometry, colour: int) -> PlanRoo
     turned = level[1] < 0.9 * ENOUGH_M and best[1] > TURNED * level[1]
     place, height, turn = best if turned else level
     ring = np.array(room.exterior.coords)[:-1]
-    return PlanRoom(name, ring, float(room.area), colour, place, height, turn)
+    return PlanRoom(name, ring, area_m2, colour, place, height, turn)
 
 
 def _directions(room: Polygon) -> tuple[float, float]:

@@ -19,7 +19,7 @@ class PlanRoom:
 
     name: str
     ring: Array  # (k,2) its floor up to the middle of its walls
-    area_m2: float
+    area_m2: float  # of its floor: without walls, furniture, and solids that stand in it
     colour: int  # index of a colour that no neighbour has
     label: tuple[float, float]  # middle of the name
     label_height_m: float  # so high may name and area be together

@@ -83,3 +83,16 @@ def test_a_sheet_has_a_place_for_every_plan() -> None:
         assert all(box.x0 >= 0.0 and box.x1 <= 1.0 and box.y0 >= 0.0 and box.y1 <= 1.0 for box in boxes)
     with pytest.raises(ConfigError, match="101 buildings"):
         plans_figure([plan] * 101)
+
+
+def test_the_areas_of_the_rooms_are_floor_and_together_all_of_it(tmp_path: Path) -> None:
+    """A core that stands in a room, a ring of corridor round it, is no floor of it; nor are walls and furniture."""
+    picture = np.zeros((200, 200), dtype=np.uint8)
+    picture[10:190, 10:190] = 255
+    picture[50:150, 50:150] = 0
+    Image.fromarray(picture).save(tmp_path / "ring.png")
+    for layout in (load_plan(tmp_path / "ring.png", resolution_m=0.05), load_layout("furnished")):
+        plan = floor_plan(layout)
+        assert sum(room.area_m2 for room in plan.rooms) == pytest.approx(plan.free_m2, abs=0.01)
+    (room,) = floor_plan(load_plan(tmp_path / "ring.png", resolution_m=0.05)).rooms
+    assert room.area_m2 == pytest.approx(81.0 - 25.0, abs=0.5)

@@ -24,8 +24,9 @@ from mecp_env.world.outline import thin_walls_m
 Array = NDArray[np.float64]
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing
-IN_LINE = (1.0, 0.5, 0.25, 0.0)  # of the noise between faces of one line; walls as thin as a pixel stand less by it
-LESS_NOISE = (1.0, 0.6, 0.4)  # believed, one after the other, until nothing crosses
+# the share of the noise that is believed, and what of it may be between faces of one line, one after the other until
+# nothing crosses and no wall is lost: walls as thin as a pixel stand less beside each other than it
+BELIEVED = ((1.0, (1.0, 0.5, 0.25, 0.0)), (0.6, (1.0,)), (0.4, (1.0,)))
 LEAST_WALL_M = 0.01  # a thinner one is lost
 BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
 THIN = 0.75  # of the noise, for the vertices that stay
@@ -73,8 +74,8 @@ def straightened(area: Polygon, noise_m: float, turn: bool = True) -> Polygon:
 def _soundest(drawn: Polygon, noise_m: float) -> Polygon | None:
     """`drawn` with the edges of its rings along lines: of as many rings, and with as few walls lost, as can be."""
     best: Try | None = None
-    for share in LESS_NOISE:
-        tries = (_try(drawn, share * noise_m, in_line * share * noise_m) for in_line in IN_LINE)
+    for share, in_lines in BELIEVED:
+        tries = (_try(drawn, share * noise_m, in_line * share * noise_m) for in_line in in_lines)
         best = min([best, *_until_good(tries)], key=lambda one: (math.inf, 0.0) if one is None else one[:2])
         if best and not best.crossing:
             break

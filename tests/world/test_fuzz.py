@@ -1,0 +1,89 @@
+"""Every kind of real file, spoilt byte by byte and by its structure: a layout, or one clear LayoutError, and soon."""
+
+from __future__ import annotations
+
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mecp_env.errors import LayoutError
+from mecp_env.world.importers import load_plan
+from mecp_env.world.layout import load_layout
+from tests.world import mutations
+
+KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
+MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
+QUICK, MANY = 12, 300
+SECONDS, MEGABYTES, LETTERS = 2.0, 200, 600
+
+
+def spoilt_files(kind: str, seeds: range, folder: Path) -> Iterator[Path]:
+    """A file of a kind spoilt anew for each seed, all that lies beside it with it."""
+    made = folder / "made"
+    made.mkdir()
+    files = (mutations.sources() | mutations.made(made)).get(kind, [])
+    for seed in seeds if files else ():
+        source = files[seed % len(files)]
+        place = folder / str(seed)
+        shutil.copytree(source.parent, place, ignore=shutil.ignore_patterns("*.json", "*.py"))
+        path = place / source.name
+        path.write_bytes(mutations.spoilt(source, np.random.default_rng([seed, (*KINDS, *MADE).index(kind)])))
+        yield path
+        shutil.rmtree(place)
+
+
+def tried(path: Path, kind: str) -> float:
+    """Processor time, s, in which a file is read or refused as it should be."""
+    begun, refused = time.thread_time(), None
+    try:
+        layout = load_plan(path, resolution_m=0.05, kind="labelled" if kind == "labelled" else None)
+    except LayoutError as error:
+        refused = str(error)
+    spent = time.thread_time() - begun
+    if refused is None:
+        assert load_layout(json.loads(layout.to_json())) == layout
+    else:
+        assert refused.startswith(f"{path}: ")
+        assert len(refused) < LETTERS + len(str(path))
+    return spent
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *MADE])
+def test_spoilt_files_raise_nothing_but_layout_errors(kind: str, tmp_path: Path) -> None:
+    times = [tried(path, kind) for path in spoilt_files(kind, range(QUICK), tmp_path)]
+    if not times:
+        pytest.skip("shared/data/plans is not beside the repository")
+    assert max(times) < SECONDS
+
+
+def main(kind: str, count: int) -> None:
+    """Spoil so many files of a kind; print how many there were, the longest time in s and the memory taken in MB."""
+    with tempfile.TemporaryDirectory() as folder:
+        load_plan(mutations.made(Path(folder))["made_sheet"][0])
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        times = [tried(path, kind) for path in spoilt_files(kind, range(QUICK, QUICK + count), Path(folder))]
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    print(len(times), max(times, default=0.0), grown / 1024)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [*KINDS, *MADE])
+def test_many_spoilt_files_cost_less_than_two_seconds_and_200_megabytes(kind: str) -> None:
+    """In a process of its own, whose memory is only theirs."""
+    call = f"from tests.world.test_fuzz import main; main({kind!r}, {MANY})"
+    run = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr[-2000:]
+    count, seconds, megabytes = (float(value) for value in run.stdout.split())
+    if not count:
+        pytest.skip("shared/data/plans is not beside the repository")
+    assert count == MANY
+    assert (seconds < SECONDS, megabytes < MEGABYTES) == (True, True), run.stdout
