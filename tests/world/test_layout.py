@@ -7,6 +7,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -341,3 +342,23 @@ def test_a_cut_needs_a_wall() -> None:
     document["doors"][0] |= {"opening": "cut", "depth_m": None}
     with pytest.raises(LayoutError, match=r"doors\.0\.opening: cut, but there is no wall"):
         load_layout(document)
+
+
+DOCS = Path(__file__).parents[2] / "docs" / "layouts.md"
+
+
+def test_the_layout_in_the_docs_is_sound() -> None:
+    text = DOCS.read_text().partition("```json\n")[2].partition("```")[0]
+    layout = load_layout(json.loads(text))
+    assert (len(layout.rooms), len(layout.doors), len(layout.obstacles)) == (2, 1, 3)
+    assert load_layout(json.loads(layout.to_json())) == layout
+
+
+def test_the_docs_name_every_field_and_its_bounds() -> None:
+    text = DOCS.read_text().replace(",", "")
+    schema = Layout.model_json_schema()
+    for part in (schema, *schema["$defs"].values()):
+        for name, field in part["properties"].items():
+            assert re.search(rf"[`.\]]{name}[`\[]", text), name
+            bounds = [field.get(key) for key in ("minimum", "maximum", "maxItems", "maxLength") if field.get(key)]
+            assert all(f"{bound:g}" in text for bound in bounds if bound < 1e5), (name, bounds)
