@@ -178,7 +178,7 @@ def _redrawn(data: bytes, rng: Random) -> bytes:
     kind = image.format
     change = int(rng.integers(4))
     if change == 0:
-        image = image.convert(str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16", "I"])))
+        image = image.convert(str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])))
         kind = "PNG"
     elif change == 1:
         pixels = np.array(image.convert("RGB"))
