@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
 
-NAMES = ("speed", "features", "filters", "association", "explorers", "worlds")
+NAMES = ("speed", "features", "filters", "association", "explorers", "worlds", "vector")
 
 
 def main(arguments: list[str] | None = None) -> int:

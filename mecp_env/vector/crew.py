@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, NoReturn
@@ -116,7 +117,8 @@ class Crew:
 
     def _start(self, tasks: Sequence[Task], method: str) -> None:
         context: Any = multiprocessing.get_context(method)
-        with _one_thread_each():
+        with _one_thread_each(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
             for worker, task in enumerate(tasks):
                 ours, theirs = context.Pipe()
                 inherited = [*self._pipes, ours] if method == "fork" else []

@@ -1,0 +1,201 @@
+"""Many environments: control periods a second of 16 environments in every vector class, against a single one.
+
+All kinds run in the same process by turns, a few seconds each, the first one another in every round; a ratio is taken
+within a round, so that what else the machine does meets both. Processor time is that of all processes of a kind
+together. `small` is `velocity` with an observation without the grid, 5 of 79 kB: what the transport of the rest costs.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import multiprocessing
+import os
+import re
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from gymnasium.wrappers import FilterObservation
+
+import mecp_env  # noqa: F401  (registers the environments)
+from benchmarks.common import Figures, Gate, Options, estimate, table
+from mecp_env.vector import BatchEnv
+
+NAME, COUNT = "mecp_env/PaperMap-v0", 16
+SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}
+HELD = 10  # periods for which a velocity is held
+SMALL = ("pose", "pose_cov", "landmarks", "goals")
+SINGLE, ASYNC, BATCH, SUBPROC = "single", "async", "batch", "subproc"
+
+GATES = tuple(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async"))
+
+
+def run(options: Options) -> Figures:
+    """All figures; 12 rounds of 3 s a kind and setting (--quick: 3 of 0.5 s)."""
+    rounds, seconds = (3, 0.5) if options.quick else (12, 3.0)
+    return {name: compare(setting, rounds, seconds) for name, setting in SETTINGS.items()}
+
+
+def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
+    """The figures of each kind in a setting."""
+    drivers = {kind: Driver(kind, setting) for kind in kinds or available()}
+    names = list(drivers)
+    try:
+        for driver in drivers.values():
+            driver.measure(seconds)  # loads kernels and fills caches
+        turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds)]
+        measured = [{name: drivers[name].measure(seconds) for name in turn} for turn in turns]
+        memory = {name: driver.memory_mb() for name, driver in drivers.items()}
+    finally:
+        for driver in drivers.values():
+            driver.close()
+    return {name: figures(name, measured, memory[name]) for name in names}
+
+
+def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb: float) -> Figures:
+    """Speed, ratios and costs of a kind over the rounds."""
+    rates = np.array([turn[name][0] for turn in measured])
+    others = {f"over_{other}": rates / [turn[other][0] for turn in measured] for other in (SINGLE, ASYNC)}
+    return {
+        "periods_per_s": estimate(rates),
+        **{key: estimate(ratios) for key, ratios in others.items()},
+        "processor_us": estimate([turn[name][1] for turn in measured]),
+        "memory_mb": memory_mb,
+    }
+
+
+def available() -> tuple[str, ...]:
+    """The kinds that can be made here."""
+    return tuple(kind for kind in MAKERS if kind != SUBPROC or importlib.util.find_spec("stable_baselines3"))
+
+
+def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    """One environment of a setting."""
+    keywords = {name: value for name, value in setting.items() if name != "small"}
+    env = gymnasium.make(NAME, disable_env_checker=True, **keywords)
+    return FilterObservation(env, SMALL) if "small" in setting else env
+
+
+def make_subproc(makers: list[Callable[[], Any]]) -> Any:
+    """The class of Stable-Baselines3; forked where that can be done, or each worker would load PyTorch first."""
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    return SubprocVecEnv(makers, start_method="fork" if "fork" in multiprocessing.get_all_start_methods() else None)
+
+
+class Alone:
+    """A single environment, stepped directly, with rows of one for the driver."""
+
+    def __init__(self, makers: list[Callable[[], Any]]) -> None:
+        self.env = makers[0]()
+
+    def reset(self, seed: int | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The first observation and info of an episode."""
+        observation, info = self.env.reset(seed=seed)
+        return {name: part[None] for name, part in observation.items()}, info
+
+    def step(self, actions: Any) -> tuple[Any, ...]:
+        """A step, and a new episode where one ends."""
+        observation, reward, terminated, truncated, info = self.env.step(actions[0])
+        rows = {name: part[None] for name, part in observation.items()}
+        if terminated or truncated:
+            rows, _ = self.reset()
+        return rows, [reward], [terminated], [truncated], (info,)
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+
+MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
+    SINGLE: Alone,
+    "sync": SyncVectorEnv,
+    ASYNC: AsyncVectorEnv,
+    BATCH: BatchEnv,
+    SUBPROC: make_subproc,
+}
+
+
+class Driver:
+    """Environments of one kind, and how they are driven: at random, the same way in each kind."""
+
+    def __init__(self, kind: str, setting: dict[str, Any]) -> None:
+        self.venv = MAKERS[kind]([partial(make_env, setting)] * COUNT)
+        self.goals = setting.get("actions") == "goal"
+        self.rng = np.random.default_rng(0)
+        self.steps = 0
+        if kind == SUBPROC:
+            self.venv.seed(0)
+            self.observation = self.venv.reset()
+        else:
+            self.observation = self.venv.reset(seed=0)[0]
+
+    def measure(self, seconds: float) -> tuple[float, float]:
+        """Control periods a second, and microseconds of processor time a period, over at least so long."""
+        start, spent, periods = time.perf_counter(), self.processor_s(), 0
+        while time.perf_counter() < start + seconds:
+            periods += self.step()
+        return periods / (time.perf_counter() - start), 1e6 * (self.processor_s() - spent) / periods
+
+    def step(self) -> int:
+        """A step of all environments: how many control periods it took together."""
+        row = self.venv.step(self.choose())
+        self.observation, infos, self.steps = row[0], row[-1], self.steps + 1
+        if not self.goals:
+            return len(row[1])
+        return int(sum(info["periods"] for info in infos) if isinstance(infos, tuple) else infos["periods"].sum())
+
+    def choose(self) -> Any:
+        """A goal of each observation, or velocities that are held for a while."""
+        if self.goals:
+            masks = self.observation["goals"][:, :, 8] == 1.0
+            return np.array([self.rng.choice(np.flatnonzero(mask)) if mask.any() else 0 for mask in masks])
+        if self.steps % HELD == 0:
+            count = len(self.observation["pose"])
+            self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (count, 2)).astype(np.float32)
+        return self.held
+
+    def pids(self) -> list[int]:
+        """Of all processes at work: this one, and its workers."""
+        workers = self.venv.pids if isinstance(self.venv, BatchEnv) else [p.pid for p in processes(self.venv)]
+        return [os.getpid(), *workers]
+
+    def processor_s(self) -> float:
+        """Seconds on a processor so far, of all threads of all processes; nan where the system does not tell."""
+        try:
+            threads = [thread for pid in self.pids() for thread in Path(f"/proc/{pid}/task").iterdir()]
+            return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads) / 1e9
+        except OSError:
+            return float("nan")
+
+    def memory_mb(self) -> float:
+        """Memory of all processes, shared pages in parts (Pss); nan where the system does not tell."""
+        try:
+            pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in self.pids()]
+        except OSError:
+            return float("nan")
+        return sum(int(re.findall(r"\nPss:\s+(\d+)", page)[0]) for page in pages) / 1e3
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self.venv.close()
+
+
+def processes(venv: Any) -> list[Any]:
+    """The workers of a vector environment that is not ours."""
+    return list(getattr(venv, "processes", ()))
+
+
+def report(figures: Figures) -> str:
+    """A table a setting, a row a kind."""
+    heads = ["kind", "periods a second", "over a single one", "over async", "processor us a period", "memory MB"]
+    pages = [
+        f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
+        for setting, kinds in figures.items()
+    ]
+    return "\n\n".join([__doc__ or "", *pages])

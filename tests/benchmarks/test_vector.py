@@ -1,0 +1,32 @@
+"""The pieces of the vector benchmark measure what they say."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks import vector
+from benchmarks.common import flatten
+
+
+@pytest.mark.parametrize("setting", vector.SETTINGS)
+def test_every_kind_is_driven_the_same_way(setting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vector, "COUNT", 2)
+    drivers = [vector.Driver(kind, vector.SETTINGS[setting]) for kind in ("sync", "batch")]
+    for _ in range(3):
+        assert drivers[0].step() == drivers[1].step() >= 2
+        assert all((drivers[0].observation[key] == drivers[1].observation[key]).all() for key in vector.SMALL)
+    assert ("grid" in drivers[0].observation) == (setting != "small")
+    assert len(drivers[0].pids()) == 1
+    assert len(drivers[1].pids()) >= 2
+    for driver in drivers:
+        driver.close()
+
+
+def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vector, "COUNT", 2)
+    kinds = vector.compare(vector.SETTINGS["velocity"], 2, 0.05, (vector.SINGLE, vector.ASYNC, vector.BATCH))
+    assert kinds["single"]["over_single"]["value"] == 1.0
+    assert kinds["batch"]["over_async"]["n"] == 2
+    assert kinds["batch"]["processor_us"]["value"] > 0.0
+    assert {gate.path for gate in vector.GATES} <= flatten({"velocity": kinds}).keys()
+    assert "| batch |" in vector.report({"velocity": kinds})
