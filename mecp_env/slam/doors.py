@@ -45,6 +45,7 @@ class DoorBook:
     ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (D,) of `doors`
     jambs: Ints = field(default_factory=lambda: np.empty((0, 4), np.int64))  # (D,4) as `door_jambs`
     row: dict[tuple[int, int], int] = field(default_factory=dict)  # face -> index in `doors`
+    inside: list[tuple[float, float]] = field(default_factory=list)  # m, map frame: gaps that lie inside one room
 
     def set_doors(self, doors: list[Door]) -> None:
         """Replace the doors; what is derived from them follows."""
@@ -145,7 +146,9 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
     elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == TRANSIENT)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        if elsewhere[pair[0]] or elsewhere[pair[1]]:
+        ends = np.empty((2, 2))
+        place(belief.T_map_robot, corners.z[pair], ends)
+        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends):
             continue
         if ids in book.row:
             _see_again(book, ids, confirmable, (room, next_door))
@@ -153,8 +156,6 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = book.sightings.get(ids, 0) + 1
             _confirm(book, ids, features, belief, room, config)
-        ends = np.empty((2, 2))
-        place(belief.T_map_robot, corners.z[pair], ends)
         _note_candidate(book, Candidate(ends, ids, room, 1, seen.period), belief)
 
 
@@ -230,6 +231,12 @@ def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
         book.candidates[same[0]] = replace(new, ids=ids, room=known.room, sightings=known.sightings + 1)
     else:
         book.candidates.append(new)
+
+
+def lies_inside(book: DoorBook, ends: Array) -> bool:
+    """True when the gap with the ends (2,2) was found to lie inside a room."""
+    x, y = (0.5 * (ends[0] + ends[1])).tolist() if book.inside else (0.0, 0.0)
+    return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in book.inside)
 
 
 @kernel

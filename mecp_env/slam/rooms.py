@@ -26,6 +26,7 @@ from mecp_env.slam.doors import (
     DoorBook,
     anchored,
     door_frames,
+    lies_inside,
     pass_through,
     record_doorways,
     rooms_next_door,
@@ -199,11 +200,11 @@ class RoomKeeper:
         x, y = belief.T_map_robot[:2]
         before = [e for e in self.elsewhere if e[0] == other]
         if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
-            return self._become(other, features)
+            return self._become(other, features, belief)
         self.elsewhere.append((other, float(x), float(y)))
         return False
 
-    def _become(self, other: int, features: FeatureTable) -> bool:
+    def _become(self, other: int, features: FeatureTable, belief: Belief) -> bool:
         """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
         old = self.current
         self._arrive(other)
@@ -215,7 +216,10 @@ class RoomKeeper:
         self.rooms.remove(old)
         doors = [self._with_rooms_resolved(door) for door in self.book.doors]
         # a door that leads from a room to itself is none: the gap lies inside the room
+        middles = self.book.frames(belief)[:, :2].tolist()
+        self.book.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
+        self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends)]
         return True
 
     def _with_rooms_resolved(self, door: Door) -> Door:

@@ -239,6 +239,18 @@ def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_rec
     assert keeper.graph().doors == ()
 
 
+def test_a_gap_found_to_lie_inside_a_room_is_not_taken_for_a_door_again():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    for x in (0.0, 0.8):
+        look(keeper, belief_at(x, 1.0), (7, 8, 9), polygon_room=0)
+    for _ in range(5):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    assert keeper.graph().doors == ()
+    assert keeper.graph().candidates == ()
+
+
 def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_in():
     keeper, table = keeper_with_door(), features()
     walk(keeper, (-0.5, 0.0, 0.5))
