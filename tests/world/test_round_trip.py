@@ -51,6 +51,8 @@ def walls_off_m(layout: Layout, plan: Layout) -> float:
         ("huge:10", True, 0.05),  # both faces of a wall in one line
         ("huge:13", False, 0.05),  # the ring began amid the end of a wall
         ("huge:3", False, 0.025),  # taken for ragged, and drawn with 9 cm
+        ("hard:2", False, 0.025),  # the end of a wall in two oblique edges
+        ("hard:21", False, 0.025),
         ("medium:4", True, 0.025),
     ],
 )

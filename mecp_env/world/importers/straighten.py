@@ -227,17 +227,42 @@ def _offset(angle: float, point: Array) -> float:
 
 def _squared(lines: list[Line], noise_m: float) -> list[Line]:
     """`lines` of a ring without bevels between lines that are square to each other; the ends of walls are square."""
+    lines = _with_whole_ends(lines, noise_m)
     kept = []
     for before, line, after in zip([lines[-1], *lines[:-1]], lines, [*lines[1:], lines[0]], strict=True):
-        oblique = abs(math.sin(2.0 * (line.angle - before.angle))) > 1e-3  # though it may go along another direction
-        short = before.on_axis and after.on_axis and oblique and line.length < BEVEL * noise_m
+        bevel = before.on_axis and after.on_axis and _is_oblique(line, before, noise_m)
         turn = math.cos(before.angle - after.angle)
-        if short and turn < -0.999:
-            square = before.angle + math.copysign(math.pi / 2.0, math.sin(line.angle - before.angle))
-            kept.append(replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True))
-        elif not short or abs(turn) > 0.1:
+        if bevel and turn < -0.999:
+            kept.append(_end_of_wall(before, line))
+        elif not bevel or abs(turn) > 0.1:
             kept.append(line)
     return kept
+
+
+def _with_whole_ends(lines: list[Line], noise_m: float) -> list[Line]:
+    """`lines` of a ring with one line for two oblique ones that are the blurred end of a wall."""
+    whole: list[Line] = []
+    for line, after in zip(lines, [*lines[1:], lines[0]], strict=True):
+        before, last = (whole[-2], whole[-1]) if len(whole) > 1 else (line, line)
+        faces = before.on_axis and after.on_axis and math.cos(before.angle - after.angle) < -0.999
+        if faces and _is_oblique(last, before, noise_m) and _is_oblique(line, before, noise_m):
+            length = last.length + line.length
+            middle = (last.length * last.middle + line.length * line.middle) / length
+            whole[-1] = _end_of_wall(before, replace(line, length=length, middle=middle))
+        else:
+            whole.append(line)
+    return whole
+
+
+def _is_oblique(line: Line, face: Line, noise_m: float) -> bool:
+    """Whether a short line is neither along nor square to a face; it may go along another direction of the building."""
+    return line.length < BEVEL * noise_m and abs(math.sin(2.0 * (line.angle - face.angle))) > 1e-3
+
+
+def _end_of_wall(face: Line, line: Line) -> Line:
+    """`line` turned square to a face of the wall that it ends."""
+    square = face.angle + math.copysign(math.pi / 2.0, math.sin(line.angle - face.angle))
+    return replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True)
 
 
 def _same_way(a: Line, b: Line) -> bool:
