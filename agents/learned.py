@@ -24,7 +24,7 @@ from agents.learning.compact import compact
 from agents.learning.config import ALGORITHMS, TrainConfig, read_config
 from agents.learning.files import WeightError
 from agents.learning.foreign import ForeignAgent, load_zip
-from agents.learning.models import make_policy
+from agents.learning.models import make_policy, use_threads
 from agents.learning.player import Player
 from agents.learning.run_folder import CONFIG, POLICY
 from mecp_env.errors import ConfigError, MecpError
@@ -57,10 +57,12 @@ def load(name_or_folder: str | Path, trust: bool = False) -> LearnedAgent | Fore
     """The policy of that name from `agents/weights`, or that of the folder of a run, as an agent.
 
     With `trust` also the model file of Stable-Baselines3 at that path, which may run any code while it is loaded.
+    From then on PyTorch computes in one thread here: one observation is too little for more, and the bits stay the same.
     Raises `ConfigError` for a name or a configuration that is wrong, `WeightError` for weights that are damaged, too
     large, not those of their checksum, or of another network.
     """
     path = Path(name_or_folder)
+    use_threads(1)
     if path.suffix == ".zip" or path.is_file():
         return load_zip(path, trust)
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path

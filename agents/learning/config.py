@@ -127,9 +127,9 @@ class TrainConfig(Settings):
 COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.0}}}
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
-    "environments": 8,
+    "environments": 16,
     "network": {"width": 32, "grid_channels": 8},
-    "ppo": {"steps": 256, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
+    "ppo": {"steps": 128, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
     "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},
 }
 DEFAULTS: dict[str, dict[str, Any]] = {

@@ -117,6 +117,11 @@ def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
     assert shipped()
 
 
+def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
+    assert main(Args(str(folder), difficulty="easy")) == 0
+    assert "coverage" in capsys.readouterr().out
+
+
 class Payload:
     """Unpickled, it leaves a file behind."""
 
