@@ -57,7 +57,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> LearnedAgent | Fore
     """The policy of that name from `agents/weights`, or that of the folder of a run, as an agent.
 
     With `trust` also the model file of Stable-Baselines3 at that path, which may run any code while it is loaded.
-    From then on PyTorch computes in one thread here: one observation is too little for more, and the bits stay the same.
+    From then on PyTorch computes in one thread: one observation is too little for more, and the bits stay the same.
     Raises `ConfigError` for a name or a configuration that is wrong, `WeightError` for weights that are damaged, too
     large, not those of their checksum, or of another network.
     """

@@ -118,10 +118,12 @@ def wait_for_checkpoint(process, checkpoints, beyond=-1):
 
 def resumed_after(process):
     """The decisions after which a run says that it goes on."""
+    said = ""
     for line in process.stdout:
+        said += line
         if line.startswith("resumed after"):
             return int(line.split()[2].replace(",", ""))
-    raise AssertionError("did not resume")
+    raise AssertionError(f"did not resume: {said}")
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
