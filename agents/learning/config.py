@@ -68,9 +68,10 @@ class PpoConfig(Settings):
 
 
 class WarmStartConfig(Settings):
-    """Imitation of an explorer before PPO."""
+    """What is learned of an explorer before PPO begins."""
 
-    teacher: str | None = None  # nearest, gain, bfs, ...: an explorer of `agents`
+    teacher: str | None = None  # nearest, gain, bfs: an explorer of `agents`
+    imitate: bool = True  # no: only the critic learns, what the teacher earns
     decisions: int = Field(4000, ge=16, le=10_000_000)
     epochs: int = Field(10, ge=1, le=1000)
 

@@ -61,22 +61,25 @@ def imitate(model: OnPolicyAlgorithm, venv: VecNormalize, config: TrainConfig, r
     actions = torch.as_tensor(lesson.pop("action"))
     observations = {name: torch.as_tensor(values) for name, values in lesson.items()}
     rng = np.random.default_rng(config.seed)
-    agreed = float("nan")
+    agreed, imitating = float("nan"), config.warm_start.imitate
     for _ in range(config.warm_start.epochs):
         parts = torch.as_tensor(rng.permutation(len(actions))).split(BATCH)
-        agreed = float(np.mean([learn(model, observations, actions, targets, rows) for rows in parts]))
+        agreed = float(np.mean([learn(model, (observations, actions, targets), rows, imitating) for rows in parts]))
     report.say(f"warm start: {len(actions):,} decisions of {config.warm_start.teacher}, agrees with {agreed:.0%}")
 
 
 def learn(
-    model: OnPolicyAlgorithm, observations: dict[str, Tensor], actions: Tensor, targets: Tensor, rows: Tensor
+    model: OnPolicyAlgorithm, lesson: tuple[dict[str, Tensor], Tensor, Tensor], rows: Tensor, imitating: bool
 ) -> float:
-    """One gradient step on some rows; in how many of them the policy would do as the teacher."""
+    """One gradient step on some rows of observations, actions and returns; how often the policy does as the teacher."""
     policy = model.policy
+    observations, actions, targets = lesson
     given = {name: values[rows] for name, values in observations.items()}
     masks = given["goals"][..., GOAL_VALID] > 0.5
     values, log_likelihood, _ = policy.evaluate_actions(given, actions[rows], action_masks=masks)
-    loss = -log_likelihood.mean() + model.vf_coef * functional.mse_loss(values.flatten(), targets[rows])
+    loss = model.vf_coef * functional.mse_loss(values.flatten(), targets[rows])
+    if imitating:
+        loss = loss - log_likelihood.mean()
     policy.optimizer.zero_grad()
     loss.backward()
     torch.nn.utils.clip_grad_norm_(policy.parameters(), model.max_grad_norm)

@@ -14,12 +14,16 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
+from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
+
 from agents import train  # noqa: E402
 from agents.learned import load  # noqa: E402
 from agents.learning.checkpoints import Checkpoints, read  # noqa: E402
 from agents.learning.config import ALGORITHMS  # noqa: E402
 from agents.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from agents.learning.models import DriveBuffer, make_model  # noqa: E402
+from agents.learning.report import Report  # noqa: E402
+from agents.learning.warm_start import imitate  # noqa: E402
 from tests.agents.training import quick, start, write_config  # noqa: E402
 
 
@@ -79,6 +83,21 @@ def test_a_warm_start_imitates_its_teacher(tmp_path, capsys):
     assert code == 0
     assert "decisions of bfs, agrees with" in capsys.readouterr().out
     assert (folder / "policy.json").exists()
+
+
+def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
+    given = {"teacher": "gain", "decisions": 16, "epochs": 2, "imitate": False}
+    config = quick(warm_start=given)
+    venv = VecNormalize(make_many(config, 0), norm_obs=False)
+    model = make_model(config, venv, 0)
+    before = model.policy.mlp_extractor.score[-1].weight.clone()
+    untrained = model.policy.value_net.weight.clone()
+    with Report(tmp_path, config) as report:
+        imitate(model, venv, config, report)
+    assert torch.equal(model.policy.mlp_extractor.score[-1].weight, before)
+    assert not torch.equal(model.policy.value_net.weight, untrained)
+    assert float(venv.ret_rms.var) > 0.0
+    venv.close()
 
 
 @pytest.mark.parametrize(
