@@ -2,7 +2,8 @@
 
 All kinds run in the same process by turns, a few seconds each, the first one another in every round; a ratio is taken
 within a round, so that what else the machine does meets both. Processor time is that of all processes of a kind
-together. `small` is `velocity` with an observation without the grid, 5 of 79 kB: what the transport of the rest costs.
+together. `batch` has as many workers as by default: one a core, with goals four. `small` is `velocity` with an
+observation without the grid, 5 of 79 kB: what the transport of the rest costs.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ from gymnasium.wrappers import FilterObservation
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, estimate, table
 from mecp_env.vector import BatchEnv
+from mecp_env.vector.crew import cores
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16
 SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}
+EPISODE = 300  # periods; a grown map costs more, and a single environment would otherwise have the largest
 HELD = 10  # periods for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
 SINGLE, ASYNC, BATCH, SUBPROC = "single", "async", "batch", "subproc"
@@ -77,7 +80,7 @@ def available() -> tuple[str, ...]:
 def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     """One environment of a setting."""
     keywords = {name: value for name, value in setting.items() if name != "small"}
-    env = gymnasium.make(NAME, disable_env_checker=True, **keywords)
+    env = gymnasium.make(NAME, disable_env_checker=True, max_periods=EPISODE, **keywords)
     return FilterObservation(env, SMALL) if "small" in setting else env
 
 
@@ -117,6 +120,7 @@ MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
     "sync": SyncVectorEnv,
     ASYNC: AsyncVectorEnv,
     BATCH: BatchEnv,
+    "batch, 2 a core": lambda makers: BatchEnv(makers, workers=2 * cores()),
     SUBPROC: make_subproc,
 }
 
@@ -146,9 +150,9 @@ class Driver:
         """A step of all environments: how many control periods it took together."""
         row = self.venv.step(self.choose())
         self.observation, infos, self.steps = row[0], row[-1], self.steps + 1
-        if not self.goals:
-            return len(row[1])
-        return int(sum(info["periods"] for info in infos) if isinstance(infos, tuple) else infos["periods"].sum())
+        if isinstance(infos, tuple):
+            return sum(info["periods"] for info in infos) if self.goals else len(infos)
+        return int(infos["periods"].sum() if self.goals else (infos["period"] > 0).sum())  # a reset is none
 
     def choose(self) -> Any:
         """A goal of each observation, or velocities that are held for a while."""
