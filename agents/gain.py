@@ -31,7 +31,7 @@ class Weights:
     start_m: float = 2.0  # added to every way, so that what lies at hand is not worth all
     winding: float = 1.3  # the way from one goal to the next, times the straight line
     beyond_m2: float = 12.0  # expected behind a door that lies outside the grid of the observation
-    least_m2: float = 0.3  # where no goal promises as much, the nearest is next
+    least_m2: float = 0.3  # where no goal promises as much, only the ways count
     sure_m: float = 0.05  # standard deviation of the position up to which nothing but floor counts
     caution: float = 1.0  # how fast a goal on unknown ground loses its worth beyond that
 
