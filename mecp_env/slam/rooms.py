@@ -55,6 +55,8 @@ class RoomKeeper:
     elsewhere: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
     trail: Trail = field(default_factory=Trail)  # the path since this room was entered
     parted: dict[int, tuple[int, int]] = field(default_factory=dict)  # as in RoomGraph
+    moved_from: dict[int, int] = field(default_factory=dict)  # landmark -> room it was in before it was moved
+    shared: set[tuple[int, int, int]] = field(default_factory=set)  # landmarks moved and moved back, and the two rooms
 
     def graph(self) -> RoomGraph:
         """The room graph as of now."""
@@ -171,22 +173,39 @@ class RoomKeeper:
         if not len(ids):
             return False
         rooms = features.room[ids].tolist()
-        if self._relabel(ids, rooms, features):
+        if self._relabel(ids, rooms, features, seen.belief):
             return True
         other = self._majority(rooms)
         if other in (UNKNOWN_ROOM, self.current):
             return False
         return self._note_elsewhere(other, seen.belief, self.config.recognise_by_corners_m, features)
 
-    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable) -> bool:
+    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable, belief: Belief) -> bool:
         """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.
 
-        They were first seen through a door not yet known, so that they were given to the room of the robot then.
+        They were first seen through a door not yet known, so that they were given to the room of the robot then. Some
+        that are moved back are seen from both sides of a gap, and not through it: it parts no rooms.
         """
         next_door = rooms_next_door(self.book, self.current, self.config.confirm_sightings)
-        strayed = [i for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
-        features.room[strayed] = self.current
+        strayed = [(i, room) for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
+        for i, room in strayed:
+            if self.moved_from.get(i) == self.current:
+                self.shared.add((i, min(room, self.current), max(room, self.current)))
+            self.moved_from[i], features.room[i] = room, self.current
+        for room in sorted({room for _, room in strayed}):
+            if self._are_one(room):
+                keep, drop = min(room, self.current), max(room, self.current)
+                self._arrive(keep)
+                self._merge(drop, keep, features, belief)
+                break
         return bool(strayed)
+
+    def _are_one(self, room: int) -> bool:
+        """True when enough landmarks are seen from both `room` and this one, and no door with two faces parts them."""
+        pair = {room, self.current}
+        seen = sum({first, second} == pair for _, first, second in self.shared)
+        two_faced = any(door.other_face is not None and pair == set(door.rooms) for door in self.book.doors)
+        return seen >= self.config.recognise_corners and not two_faced
 
     def _majority(self, rooms: list[int]) -> int:
         """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
@@ -210,6 +229,11 @@ class RoomKeeper:
         self._arrive(other)
         if old != self.newest:
             return False
+        self._merge(old, other, features, belief)
+        return True
+
+    def _merge(self, old: int, other: int, features: FeatureTable, belief: Belief) -> None:
+        """Two rooms are one: `old` is `other` from now on."""
         self.newest = UNKNOWN_ROOM
         self.merged[old] = other
         features.room[features.room == old] = other
@@ -220,7 +244,6 @@ class RoomKeeper:
         self.book.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
         self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends)]
-        return True
 
     def _with_rooms_resolved(self, door: Door) -> Door:
         first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)

@@ -262,6 +262,36 @@ def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_
     assert len(keeper.graph().doors) == 1
 
 
+def to_and_fro(keeper, table, rounds):
+    """Landmarks 7, 8 and 9 are seen from above the gap and, past it, from below; they are moved each time."""
+    for _ in range(rounds):
+        look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
+        for y in (0.5, 0.0, -0.5):
+            look(keeper, belief_at(0.0, y), (), table=table)
+        look(keeper, belief_at(-3.0, -1.0), (7, 8, 9), table=table)  # not through the gap
+        for y in (-0.5, 0.0, 0.5):
+            look(keeper, belief_at(0.0, y), (), table=table)
+
+
+def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_and_not_through_it():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    to_and_fro(keeper, table, 1)
+    assert keeper.graph().rooms == (0,)
+    assert keeper.graph().doors == ()
+    assert table.room[7:].tolist() == [0, 0, 0]
+
+
+def test_a_door_with_two_faces_parts_rooms_whatever_is_seen_from_both_sides():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    to_and_fro(keeper, table, 3)
+    assert keeper.graph().rooms == (0, 1)
+    assert len(keeper.graph().doors) == 1
+
+
 def test_an_old_room_recognised_is_entered_not_merged():
     keeper = RoomKeeper(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
     look(keeper, belief_at(0.0, -2.0), (4, 5, 6))
