@@ -205,7 +205,7 @@ class SlamPipeline:
         """
         features, doubtful = self.features, np.empty(len(corners), np.int64)
         columns = features.room, features.state, features.last_period, self._oldest()
-        count = ends_of_bodies((match.ids, match.decision), corners.z, *columns, doubtful)
+        count = ends_of_bodies((match.ids, match.decision, match.nis), corners.z, *columns, doubtful)
         for c in doubtful[:count]:
             z, R = corners.measurements(np.array([c]))
             _, S = self.filter.innovation(z, R, match.ids[c : c + 1])

@@ -30,6 +30,7 @@ TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int
 JAMB, NEW, PROVISIONAL = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.PROVISIONAL)
 ON_TRACK = int(Reason.TRACK)
 RECOGNISED = int(Decision.LANDMARK)
+LONE_NIS = 9.21  # chi-square, 2 degrees of freedom, 99 %
 BODY_M = (0.2, 0.5)  # how wide somebody is; a wall is thinner
 
 
@@ -248,16 +249,16 @@ def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, old
 
 @kernel
 def ends_of_bodies(
-    match: tuple[Ints, Ints], z: Array, room: Ints, state: Ints, last_period: Ints, oldest: int, doubtful: Ints
+    match: tuple[Ints, Ints, Array], z: Array, room: Ints, state: Ints, last_period: Ints, oldest: int, doubtful: Ints
 ) -> int:
-    """Write the corners (n,) to doubt: alone of a room unseen since `oldest`, beside a corner that is no landmark.
+    """Write the corners (n,) to doubt: alone of a room unseen since `oldest`, and beside one that is no landmark.
 
-    Such two corners, as far apart as somebody is wide, may be the two sides of somebody. `match`: ids and decision
-    (n,), z (n,2); the rest as in `room_unseen_since`. Returns how many there are.
+    Such two corners, as far apart as somebody is wide, may be the two sides of somebody; so may be one that fits its
+    landmark badly. `match`: ids, decision and NIS (n,), z (n,2); the rest as in `room_unseen_since`. Returns how many.
     """
-    (ids, decision), count = match, 0
+    (ids, decision, nis), count = match, 0
     for c in range(z.shape[0]):
-        alone, beside = decision[c] == RECOGNISED, False
+        alone, beside = decision[c] == RECOGNISED, nis[c] > LONE_NIS
         for k in range(z.shape[0] if alone else 0):
             if decision[k] == RECOGNISED:
                 alone &= k == c or room[ids[k]] != room[ids[c]]

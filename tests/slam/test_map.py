@@ -104,13 +104,13 @@ def test_a_room_unseen_for_a_while_is_told_apart():
     assert room_unseen_since(np.array([1, 2]), room, state, last, 90)
 
 
-def doubted(ids, places, last=(100, 100, 5, 5)):
+def doubted(ids, places, last=(100, 100, 5, 5), nis=1.0):
     """The corners to doubt; features 0 and 1 are of room 0, 2 and 3 of room 1, which was not seen lately."""
     found = np.empty(len(ids), np.int64)
     decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
     z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
     features = np.array([0, 0, 1, 1]), np.full(4, int(FeatureState.LANDMARK)), np.array(last)
-    return found[: ends_of_bodies((np.array(ids), decision), z, *features, 90, found)].tolist()
+    return found[: ends_of_bodies((np.array(ids), decision, np.full(len(ids), nis)), z, *features, 90, found)].tolist()
 
 
 def test_a_room_is_not_recognised_by_one_side_of_somebody():
@@ -118,6 +118,7 @@ def test_a_room_is_not_recognised_by_one_side_of_somebody():
     assert doubted([0, 2, -1], [here, jamb, side]) == [1]
     assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
     assert doubted([0, 2, -1], [here, jamb, (3.0, 1.6)]) == []
+    assert doubted([0, 2], [here, jamb], nis=10.0) == [1]  # nobody beside it, but it fits badly
     assert doubted([0, 2, 1], [here, jamb, side]) == []  # both are known
     assert doubted([2, 3, -1], [here, jamb, side]) == []  # two landmarks of the room
     assert doubted([0, 2, -1], [here, jamb, side], last=(100, 100, 5, 95)) == []  # a room seen all the while
