@@ -63,7 +63,7 @@ class CornerConfig(Settings):
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
-    door_width_m: Limits = (0.75, 1.05)
+    door_width_m: Limits = (0.6, 1.95)
     door_range_m: float = Field(3.5, gt=0.0, le=30.0)
     door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)
 
@@ -78,7 +78,7 @@ class PolygonConfig(Settings):
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     open_depth_m: float = Field(0.2, gt=0.0, le=2.0)
     open_width_m: float = Field(0.4, gt=0.0, le=5.0)
-    gap_width_m: Limits = (0.4, 1.2)  # between walls: a door, or one seen from the side; else it is open
+    gap_width_m: Limits = (0.4, 2.1)  # between walls: a door, or one seen from the side; else it is open
 
 
 class TransientConfig(Settings):
@@ -184,8 +184,12 @@ class SlamConfig(Settings):
         return cls(
             clustering=ClusteringConfig(threshold="adaptive"),  # III-A.1: d / cos(85 deg), no noise term
             segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
-            corners=CornerConfig(short_faces=False, covariance="sensor"),  # two lines or an end; IV: constant sigmas
-            polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False),  # III-A.2: exact, walls are not asked
+            corners=CornerConfig(
+                short_faces=False,  # two lines or an end
+                covariance="sensor",  # IV: constant sigmas
+                door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
+            ),
+            polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False, gap_width_m=(0.4, 1.2)),  # III-A.2: exact
             transients=TransientConfig(margin_m=0.0, refutations=0, closure_sigma_m=100.0),  # a static world
             tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
             association=AssociationConfig(

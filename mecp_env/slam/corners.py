@@ -83,7 +83,9 @@ def find_corners(
     jambs, width, good = find_doorways(found, found.z.shape[0], sight, walls, DoorRules(*doors))
     beyond = mark_beyond(found, found.z.shape[0], jambs)
     for gap in range(jambs.shape[0]):
-        found.kind[jambs[gap, 0]] = found.kind[jambs[gap, 1]] = JAMB
+        for side in range(2):
+            if found.convex[jambs[gap, side]]:  # a concave one is the corner of a room
+                found.kind[jambs[gap, side]] = JAMB
     sites = np.empty(found.z.shape[0], np.bool_)
     for k in range(sites.shape[0]):
         sites[k] = found.kind[k] != JAMB and beyond[k] < 0

@@ -189,7 +189,7 @@ def _confirm(
     """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
     if book.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
         return
-    features.kind[list(ids)] = int(CornerKind.JAMB)
+    _mark_jambs(ids, features)
     new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
     frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
     for d, other in enumerate(book.frames(belief)):
@@ -199,6 +199,11 @@ def _confirm(
             return
     book.set_doors([*book.doors, new])
     book.next_id += 1
+
+
+def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
+    """The posts of a door belong to both its rooms; a concave corner that stands for one is a corner of its room."""
+    features.kind[[i for i in ids if features.convex[i]]] = int(CornerKind.JAMB)
 
 
 def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
@@ -266,7 +271,7 @@ def anchored(candidate: Candidate, features: FeatureTable) -> bool:
 def pass_through(book: DoorBook, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
     """The robot drove through a candidate: it is a door, passed rather than seen."""
     book.candidates = [c for c in book.candidates if c is not candidate]
-    features.kind[list(candidate.ids)] = int(CornerKind.JAMB)
+    _mark_jambs(candidate.ids, features)
     rooms = (candidate.room, room_beyond)
     book.set_doors([*book.doors, Door(book.next_id, candidate.ids, None, rooms, candidate.sightings)])
     book.next_id += 1

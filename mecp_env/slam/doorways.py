@@ -1,4 +1,4 @@
-"""Kernels for door jambs: two convex ends of collinear walls that face each other across a gap (III, doors)."""
+"""Kernels for door jambs: two ends of walls that face each other across a gap (III, doors)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.kernel import kernel
-from mecp_env.slam.crossings import Found, Sight, Walls
+from mecp_env.slam.crossings import Found, Sight, Walls, length_of
 from mecp_env.slam.data import CornerKind
 from mecp_env.slam.geometry import wrap_angle
 
@@ -18,7 +18,15 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 JAMB = int(CornerKind.JAMB)
 PARALLEL_RAD, OFFSET_M = math.radians(15.0), 0.15  # how far the two wall faces beside a door may be from one line
+OBLIQUE_RAD = math.radians(60.0)  # and one of them, where the door is in line with the other
+STUB_RAD = math.radians(20.0)  # how far the faces of a concave corner may be from the wall's and from square to it
+STUB_M, STUB_SHARE = 0.3, 0.85  # how long a wall it may stand for, and how many of the other beams pass beyond
+PLAIN_M = 1.05  # a gap between two walls in line is a door; a wider one only where the floor gets wider behind it,
+ODD_M, WALL_M = 1.4, 0.5  # and from here on only between walls as long; one beside no two walls in line, up to here
+DEPTH_M = (0.35, 0.7)  # behind the gap: deeper than a wall is thick
+PASSED_M, STOPPED_M, WITNESSES = 0.12, 0.05, 2  # outside of the gap's width; beams on one side that tell
 BEYOND_M, BEYOND_SHARE = 0.25, 0.6  # of the beams between the jambs, this share passes this far beyond their line
+DEEP_M, DEEP_SHARE = 0.7, 0.25  # what is less deep is a niche
 BEHIND_M = 0.1  # a corner this far beyond the gap's line belongs to the next room
 
 
@@ -35,12 +43,11 @@ class DoorRules(NamedTuple):
 def find_doorways(found: Found, n: int, sight: Sight, walls: Walls, rules: DoorRules) -> tuple[Ints, Array, Bools]:
     """Jambs (g,2), right then left, widths (g,) and whether seen well (g,)."""
     jambs, width, good = np.empty((n, 2), np.int64), np.empty(n), np.empty(n, np.bool_)
+    rights, lefts = nearest_partners(found, n, walls, rules)
     size = 0
     for right in range(n):
-        if found.border[right, 0] < 0:
-            continue
-        left = facing_end(found, n, right, walls, rules)
-        if left < 0 or not passes_through(found, sight, walls, (right, left)):
+        left = lefts[right]
+        if left < 0 or rights[left] != right or not passes_through(found, sight, walls, (right, left)):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
         (ax, ay), (bx, by) = point_of(found, right), point_of(found, left)
@@ -49,29 +56,70 @@ def find_doorways(found: Found, n: int, sight: Sight, walls: Walls, rules: DoorR
         distance = math.hypot(mx, my)
         across = abs(mx * (by - ay) - my * (bx - ax)) / width[size]
         good[size] = distance <= rules.range and across >= rules.cosine * distance
-        size += 1
+        wider = widening(sight, beside(found, right, left), beside(found, left, right))
+        plain, _, sides = widths_and_sides(found, walls, right, left)
+        size += wider >= sides or (wider == 0 and width[size] <= plain)
     return jambs[:size], width[:size], good[:size]
 
 
 @kernel
-def facing_end(found: Found, n: int, right: int, walls: Walls, rules: DoorRules) -> int:
-    """The corner ccw of `right` that begins a wall collinear with the one ending there, in door width; or -1."""
-    best, best_width = -1, rules.widest
-    ending = found.border[right, 0]
-    for left in range(n):
-        beginning = found.border[left, 1]
-        turn = wrap_angle(found.z[left, 1] - found.z[right, 1])
-        if beginning < 0 or turn <= 0.0:
-            continue
-        if abs(wrap_angle(walls.line[ending, 0] - walls.line[beginning, 0])) > PARALLEL_RAD:
-            continue
-        a, b = point_of(found, right), point_of(found, left)
-        if max(off_line(walls.line[ending], b), off_line(walls.line[beginning], a)) > OFFSET_M:
-            continue
-        width = math.hypot(b[0] - a[0], b[1] - a[1])
-        if rules.narrowest <= width <= best_width:
-            best, best_width = left, width
-    return best
+def nearest_partners(found: Found, n: int, walls: Walls, rules: DoorRules) -> tuple[Ints, Ints]:
+    """For each corner the nearest that may be the right, and the left jamb (n,) of a door with it; -1 without one."""
+    rights, lefts = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
+    to_right, to_left = np.full(n, rules.widest), np.full(n, rules.widest)
+    for right in range(n):
+        for left in range(n):
+            ended = found.border[right, 0] >= 0 or found.border[left, 1] >= 0
+            if not ended or wrap_angle(found.z[left, 1] - found.z[right, 1]) <= 0.0:
+                continue
+            (ax, ay), (bx, by) = point_of(found, right), point_of(found, left)
+            width = math.hypot(bx - ax, by - ay)
+            if not rules.narrowest <= width <= max(to_left[right], to_right[left]):
+                continue
+            if not face_each_other(found, walls, right, left):
+                continue
+            if width > widths_and_sides(found, walls, right, left)[1]:
+                continue
+            if width <= to_left[right]:
+                to_left[right], lefts[right] = width, left
+            if width <= to_right[left]:
+                to_right[left], rights[left] = width, right
+    return rights, lefts
+
+
+@kernel
+def face_each_other(found: Found, walls: Walls, right: int, left: int) -> bool:
+    """True when a wall ends at `right` or begins at `left`, and what is at the other is the end of a wall in its line.
+
+    That wall may be at an angle to the first; and it may be too short to be one: then a concave corner is seen in its
+    place, where it joins another wall.
+    """
+    ending, beginning = found.border[right, 0], found.border[left, 1]
+    if beginning < 0:
+        return stub_in_line(found, left, right, walls.line[ending])
+    if ending < 0:
+        return stub_in_line(found, right, left, walls.line[beginning])
+    turn = abs(wrap_angle(walls.line[ending, 0] - walls.line[beginning, 0]))
+    off_ending = off_line(walls.line[ending], point_of(found, left))
+    off_beginning = off_line(walls.line[beginning], point_of(found, right))
+    if turn <= PARALLEL_RAD:
+        return max(off_ending, off_beginning) <= OFFSET_M
+    return turn <= OBLIQUE_RAD and min(off_ending, off_beginning) <= OFFSET_M
+
+
+@kernel
+def stub_in_line(found: Found, corner: int, opposite: int, line: Array) -> bool:
+    """True for a concave corner with one face on the line (alpha, rho), the other looking to the `opposite` corner."""
+    if found.convex[corner] or off_line(line, point_of(found, corner)) > OFFSET_M:
+        return False
+    (ax, ay), (bx, by) = point_of(found, corner), point_of(found, opposite)
+    across = math.atan2(by - ay, bx - ax)
+    stub = False
+    for face in range(2):
+        along = abs(wrap_angle(found.normals[corner, face] - line[0] - math.pi))
+        aside = abs(wrap_angle(found.normals[corner, 1 - face] - across))
+        stub = stub or (along <= STUB_RAD and aside <= STUB_RAD)
+    return stub
 
 
 @kernel
@@ -88,21 +136,78 @@ def off_line(line: Array, p: tuple[float, float]) -> float:
 
 @kernel
 def passes_through(found: Found, sight: Sight, walls: Walls, gap: tuple[int, int]) -> bool:
-    """True when most beams between the two walls beside the gap pass well beyond the line through its jambs."""
-    a, b = point_of(found, gap[0]), point_of(found, gap[1])
-    size = sight.polar.shape[1]
-    last, first = walls.last[found.border[gap[0], 0]], walls.first[found.border[gap[1], 1]]
-    turn = wrap_angle(found.z[gap[1], 1] - found.z[gap[0], 1])
-    between, beyond = 0, 0
+    """True when most beams between the two walls beside the gap pass well beyond the line through its jambs, some far.
+
+    Where a concave corner stands for a jamb, almost all but those beside it: the wall there is short.
+    """
+    (right, left), size = gap, sight.polar.shape[1]
+    ending, beginning = found.border[right, 0], found.border[left, 1]
+    last = walls.last[ending] if ending >= 0 else walls.first[beginning] - size + 1
+    first = walls.first[beginning] if beginning >= 0 else last - 1
+    a, b = beside(found, right, left), beside(found, left, right)
+    start = math.atan2(a[1], a[0])
+    turn = wrap_angle(math.atan2(b[1], b[0]) - start)
+    between, beyond, deep = 0, 0, 0
     for k in range(1, (first - last) % size):
         q = (last + k) % size
         r, bearing = sight.polar[0, q], sight.polar[1, q]
-        ahead = wrap_angle(bearing - found.z[gap[0], 1])
+        ahead = wrap_angle(bearing - start)
         if ahead <= 0.0 or ahead >= turn:
             continue
-        between += 1
-        beyond += (not sight.hit[q]) or depth_behind(a, b, (r * math.cos(bearing), r * math.sin(bearing))) > BEYOND_M
-    return between > 0 and beyond >= BEYOND_SHARE * between
+        depth = depth_behind(a, b, (r * math.cos(bearing), r * math.sin(bearing))) if sight.hit[q] else math.inf
+        between, beyond, deep = between + 1, beyond + (depth > BEYOND_M), deep + (depth > DEEP_M)
+    share = BEYOND_SHARE if found.convex[right] and found.convex[left] else STUB_SHARE
+    return between > 0 and beyond >= share * between and deep >= DEEP_SHARE * between
+
+
+@kernel
+def widening(sight: Sight, a: tuple[float, float], b: tuple[float, float]) -> int:
+    """On how many sides the floor behind the gap from a to b gets wider than the gap; -1: on none, 0: not to be seen.
+
+    Looked at are beams through the gap that cross the line square to it at a jamb, as deep as no wall is thick. Behind
+    a door they go on, at least on one side; in the mouth of a corridor and in a niche they end there, on both sides.
+    """
+    width = math.hypot(b[0] - a[0], b[1] - a[1])
+    ux, uy = (b[0] - a[0]) / width, (b[1] - a[1]) / width
+    along, depth = -(a[0] * ux + a[1] * uy), a[1] * ux - a[0] * uy  # of the robot
+    passed, stopped = np.zeros(2, np.int64), np.zeros(2, np.int64)
+    for q in range(sight.polar.shape[1]):
+        r, bearing = sight.polar[0, q], sight.polar[1, q]
+        x, y = math.cos(bearing), math.sin(bearing)
+        sideways, onward = x * ux + y * uy, x * uy - y * ux
+        if onward <= 1e-6 or abs(sideways) <= 1e-6 or not 0.0 < along - depth / onward * sideways < width:
+            continue
+        side = 1 if sideways > 0.0 else 0
+        reach = ((width if side == 1 else 0.0) - along) / sideways
+        if not DEPTH_M[0] <= depth + reach * onward <= DEPTH_M[1]:
+            continue
+        outside = (r - reach) * abs(sideways)
+        passed[side] += (not sight.hit[q]) or outside > PASSED_M
+        stopped[side] += sight.hit[q] and abs(outside) <= STOPPED_M
+    wider = 0
+    for side in range(2):
+        wider += passed[side] >= WITNESSES and passed[side] > stopped[side]
+    return -1 if wider == 0 and min(stopped[0], stopped[1]) >= WITNESSES else wider
+
+
+@kernel
+def widths_and_sides(found: Found, walls: Walls, right: int, left: int) -> tuple[float, float, int]:
+    """How wide a gap is a door without, and with the floor seen to get wider behind it, m, and on how many sides."""
+    ending, beginning = found.border[right, 0], found.border[left, 1]
+    if ending < 0 or beginning < 0:
+        return 0.0, ODD_M, 1
+    if abs(wrap_angle(walls.line[ending, 0] - walls.line[beginning, 0])) > PARALLEL_RAD:
+        return 0.0, ODD_M, 2
+    shorter = min(length_of(walls.points, ending), length_of(walls.points, beginning))
+    return PLAIN_M, math.inf if shorter >= WALL_M else ODD_M, 1
+
+
+@kernel
+def beside(found: Found, corner: int, opposite: int) -> tuple[float, float]:
+    """x, y where a gap begins: at its corner, or `STUB_M` nearer to the `opposite` one where that is concave."""
+    (ax, ay), (bx, by) = point_of(found, corner), point_of(found, opposite)
+    share = 0.0 if found.convex[corner] else min(STUB_M / math.hypot(bx - ax, by - ay), 0.5)
+    return ax + share * (bx - ax), ay + share * (by - ay)
 
 
 @kernel

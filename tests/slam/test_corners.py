@@ -175,18 +175,88 @@ def test_corners_behind_the_door_are_marked_and_no_sites():
         assert (corners.beyond[near] == -1).all()
 
 
-@pytest.mark.parametrize("width", [0.5, 1.4])
+@pytest.mark.parametrize("width", [0.5, 2.1])
 def test_a_gap_that_is_no_door_width_is_no_door(width):
     corners, _ = corners_of(with_door(width))
     assert len(corners.doorways.jambs) == 0
 
 
-def test_a_niche_is_no_door():
-    faces = ring(
-        (2.0, -2.0), (2.0, -0.45), (2.2, -0.45), (2.2, 0.45), (2.0, 0.45), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)
+@pytest.mark.parametrize("width", [0.65, 1.2, 1.6, 1.9])
+def test_doors_of_homes_are_as_narrow_and_as_wide(width):
+    corners, _ = corners_of(with_door(width))
+    assert corners.doorways.width == pytest.approx([width], abs=0.1)
+    assert corners.doorways.confirmable.all()
+
+
+def test_one_width_of_doors_can_be_asked_for():
+    narrow = SlamConfig(corners=CornerConfig(door_width_m=(0.75, 1.05)))
+    for width, doors in ((0.65, 0), (0.9, 1), (1.4, 0)):
+        assert len(front_end(take_scan(with_door(width)), config=narrow)[-1].doorways.jambs) == doors
+
+
+def niche(width, depth):
+    """A room with a niche of the wall at x = 2."""
+    half, back = width / 2, 2.0 + depth
+    return ring(
+        (2.0, -2.0), (2.0, -half), (back, -half), (back, half), (2.0, half), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)
     )
+
+
+@pytest.mark.parametrize(("width", "depth"), [(0.9, 0.2), (0.9, 0.5), (1.6, 1.0)])
+def test_a_niche_is_no_door(width, depth):
     for seed in range(10):
-        assert len(corners_of(faces, PAPER, seed)[0].doorways.jambs) == 0
+        assert len(corners_of(niche(width, depth), PAPER, seed)[0].doorways.jambs) == 0
+
+
+@pytest.mark.parametrize("aside", [-1.0, 0.0, 1.0])
+def test_the_mouth_of_a_corridor_is_no_door(aside):
+    """Seen in a plan: rooms were parted where a passage of 1.6 m begins."""
+    for width in (0.9, 1.6):
+        faces = niche(width, 6.0) + np.array([0.0, aside if width > 1.0 else 0.0])
+        for seed in range(5):
+            assert len(corners_of(faces, PAPER, seed)[0].doorways.jambs) == 0
+
+
+def beside_a_side_wall(stub):
+    """A room whose door of 0.95 m begins `stub` metres from the wall at y = 2, and a larger room behind it."""
+    left, right = 2.0 - stub, 1.05 - stub
+    near = chain((2.0, left), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0), (2.0, -2.0), (2.0, right), (2.12, right))
+    return np.concatenate(
+        [
+            near,
+            chain((2.12, right), (2.12, -3.0), (5.0, -3.0), (5.0, 3.0), (2.12, 3.0), (2.12, left)),
+            chain((2.12, left), (2.0, left)),
+        ]
+    )
+
+
+def test_a_door_beside_a_wall_too_short_to_be_one_is_bounded_by_the_corner_of_the_room():
+    """Seen in a home: a bedroom was taken for its corridor, since its door is 0.18 m from the side wall."""
+    found = 0
+    for seed in range(10):
+        corners, points = corners_of(beside_a_side_wall(0.18), LMS200, seed)
+        for right, left in corners.doorways.jambs:
+            found += 1
+            assert points[left] == pytest.approx([2.0, 2.0], abs=0.1)
+            assert points[right] == pytest.approx([2.0, 0.87], abs=0.1)
+            assert corners.kind[right] == CornerKind.JAMB
+            assert corners.kind[left] == CornerKind.CROSSING
+            assert corners.sites[left]
+            assert not corners.sites[right]
+    assert found >= 8
+    for seed in range(10):  # a wall of that length has an end of its own, which is the jamb
+        corners, points = corners_of(beside_a_side_wall(0.8), LMS200, seed)
+        assert corners.convex[corners.doorways.jambs].all()
+
+
+def test_a_door_may_stand_at_an_angle_to_one_of_the_walls_beside_it():
+    """Seen in a home: the walls beside the door of a kitchen run off at 45 degrees."""
+    end, away, thick = np.array([2.0, 0.6]), np.array([-1.5, 1.5]), np.array([0.12, 0.05])
+    wall = chain(end + away, end, end + thick, end + thick + away)
+    straight = chain((2.0, -2.0), (2.0, -0.6), (2.12, -0.6), (2.12, -2.0))
+    faces = np.concatenate([straight, wall, ring((-3.0, -3.0), (6.0, -3.0), (6.0, 4.0), (-3.0, 4.0))])
+    found = sum(len(corners_of(faces, LMS200, seed)[0].doorways.jambs) for seed in range(10))
+    assert found >= 8
 
 
 def test_ends_at_different_depths_are_no_door():
