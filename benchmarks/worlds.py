@@ -6,8 +6,8 @@ and every door closed with probability 0.15).
 A building is seen when the episode ends by itself with 95 % of the free area seen, complete when every room and door
 was found as well; lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither
 complete nor lost. Each building is started from a place that its number draws, each plan three times. Doors of plans
-are 0.55 to 1.9 m wide. What is
-not complete is kept in `runs/worlds/`: the layout, a picture, and the command that shows the episode again.
+are 0.55 to 1.9 m wide. What is not complete is kept in `runs/worlds/`: the layout, a picture, and the command that
+shows the episode again.
 """
 
 from __future__ import annotations
