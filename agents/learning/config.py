@@ -44,7 +44,7 @@ class NetworkConfig(Settings):
     grid_channels: int = Field(16, ge=2, le=256)  # of the convolutions
     attention: bool = True  # goals see each other before they are scored
     prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy does as
-    sharpness: float = Field(3.0, ge=0.0, le=100.0)  # how surely it does so
+    sharpness: float = Field(5.0, ge=0.0, le=100.0)  # how surely it does so
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
 
 
@@ -53,14 +53,14 @@ class PpoConfig(Settings):
 
     steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
     batch: int = Field(128, ge=2, le=1_000_000)  # decisions a gradient step
-    epochs: int = Field(6, ge=1, le=100)
-    learning_rate: float = Field(6e-4, gt=0.0, le=1.0)
+    epochs: int = Field(10, ge=1, le=100)
+    learning_rate: float = Field(1.5e-3, gt=0.0, le=1.0)
     anneal: bool = True  # the learning rate falls to 0 in a straight line
     gae_lambda: float = Field(0.95, ge=0.0, le=1.0)
     discount: float = Field(1.0, gt=0.0, le=1.0)  # a decision; with velocities a period
     discount_m: float = Field(60.0, gt=0.0, le=1e6)  # goals: what comes so many metres later counts 1/e
     clip: float = Field(0.2, gt=0.0, le=1.0)
-    entropy: float = Field(0.002, ge=0.0, le=1.0)
+    entropy: float = Field(0.0, ge=0.0, le=1.0)
     value: float = Field(0.5, ge=0.0, le=10.0)
     gradient_norm: float = Field(0.5, gt=0.0, le=100.0)
     target_kl: float | None = Field(0.03, gt=0.0, le=10.0)  # an update stops early beyond it

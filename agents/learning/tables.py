@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 NEAR_M = 10.0  # a length that is large for the network
+WIDE_M = 10.0  # a goal that is wider counts as so wide
 CROWD_M = 3.0  # goals as near to each other are neighbours
 HALF_M = 9.6  # of the grid's window
 KINDS = 4
@@ -28,6 +29,7 @@ def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
     x, y, path, size, kind, _, level, visits = goals[..., :8].unbind(-1)
     straight = torch.hypot(x, y)
     far = torch.clamp(straight, min=1e-3)
+    size = torch.clamp(size, max=WIDE_M)
     kinds = functional.one_hot(kind.long().clamp(0, KINDS - 1), KINDS).float().unbind(-1)
     columns = [
         *(x / NEAR_M, y / NEAR_M, x / far, y / far, straight / NEAR_M),

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 contrib = pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from agents.learned import Args, load, main, shipped  # noqa: E402
+from agents.learned import WEIGHTS, Args, load, main, shipped  # noqa: E402
 from agents.learning import files  # noqa: E402
 from agents.learning.files import WeightError  # noqa: E402
 from agents.learning.models import make_policy  # noqa: E402
@@ -120,6 +120,15 @@ def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
 def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
     assert main(Args(str(folder), difficulty="easy")) == 0
     assert "coverage" in capsys.readouterr().out
+
+
+def test_the_policy_that_comes_with_the_repository_loads_and_is_small(capsys):
+    assert "maskable_ppo" in shipped()
+    found = list((WEIGHTS / "maskable_ppo").glob("policy-*.safetensors"))
+    assert len(found) == 1
+    assert found[0].stat().st_size < 1.9e6
+    assert load("maskable_ppo").actions == "goal"
+    assert main(Args("maskable_ppo", difficulty="easy")) == 0
 
 
 class Payload:
