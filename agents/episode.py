@@ -26,6 +26,7 @@ class Task:
     policy: str
     building: int
     setting: Setting
+    trust: bool = False  # load a model file that may run any code
 
     def __str__(self) -> str:
         where = f"{self.setting.difficulty}, split {self.setting.split}, building and seed {self.building}"
@@ -69,7 +70,7 @@ class End:
 
 def play(task: Task) -> Episode:
     """Play one episode; the same task gives the same figures bit for bit."""
-    agent, log = make_agent(task.policy), Log()
+    agent, log = make_agent(task.policy, task.trust), Log()
     env = admit(rooms(task.setting, agent), agent, log.look)
     end = drive(env, agent, log.look, task.building)
     final: dict[str, float] = env.get_wrapper_attr("summary")()

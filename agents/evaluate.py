@@ -56,6 +56,7 @@ class Args:
     truth: bool = True  # with the estimator slam or known, each policy once more with the pose known
     record: bool = False  # a film of all policies side by side, in the first building
     reference: str = "nearest"  # the policy to which the others are compared
+    trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run any code
     max_periods: int = 3000  # an episode is cut there (control periods of 0.4 s)
     json: Path | None = None  # also write the result there, and the page beside it
     out: Path = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, side_by_side.gif
@@ -108,7 +109,7 @@ def check(args: Args) -> None:
             f"reference: {args.reference!r:.80}, expected one of {', '.join((*args.policies, *EXPLORERS))}"
         )
     for policy in args.policies:
-        agent = make_agent(policy)
+        agent = make_agent(policy, args.trust)
     within("episodes", args.episodes, 1, MOST_EPISODES)
     env = rooms(setting_of(args), agent)
     env.reset(seed=0, options={"building": args.episodes - 1})  # is there such a building?
@@ -143,7 +144,12 @@ def tasks_of(args: Args) -> list[Task]:
     setting = setting_of(args)
     settings = [setting, *([replace(setting, estimator="truth")] if args.truth and args.estimator != "truth" else [])]
     policies = list(dict.fromkeys(args.policies))
-    return [Task(name, number, each) for number in range(args.episodes) for each in settings for name in policies]
+    return [
+        Task(name, number, each, args.trust)
+        for number in range(args.episodes)
+        for each in settings
+        for name in policies
+    ]
 
 
 def evaluate(args: Args) -> Evaluation:
@@ -200,7 +206,7 @@ def draw(result: Figures, args: Args) -> None:
     if args.record:
         from agents.film import write_film
 
-        write_film(list(dict.fromkeys(args.policies)), setting_of(args), args.out / "side_by_side.gif")
+        write_film(list(dict.fromkeys(args.policies)), setting_of(args), args.out / "side_by_side.gif", args.trust)
 
 
 def result_of(evaluation: Evaluation, rows: Sequence[Row]) -> Figures:

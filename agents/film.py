@@ -62,10 +62,10 @@ class Spectator:
         return Reel([*self.film.frames, self.picture(ended)], self.film.every)
 
 
-def write_film(policies: Sequence[str], setting: Setting, path: Path) -> None:
+def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
     """Write the film of all policies in one building as a GIF; what takes very long is shown so far."""
     shorter = replace(setting, max_periods=min(setting.max_periods, LONGEST))
-    reels = [record(policy, shorter) for policy in policies]
+    reels = [record(policy, shorter, trust) for policy in policies]
     every = max(reel.every for reel in reels)
     last = max(reel.every * (len(reel.frames) - 1) for reel in reels)
     whole = Film()
@@ -73,9 +73,9 @@ def write_film(policies: Sequence[str], setting: Setting, path: Path) -> None:
     whole.save(path)
 
 
-def record(policy: str, setting: Setting) -> Reel:
+def record(policy: str, setting: Setting, trust: bool = False) -> Reel:
     """The pictures of one exploration."""
-    agent = make_agent(policy)
+    agent = make_agent(policy, trust)
     env = rooms(setting, agent)
     spectator = Spectator(policy, env)
     drive(admit(env, agent, spectator.look), agent, spectator.look, BUILDING)

@@ -20,24 +20,25 @@ LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # those with weights in the 
 INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
 
 
-def make_agent(name: str) -> Agent:
-    """The policy of that name, or the trained one in the run folder `name`.
+def make_agent(name: str, trust: bool = False) -> Agent:
+    """The policy of that name, or the trained one in the run folder or, with `trust`, the model file `name`.
 
-    Raises `ConfigError` for an unknown name, with all there are, and for a trained policy without PyTorch.
+    Raises `ConfigError` for an unknown name, with all there are, for a trained policy without PyTorch, and for a model
+    file of Stable-Baselines3 that is not trusted: it may run any code while it is loaded.
     """
     if name in EXPLORERS:
         module, _, class_name = EXPLORERS[name].partition(":")
         agent: Agent = getattr(importlib.import_module(module), class_name)()
         return agent
     if name in LEARNED or Path(name).exists():
-        return load_learned(name)
+        return load_learned(name, trust)
     raise ConfigError(unknown_policy(name))
 
 
-def load_learned(name: str) -> Agent:
-    """The trained policy of a name or a run folder; only this loads PyTorch."""
+def load_learned(name: str, trust: bool = False) -> Agent:
+    """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
     try:
-        agent: Agent = importlib.import_module("agents.learned").load(name)
+        agent: Agent = importlib.import_module("agents.learned").load(name, trust)
     except ModuleNotFoundError as error:
         raise ConfigError(f"policy: {name!r} is a trained one and needs {error.name}: {INSTALL}") from None
     return agent

@@ -123,10 +123,11 @@ class Crew:
                 ours, theirs = context.Pipe()
                 inherited = [*self._pipes, ours] if method == "fork" else []
                 arguments, name = (theirs, inherited, task), f"mecp_env worker {worker}"
-                self._processes.append(context.Process(target=work, args=arguments, name=name, daemon=True))
-                self._pipes.append(ours)
-                self._processes[-1].start()
+                process = context.Process(target=work, args=arguments, name=name, daemon=True)
+                process.start()  # one that cannot be started is none to stop
                 theirs.close()
+                self._processes.append(process)
+                self._pipes.append(ours)
 
     def _answer(self, worker: int) -> Any:
         try:

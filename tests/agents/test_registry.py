@@ -35,7 +35,7 @@ def test_an_unknown_policy_is_told_what_there_is_and_the_nearest_guess() -> None
 def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked: list[str] = []
 
-    def load(name: str) -> Nearest:
+    def load(name: str, trust: bool = False) -> Nearest:
         asked.append(name)
         return Nearest()
 
@@ -46,7 +46,7 @@ def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytes
 
 
 def test_without_pytorch_a_trained_policy_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    def load(name: str) -> Nearest:
+    def load(name: str, trust: bool = False) -> Nearest:
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
     monkeypatch.setitem(sys.modules, "agents.learned", types.SimpleNamespace(load=load))
@@ -76,3 +76,12 @@ def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatc
 def test_the_documentation_has_every_explorer() -> None:
     text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
     assert all(f"| `{name}` |" in text for name in registry.EXPLORERS)
+
+
+def test_a_model_file_must_be_trusted(tmp_path: Path) -> None:
+    pytest.importorskip("sb3_contrib")
+    (tmp_path / "model.zip").write_bytes(b"no zip")
+    with pytest.raises(ConfigError, match="--trust"):
+        make_agent(str(tmp_path / "model.zip"))
+    with pytest.raises(ConfigError, match=r"model\.zip"):
+        make_agent(str(tmp_path / "model.zip"), trust=True)

@@ -35,10 +35,10 @@ def footprint(venv: BatchEnv) -> tuple[float, int]:
 def test_what_is_kept_is_noticed() -> None:
     venv = make_small(2)
     memory, files = footprint(venv)
-    venv.each(keep, [(20,), (20,)])
+    venv.each(keep, [(40,), (40,)])  # more than a process can have freed and kept for itself: 32 MB
     grown, left = footprint(venv)
     venv.close()
-    assert 35.0 < grown - memory < 60.0
+    assert 75.0 < grown - memory < 100.0
     assert left == files + 2
 
 
