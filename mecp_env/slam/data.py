@@ -310,6 +310,7 @@ class Candidate:
     room: int
     sightings: int
     last_period: int
+    confirmable: int = 0  # sightings from near enough, of either face, whichever ids its jambs had
 
 
 @dataclass(frozen=True, slots=True, eq=False)

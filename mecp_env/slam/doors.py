@@ -154,9 +154,9 @@ def record_doorways(book: DoorBook, seen: Sighting, features: FeatureTable, room
             _see_again(book, ids, confirmable, (room, next_door))
             continue
         if min(ids) >= 0 and confirmable:
-            book.sightings[ids] = book.sightings.get(ids, 0) + 1
+            book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends)) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(ends, ids, room, 1, seen.period), belief)
+        _note_candidate(book, Candidate(ends, ids, room, 1, seen.period, book.sightings.get(ids, 0)), belief)
 
 
 def rooms_next_door(book: DoorBook, room: int, sightings: int) -> set[int]:
@@ -225,6 +225,11 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
+def _seen_well(book: DoorBook, ends: Array) -> int:
+    """How often the gap with the ends (2,2) was seen well: by the face behind it, or by a jamb since forgotten, too."""
+    return max((c.confirmable for c in book.candidates if same_gap(c.ends, ends)), default=0)
+
+
 def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
     same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends)]
@@ -233,7 +238,10 @@ def _note_candidate(book: DoorBook, new: Candidate, belief: Belief) -> None:
     elif same:
         known = book.candidates[same[0]]
         ids = new.ids if min(new.ids) >= 0 else known.ids
-        book.candidates[same[0]] = replace(new, ids=ids, room=known.room, sightings=known.sightings + 1)
+        well = max(known.confirmable, new.confirmable)
+        book.candidates[same[0]] = replace(
+            new, ids=ids, room=known.room, sightings=known.sightings + 1, confirmable=well
+        )
     else:
         book.candidates.append(new)
 

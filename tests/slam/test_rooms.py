@@ -101,6 +101,17 @@ def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
     assert keeper.book.doors[0].rooms == (0, -1)
 
 
+def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
+    """Two of one face and one of the other; where a jamb was forgotten and found anew, its ids changed as well."""
+    keeper = RoomKeeper(RoomConfig())
+    for _ in range(2):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    assert [candidate.confirmable for candidate in keeper.book.candidates] == [2]
+    look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert [(door.jambs, door.sightings) for door in keeper.book.doors] == [((2, 3), 3)]
+
+
 def test_a_gap_seen_from_afar_stays_a_candidate():
     keeper = RoomKeeper(RoomConfig())
     for _ in range(10):
