@@ -147,6 +147,7 @@ class Share:
 def work(pipe: Connection, others: Sequence[Connection], task: Task) -> None:
     """The process: do what comes through the pipe until told to stop, or until nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that we work for
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
     gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
     for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
         other.close()

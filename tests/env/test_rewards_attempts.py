@@ -84,11 +84,15 @@ def test_breadth_first_earns_most_and_time_counts() -> None:
 
 def test_to_complete_earlier_earns_more() -> None:
     keywords = {"layout": "two_rooms", "laser": {"sweeps": 1}}
-    soon, late = explore(1, **keywords), explore(1, waits=40, **keywords)
-    assert soon.paid("completion") == pytest.approx(late.paid("completion"), rel=0.05)
-    assert soon.paid("completion") > 3.0  # 10 for 100 m^2, of 45
-    assert soon.paid("time") == pytest.approx(late.paid("time") - 40 * WEIGHTS.time, abs=0.03)
-    assert soon.paid() > late.paid() + 0.1
+    gains = []
+    for seed in range(6):
+        soon, late = explore(seed, **keywords), explore(seed, waits=40, **keywords)
+        assert soon.paid("completion") == pytest.approx(late.paid("completion"), rel=0.05)
+        assert soon.paid("completion") > 3.0  # 10 for 100 m^2, of 45
+        assert soon.paid("time") == pytest.approx(late.paid("time") - 40 * WEIGHTS.time, abs=0.03)
+        gains.append(soon.paid() - late.paid())
+    assert min(gains) > 0.0
+    assert np.mean(gains) > 0.1  # 0.2 for the time; standing still makes the pose a little surer, which pays, too
 
 
 def test_a_bigger_map_completes_for_more() -> None:

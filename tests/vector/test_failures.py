@@ -105,6 +105,23 @@ def test_a_worker_killed_at_work_is_named_though_others_are_busy(killed: int) ->
     assert gone_within(pids, SOON_S)
 
 
+def test_workers_obey_though_the_process_that_they_work_for_does_not() -> None:
+    """SDL catches SIGTERM where a window was opened; a forked worker inherits it."""
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        venv = make_small(wrappers=(Slow,))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.step_async(STILL)
+    for process in multiprocessing.active_children():
+        if process.pid in pids:
+            process.terminate()
+    assert gone_within(pids, SOON_S)
+    venv.close()
+
+
 def test_a_worker_that_ends_by_itself_is_named() -> None:
     venv = make_small(wrappers=(Faulty,))
     venv.reset(seed=1)
