@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import multiprocessing
 import os
 import re
@@ -35,7 +36,7 @@ def footprint(venv: BatchEnv) -> tuple[float, int]:
 def test_what_is_kept_is_noticed() -> None:
     venv = make_small(2)
     memory, files = footprint(venv)
-    venv.each(keep, [(40,), (40,)])  # more than a process can have freed and kept for itself: 32 MB
+    venv.each(keep, [(40,), (40,)])
     grown, left = footprint(venv)
     venv.close()
     assert 75.0 < grown - memory < 100.0
@@ -43,8 +44,10 @@ def test_what_is_kept_is_noticed() -> None:
 
 
 def keep(env: gymnasium.Env[Any, Any], megabytes: int) -> None:
-    """Leak memory and a file."""
-    kept = np.ones(megabytes * 125_000), os.open(__file__, os.O_RDONLY)
+    """Leak memory and a file; the memory is new, none that a process had freed and kept for itself."""
+    pages = mmap.mmap(-1, megabytes * 1_000_000, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    pages.write(bytes(megabytes * 1_000_000))
+    kept = pages, os.open(__file__, os.O_RDONLY)
     env.unwrapped.kept = kept  # type: ignore[attr-defined]
 
 
