@@ -18,7 +18,6 @@ from mecp_env.world.schema import Layout
 
 MOST_SEEDS = 10_000
 SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
-ENDINGS = (".json", ".yaml", ".yml")  # of the files that are taken from a folder
 NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
@@ -36,10 +35,11 @@ class Reading:
 ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
 
 
-def expand(word: str) -> list[str]:
-    """The single buildings that a word stands for: `medium:0-2` is three, a folder the layouts and plans in it.
+def expand(word: str, reading: Reading | None = None) -> list[str]:
+    """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
 
-    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder.
+    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder, and
+    `LayoutError` for a folder with a link out of it.
     """
     if word in DIFFICULTIES:
         raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
@@ -47,7 +47,7 @@ def expand(word: str) -> list[str]:
     if series:
         return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
     if word and Path(word).is_dir():
-        return _files(Path(word))
+        return _files(Path(word), reading or Reading())
     return [word]
 
 
@@ -59,11 +59,11 @@ def _series(word: str, preset: str, first: int, last: int) -> list[str]:
     return [f"{preset}:{seed}" for seed in range(first, last + 1)]
 
 
-def expand_all(words: Sequence[str]) -> list[str]:
+def expand_all(words: Sequence[str], reading: Reading | None = None) -> list[str]:
     """The single buildings of all words. Raises `ConfigError` for none."""
     if not words:
         raise ConfigError(NONE_GIVEN)
-    return [single for word in words for single in expand(word)]
+    return [single for word in words for single in expand(word, reading)]
 
 
 def resolve(word: str) -> str | Layout:
@@ -82,11 +82,10 @@ def counted(layout: Layout) -> str:
     return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
 
 
-def _files(folder: Path) -> list[str]:
-    found = sorted(str(path) for path in folder.iterdir() if path.suffix in ENDINGS and path.is_file())
-    if not found:
-        raise ConfigError(f"{folder}: a folder without a file that ends in {', '.join(ENDINGS)}")
-    return found
+def _files(folder: Path, reading: Reading) -> list[str]:
+    from mecp_env.world.importers import plan_files
+
+    return [str(path) for path in plan_files(folder, reading.kind, images=reading.resolution_m is not None)]
 
 
 def load(word: str, reading: Reading | None = None) -> Layout:

@@ -39,7 +39,7 @@ class Draw(Command):
             raise ConfigError(f"dpi: {self.dpi}, from {DPI[0]} to {DPI[1]}")
         if self.out:
             check_writable(check_format(self.out))
-        words = expand_all(self.worlds)
+        words = expand_all(self.worlds, self.reading)
         check_count(len(words))
         buildings = [(title(word), load(word, self.reading)) for word in words]
         path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"

@@ -62,7 +62,7 @@ class Validate(Command):
 def sound(word: str, reading: Reading) -> bool:
     """Whether a building is sound, or all of a series or folder; says so of each, or what is wrong with it."""
     try:
-        singles = expand(word)
+        singles = expand(word, reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
         print(f"ok     {word}: {counted(load(word, reading))}")
@@ -92,7 +92,7 @@ class Convert(Command):
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
             raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
-        source, *others = expand(self.source)
+        source, *others = expand(self.source, self.reading)
         if others:
             raise ConfigError(f"source: {source} and {len(others)} more, one building is converted")
         if self.target.exists() and Path(source).exists() and self.target.samefile(source):

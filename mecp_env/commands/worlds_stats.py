@@ -52,7 +52,7 @@ class Stats(Command):
         """Measure, and print a table or JSON."""
         from mecp_env.world.layout import shipped_layouts
 
-        words = {word: expand(word) for word in self.worlds or shipped_layouts()}
+        words = {word: expand(word, self.reading) for word in self.worlds or shipped_layouts()}
         measured = measure(words, self.reading)
         if self.json:
             print(json.dumps({word: together(figures) for word, figures in measured.items()}, indent=2))

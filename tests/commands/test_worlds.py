@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from mecp_env import cli
-from mecp_env.commands.buildings import expand
+from mecp_env.commands.buildings import Reading, expand
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import load_layout
@@ -163,6 +163,20 @@ def test_without_a_word_the_shipped_ones_are_measured(capsys: Said) -> None:
     assert json.loads(capsys.readouterr().out).keys() == {"furnished", "office", "paper", "twins", "two_rooms"}
 
 
+def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> None:
+    below = tmp_path / "below"
+    below.mkdir()
+    assert run("convert", "office", tmp_path / "office.json") == 0
+    assert run("convert", "two_rooms", below / "small.yaml") == 0
+    (below / "alone.pgm").write_bytes((below / "small.pgm").read_bytes())
+    assert expand(str(tmp_path)) == [str(below / "small.yaml"), str(tmp_path / "office.json")]
+    assert expand(str(tmp_path), Reading(kind="layout")) == [str(tmp_path / "office.json")]
+    assert expand(str(tmp_path), Reading(kind="image", resolution_m=0.05)) == [str(below / "alone.pgm")]
+    (below / "away.json").symlink_to(__file__)
+    assert run("validate", tmp_path) == 2
+    assert "away.json: a link that leaves the folder" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("line", "named"),
     [
@@ -175,7 +189,7 @@ def test_without_a_word_the_shipped_ones_are_measured(capsys: Said) -> None:
         (["draw", "easy:0-100"], "101 buildings cannot be drawn on one sheet"),
         (["draw", "office", "--out", "plan.jpg"], "plan.jpg: a picture ends in .png or .svg"),
         (["draw", "office", "--dpi", "1"], "dpi: 1, from 30 to 600"),
-        (["draw", "."], "a folder without a file that ends in .json"),
+        (["draw", "."], "no file in it ends in .json"),
         (["validate"], "name at least one building"),
         (["generate", "--count", "0"], "count: 0, from 1"),
         (["generate", "--seed", "-1"], "seed: -1, at least 0"),
