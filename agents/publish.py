@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import json
-import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +16,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from agents.learning.config import read_config
 from mecp_env.errors import ConfigError, MecpError
 
 HERE = Path(__file__).parent
-SHIPPED = ("config.json", "run.json", "evaluation.csv", "policy.json")
+SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 MOST_BYTES = 1_900_000  # of weights in the repository
 WRONG_INPUT = 2
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def main(args: Args) -> int:
     """Exit code 0, or 2 for wrong input."""
     try:
         publish(args)
-    except MecpError as error:
+    except (MecpError, OSError) as error:
         print(f"publish: {error}", file=sys.stderr)
         return WRONG_INPUT
     return 0
@@ -60,6 +60,8 @@ def main(args: Args) -> int:
 
 def publish(args: Args) -> None:
     """Draw, and ship. Raises `ConfigError`."""
+    if not args.runs:
+        raise ConfigError("runs: none given, expected folders of runs of one algorithm")
     runs = [read_run(folder) for folder in args.runs]
     if len({run.algorithm for run in runs}) != 1:
         raise ConfigError(f"runs: of {', '.join(sorted({run.algorithm for run in runs}))}, expected one algorithm")
@@ -82,29 +84,42 @@ def read_run(folder: Path) -> Run:
         algorithm = json.loads((folder / "config.json").read_text())["algorithm"]
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-    except (OSError, ValueError, KeyError) as error:
-        raise ConfigError(f"runs: {folder} is no folder of a run: {error}") from None
+        decisions, area, error, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"runs: {folder} is no folder of a run: {error!r}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
-    decisions, area, error = (column(rows, name) for name in ("decisions", "auc", "auc_error"))
-    return Run(folder, str(algorithm), decisions, area, error, float(rows[-1]["seconds"]) / 3600.0)
+    return Run(folder, str(algorithm), decisions, area, error, seconds[-1] / 3600.0)
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
-    """(n,) a column of a table."""
-    return np.array([float(row[name]) for row in rows])
+    """(n,) a column of a table. Raises `KeyError`, or `ValueError` for what is no number."""
+    values = np.array([float(row[name]) for row in rows])
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: not finite")
+    return values
 
 
 def ship(run: Run, target: Path) -> None:
-    """Copy the policy of a run and where it comes from. Raises `ConfigError` for one too large for the repository."""
-    weights = run.folder / json.loads((run.folder / "policy.json").read_text())["file"]
-    if weights.stat().st_size > MOST_BYTES:
-        raise ConfigError(f"{weights}: {weights.stat().st_size} bytes, at most {MOST_BYTES}; a smaller network.width?")
-    target.mkdir(parents=True, exist_ok=True)
+    """Copy the policy of a run and where it comes from; what was shipped before goes when all of it is there.
+
+    Raises `ConfigError` for a policy that is too large for the repository or cannot be loaded, with nothing changed.
+    """
+    from agents.learned import load  # with PyTorch, which the curve alone does not need
+    from agents.learning.files import write_whole
+
+    if target.resolve() == run.folder.resolve():
+        raise ConfigError(f"runs: {run.folder} is where the policy would be put")
+    load(run.folder)
+    weights = str(read_config(run.folder / SHIPPED[-1])["file"])
+    whole = {name: (run.folder / name).read_bytes() for name in (weights, *SHIPPED)}
+    if len(whole[weights]) > MOST_BYTES:
+        raise ConfigError(f"{weights}: {len(whole[weights])} bytes, at most {MOST_BYTES}; a smaller network.width?")
+    for name, data in whole.items():
+        write_whole(target / name, data)
     for old in target.glob("policy-*.safetensors"):
-        old.unlink()
-    for path in (*(run.folder / name for name in SHIPPED), weights):
-        shutil.copyfile(path, target / path.name)
+        if old.name != weights:
+            old.unlink()
 
 
 def draw(runs: list[Run], picture: Path) -> None:

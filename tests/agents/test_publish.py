@@ -4,29 +4,42 @@ import json
 
 import pytest
 
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from agents.learned import load
+from agents.learning.models import make_policy
+from agents.learning.run_folder import save_policy, write_json
 from agents.publish import Args, main
+from tests.agents.training import quick
 
 HEAD = "decisions,seconds,auc,auc_error\n"
+FILES = {"config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json"}
 
 
-def make_run(folder, areas, algorithm="maskable_ppo", size=100):
-    folder.mkdir()
-    (folder / "config.json").write_text(json.dumps({"algorithm": algorithm}))
+def make_run(folder, areas, algorithm="maskable_ppo", width=16):
+    config = quick(algorithm, network={"width": width, "grid_channels": 4, "lstm": 8})
+    write_json(folder / "config.json", config.to_dict())
+    save_policy(folder, make_policy(config), algorithm, {"note": len(areas)})
     (folder / "run.json").write_text("[]")
-    (folder / "policy.json").write_text(json.dumps({"file": "policy-a.safetensors"}))
-    (folder / "policy-a.safetensors").write_bytes(bytes([len(areas)]) * size)
+    (folder / "progress.csv").write_text(f"{folder.name}\n")
     (folder / "evaluation.csv").write_text(HEAD + "".join(f"{100 * i},3600,{a},0.01\n" for i, a in enumerate(areas)))
     return folder
 
 
+def shipped(weights):
+    """What lies there, each file with its bytes."""
+    return {path.name: path.read_bytes() for path in (weights / "maskable_ppo").iterdir()}
+
+
 def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
-    runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6, 0.7]))
-    assert main(Args(runs, tmp_path / "weights")) == 0
-    shipped = tmp_path / "weights" / "maskable_ppo"
-    assert (shipped / "policy-a.safetensors").read_bytes()[0] == 2
-    assert {path.name for path in shipped.iterdir()} == {
-        *("config.json", "run.json", "evaluation.csv", "policy.json", "policy-a.safetensors", "curve.png")
-    }
+    runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6, 0.7], width=24))
+    assert main(Args(runs[1:], tmp_path / "weights")) == 0
+    assert main(Args(runs, tmp_path / "weights")) == 0  # the one before goes, with its table
+    found = shipped(tmp_path / "weights")
+    assert found["progress.csv"] == b"a\n"
+    assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
+    assert load(tmp_path / "weights" / "maskable_ppo").config == load(runs[0]).config
 
 
 def test_only_the_picture(tmp_path):
@@ -36,9 +49,32 @@ def test_only_the_picture(tmp_path):
     assert not (tmp_path / "weights").exists()
 
 
-@pytest.mark.parametrize("wrong", ["missing", "mixed", "empty", "large"])
+@pytest.mark.parametrize("wrong", ["none", "missing", "mixed", "empty", "cell", "infinite"])
 def test_wrong_input_is_refused(wrong, tmp_path, capsys):
-    first = make_run(tmp_path / "a", [] if wrong == "empty" else [0.5], size=2_000_000 if wrong == "large" else 10)
+    areas = {"empty": [], "cell": [""], "infinite": ["inf"]}
+    first = make_run(tmp_path / "a", areas.get(wrong, [0.5]))
     more = {"missing": (tmp_path / "none",), "mixed": (make_run(tmp_path / "b", [0.5], "ppo"),)}
-    assert main(Args((first, *more.get(wrong, ())), tmp_path / "weights")) == 2
-    assert "publish:" in capsys.readouterr().err
+    runs = () if wrong == "none" else (first, *more.get(wrong, ()))
+    assert main(Args(runs, tmp_path / "weights")) == 2
+    assert "publish: runs: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
+def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
+    weights = tmp_path / "weights"
+    assert main(Args((make_run(tmp_path / "a", [0.5]),), weights)) == 0
+    before = shipped(weights)
+    run = make_run(tmp_path / "b", [0.6])
+    if wrong == "large":
+        monkeypatch.setattr("agents.publish.MOST_BYTES", 100)
+    elif wrong == "flipped":
+        path = next(run.glob("policy-*"))
+        path.write_bytes(path.read_bytes()[:-1] + b"x")
+    elif wrong == "elsewhere":
+        (run / "policy.json").write_text(json.dumps({"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"}))
+    elif wrong == "incomplete":
+        (run / "run.json").unlink()
+    into = run / "run.json" if wrong == "no folder" else weights
+    assert main(Args((weights / "maskable_ppo" if wrong == "itself" else run,), into)) == 2
+    assert "publish: " in capsys.readouterr().err
+    assert shipped(weights) == before
