@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mecp_env.errors import ConfigError
+from mecp_env.settings import shown
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
 from mecp_env.world.importers import PlanOptions, load_plan, plan_files
 from mecp_env.world.layout import load_layout
@@ -109,21 +110,27 @@ def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) 
     return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
 
 
-def _plans(path: str | os.PathLike[str] | None = None, **reading: Any) -> PlanFiles:
+def _plans(path: Any = None, **reading: Any) -> PlanFiles:
     """The plan at `path`, or all in that folder and those in it, in the order of their paths."""
-    if path is None or path == "":
-        raise ConfigError("plan: the path of a floor plan, or of a folder of them, is needed")
-    place = Path(path)
+    place = Path(_path(path))
     images = reading.get("resolution_m") is not None
     paths = plan_files(place, reading.get("kind"), images) if place.is_dir() else (place,)
     return PlanFiles(paths, reading)
 
 
+def _path(given: Any) -> str:
+    """The path that was given for plans. Raises `ConfigError` for what is none."""
+    path = given.__fspath__() if isinstance(given, os.PathLike) else given
+    if not isinstance(path, str) or not path:
+        raise ConfigError(f"plan: the path of a floor plan, or of a folder of them, is needed (given: {shown(given)})")
+    return path
+
+
 def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of `FloorPlan-v0`, those of the plans and those of the environment."""
+    """Keywords of `FloorPlan-v0`, those of the plans and those of the environment. Raises `ConfigError`."""
     plan = {name: value for name, value in keywords.items() if name in KEYWORDS[PLAN] and name != "plan"}
     if "plan" in keywords:
-        plan["path"] = os.fspath(keywords["plan"])
+        plan["path"] = _path(keywords["plan"])
     return plan, {name: value for name, value in keywords.items() if name not in KEYWORDS[PLAN]}
 
 

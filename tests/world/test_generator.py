@@ -236,6 +236,18 @@ def test_a_wrong_field_is_named(fields: dict, named: str) -> None:
         generate(fields)
 
 
+@pytest.mark.parametrize("seed", [-1, np.int64(-1), "a", "1", 1.5, 1.0, None, True, np.True_, [1], 2**128])
+def test_what_is_no_seed_is_refused(seed: object) -> None:
+    with pytest.raises(ConfigError, match=r"seed: a whole number from 0 .*\(given: "):
+        generate({"rooms": 2}, seed)  # type: ignore[arg-type]
+
+
+def test_seeds_are_whole_numbers_of_any_type() -> None:
+    for seed in (np.int64(7), np.uint8(7)):
+        assert generate({"rooms": 3}, seed).to_json() == generate({"rooms": 3}, 7).to_json()  # type: ignore[arg-type]
+    assert generate({"rooms": 2}, 2**128 - 1).name == f"rooms-2-{2**128 - 1}"
+
+
 def test_what_no_building_can_be_is_refused() -> None:
     with pytest.raises(ConfigError, match="30 loops"):
         generate({"rooms": 3, "loops": 30})

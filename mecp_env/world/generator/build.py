@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mecp_env.errors import ConfigError, LayoutError
+from mecp_env.settings import shown
 from mecp_env.world.generator.doorplan import Opening, plan_doors
 from mecp_env.world.generator.furniture import Array, Placed, edge_distances, furnish, inside
 from mecp_env.world.generator.partition import Point, Space, partition
@@ -22,6 +23,7 @@ FURNISHED = 10  # and of these with too little furniture
 START_CLEAR_M = 0.45  # between a start and every wall and piece
 MOST_STARTS = 4
 START_TRIES = 20  # to find one in a room
+MOST_SEED = 2**128 - 1  # as many bits as NumPy's own seeds have
 
 
 def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) -> Layout:
@@ -29,9 +31,9 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
 
     The same specification and seed give the same layout. Every room and door is in reach of a robot of 0.22 m; no two
     corners of a room but the posts of a door are nearer to each other than 0.25 m. Raises `ConfigError` for a wrong
-    field, and for a specification that no building fulfils.
+    field or seed, and for a specification that no building fulfils.
     """
-    spec = GeneratorSpec.parse(spec)
+    spec, seed = GeneratorSpec.parse(spec), _checked(seed)
     spec.require_doors()
     rng = np.random.default_rng(seed)
     rejected: list[Rejected] = []
@@ -44,6 +46,13 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
             return layout
         rejected.append(layout)
     raise ConfigError(_impossible(spec, rejected))
+
+
+def _checked(seed: Any) -> int:
+    """`seed` if it is one. Raises `ConfigError`."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= MOST_SEED:
+        raise ConfigError(f"seed: a whole number from 0 to 2**128 - 1 expected (given: {shown(seed)})")
+    return int(seed)
 
 
 def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
