@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -69,6 +69,22 @@ def expand_all(words: Sequence[str], reading: Reading | None = None) -> list[str
 def resolve(word: str) -> str | Layout:
     """What the environment is given as layout: a shipped name as it is, so that a recipe stays short."""
     return word if word in shipped_layouts() else load(word)
+
+
+def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
+    """Raise `ConfigError` if one of the files that will be written is one that these buildings are read from."""
+    sources = [source for word in words for source in _sources(Path(word))]
+    for path in written:
+        if any(path.exists() and path.samefile(source) for source in sources):
+            raise ConfigError(f"{path} is what the building is read from and would be overwritten; name another file")
+
+
+def _sources(path: Path) -> list[Path]:
+    """The files that a plan is read from: its own, and the image that a map_server yaml names."""
+    from mecp_env.world.importers.map_server import image_of
+
+    image = image_of(path) if path.suffix.lower() in (".yaml", ".yml") else None
+    return [source for source in (path, image) if source is not None and source.exists()]
 
 
 def stem(word: str) -> str:

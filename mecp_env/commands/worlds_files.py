@@ -12,7 +12,16 @@ from rich.console import Console
 from rich.table import Table
 
 from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
-from mecp_env.commands.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load
+from mecp_env.commands.buildings import (
+    NONE_GIVEN,
+    Buildings,
+    Reading,
+    ReadingOptions,
+    counted,
+    expand,
+    load,
+    spare_sources,
+)
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.render.text import readable
 from mecp_env.world.exporters import save_map_server, save_svg
@@ -95,8 +104,8 @@ class Convert(Command):
         source, *others = expand(self.source, self.reading)
         if others:
             raise ConfigError(f"source: {source} and {len(others)} more, one building is converted")
-        if self.target.exists() and Path(source).exists() and self.target.samefile(source):
-            raise ConfigError(f"target: {self.target} is the source, name another file")
+        pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
+        spare_sources(pair if write is _write_map else [self.target], [source])
         layout = load(source, self.reading)
         check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
         write(layout, self.target, self.map_resolution_m)

@@ -106,6 +106,23 @@ def test_a_file_is_not_converted_onto_itself(tmp_path: Path, capsys: Said) -> No
     assert "name another file" in capsys.readouterr().err
 
 
+def test_nothing_that_a_building_is_read_from_is_overwritten(tmp_path: Path, capsys: Said) -> None:
+    assert run("convert", "two_rooms", tmp_path / "b.yaml") == 0
+    sheet, image, coarse = tmp_path / "a.yaml", tmp_path / "b.pgm", ("--map-resolution-m", "0.1")
+    (tmp_path / "b.yaml").rename(sheet)  # it names b.pgm
+    scan, picture = image.read_bytes(), tmp_path / "scan.png"
+    Image.open(image).save(picture)
+    (tmp_path / "link.pgm").symlink_to(image)
+    drawn = picture.read_bytes()
+    for source, target in ((sheet, "b.yaml"), (sheet, "link.yaml"), (image, "b.yaml"), (sheet, "a.YAML")):
+        assert run("convert", source, tmp_path / target, *coarse, "--resolution-m", "0.05") == 2
+        assert "name another file" in capsys.readouterr().err
+    assert run("draw", picture, "--out", picture, "--resolution-m", "0.05") == 2
+    assert (image.read_bytes(), picture.read_bytes()) == (scan, drawn)
+    assert not (tmp_path / "b.yaml").exists()
+    assert run("convert", sheet, tmp_path / "c.yaml", *coarse) == 0
+
+
 def test_a_map_for_ros_and_back(tmp_path: Path) -> None:
     assert run("convert", "twins", tmp_path / "twins.yaml", "--map-resolution-m", "0.05") == 0
     assert {path.suffix for path in tmp_path.iterdir()} == {".yaml", ".pgm"}
