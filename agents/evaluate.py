@@ -26,7 +26,7 @@ from agents.curve import BUDGET_M_PER_M2
 from agents.episode import Episode, Task
 from agents.page import page
 from agents.pool import Failure, finished
-from agents.registry import EXPLORERS, LEARNED, make_agent
+from agents.registry import EXPLORERS, make_agent, policies
 from agents.worlds import Setting, rooms
 from mecp_env.errors import ConfigError, MecpError
 from mecp_env.intervals import Figures
@@ -34,7 +34,7 @@ from mecp_env.intervals import Figures
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
 MOST_JOBS, MOST_EPISODES = 256, 1_000_000
 BAR = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-EXAMPLES = f"""policies: {", ".join(EXPLORERS)}, {", ".join(LEARNED)}, or the folder of a training run
+EXAMPLES = f"""policies: {", ".join(policies())}, or the folder of a training run
 
 examples:
   python -m agents.evaluate bfs nearest gain --episodes 20 --jobs 2
@@ -96,26 +96,32 @@ def main(args: Args) -> int:
     except (MecpError, gym.error.Error) as error:
         print(f"evaluate: {error}", file=sys.stderr)
         return WRONG_INPUT
+    except KeyboardInterrupt:  # before the first episode, or while it is written
+        print("evaluate: interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 def check(args: Args) -> None:
     """Raise `ConfigError` for what cannot be done, before anything is."""
     if not args.policies:
-        raise ConfigError(f"policies: none given; there are {', '.join(EXPLORERS)}, and folders of training runs")
+        raise ConfigError(f"policies: none given; there are {', '.join(policies())}, and folders of training runs")
     within("jobs", args.jobs, 1, MOST_JOBS)
     within("max_periods", args.max_periods, 1, 10_000_000)
     if args.reference not in (*EXPLORERS, *args.policies):
         raise ConfigError(
             f"reference: {args.reference!r:.80}, expected one of {', '.join((*args.policies, *EXPLORERS))}"
         )
+    if args.reference not in args.policies:
+        print(f"evaluate: {args.reference} is not among the policies, so nothing is compared to it", file=sys.stderr)
     for policy in args.policies:
         agent = make_agent(policy, args.trust)
     within("episodes", args.episodes, 1, MOST_EPISODES)
     env = rooms(setting_of(args), agent)
     env.reset(seed=0, options={"building": args.episodes - 1})  # is there such a building?
     env.close()
-    for path in (args.out, *([args.json.parent] if args.json else [])):
-        check_writable(path)
+    if args.json is not None:
+        check_json(args.json)
+    check_writable(args.out)
 
 
 def within(name: str, value: int, low: int, high: int) -> None:
@@ -132,6 +138,13 @@ def check_writable(folder: Path) -> None:
         raise ConfigError(f"out: {folder}: {error.strerror}; choose another place") from None
     if not os.access(folder, os.W_OK):
         raise ConfigError(f"out: {folder}: cannot be written to; choose another place")
+
+
+def check_json(path: Path) -> None:
+    """Raise `ConfigError` where no JSON file can be written; its page gets the same name with `.md`."""
+    if path.suffix != ".json" or path.is_dir():
+        raise ConfigError(f"json: {path}: expected the name of a file that ends in .json")
+    check_writable(path.parent)
 
 
 def setting_of(args: Args) -> Setting:

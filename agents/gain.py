@@ -1,4 +1,4 @@
-"""Most new floor for the way there, and back to known ground when the pose grows unsure.
+"""Most new floor for the way there, and a preference for known ground when the pose grows unsure.
 
 `python -m agents.gain --layout medium:test:3`
 """

@@ -3,11 +3,12 @@
 A policy is built from its configuration and then given its weights, which are tensors and nothing else. A model file
 of Stable-Baselines3 (a zip with a pickle in it) is code: it is refused unless whoever calls says that he trusts it.
 
-`python -m agents.learned NAME_OR_FOLDER` says what a policy is, and explores a building with it.
+`python -m agents.learned NAME_OR_FOLDER` explores a building with a policy, and prints the figures.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,8 +31,9 @@ from agents.learning.run_folder import CONFIG, POLICY
 from mecp_env.errors import ConfigError, MecpError
 
 WEIGHTS = Path(__file__).parent / "weights"
+FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = 16_000_000  # of the weights of a policy
-WRONG_INPUT = 2
+WRONG_INPUT, INTERRUPTED = 2, 130  # exit codes beside 0
 
 
 class LearnedAgent:
@@ -63,6 +65,8 @@ def load(name_or_folder: str | Path, trust: bool = False) -> LearnedAgent | Fore
     """
     path = Path(name_or_folder)
     use_threads(1)
+    if path.suffix == ".safetensors":
+        raise ConfigError(f"policy: {path} is the weights alone, name the folder that they lie in")
     if path.suffix == ".zip" or path.is_file():
         return load_zip(path, trust)
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path
@@ -83,7 +87,7 @@ def put_policy(policy: BasePolicy, folder: Path, config: TrainConfig) -> None:
     if algorithm != config.algorithm:
         raise WeightError(f"{folder / POLICY}: weights of {algorithm!r:.80}, {CONFIG} is of {config.algorithm}")
     name, sha256 = about.get("file"), about.get("sha256")
-    if not isinstance(name, str) or not isinstance(sha256, str) or Path(name).name != name:
+    if not isinstance(name, str) or not isinstance(sha256, str) or not FILE_NAME.fullmatch(name):
         raise WeightError(f"{folder / POLICY}: names no file of this folder with its SHA-256")
     path = folder / name
     files.put_weights(policy, files.tensors_in(files.read_checked(path, sha256, MOST_BYTES), path), path)
@@ -96,7 +100,7 @@ def shipped() -> list[str]:
 
 @dataclass(frozen=True)
 class Args:
-    """Say what a trained policy is, and explore a building with it."""
+    """Explore a building with a trained policy, and print the figures."""
 
     policy: Annotated[str, tyro.conf.Positional]  # a shipped name, the folder of a run, or with --trust a model file
     trust: bool = False  # load a model file of Stable-Baselines3, which may run any code
@@ -106,12 +110,15 @@ class Args:
 
 
 def main(args: Args) -> int:
-    """Load, explore, print the figures. Exit code 0, or 2 for wrong input."""
+    """Load, explore, print the figures. Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
     try:
         return explore(args)
     except (MecpError, gym.error.Error) as error:
         print(f"learned: {error}", file=sys.stderr)
         return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("learned: interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 def explore(args: Args) -> int:

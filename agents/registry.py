@@ -16,7 +16,8 @@ EXPLORERS = {  # name -> "module:Class", made without arguments
     "random_goal": "agents.random_goal:RandomGoal",
     "random_walk": "agents.random_walk:RandomWalk",
 }
-LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # those with weights in the repository, or a run folder
+LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # what `agents.train` trains
+WEIGHTS = Path(__file__).parent / "weights"
 INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
 
 
@@ -44,9 +45,14 @@ def load_learned(name: str, trust: bool = False) -> Agent:
     return agent
 
 
+def policies() -> list[str]:
+    """The names that there are: explorers, and the trained policies that come with the repository."""
+    return [*EXPLORERS, *(name for name in LEARNED if (WEIGHTS / name / "policy.json").is_file())]
+
+
 def unknown_policy(name: str) -> str:
     """What to say about a name that is none: the nearest one, and all of them."""
-    known = [*EXPLORERS, *LEARNED]
+    known = policies()
     nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
     return f"policy: {name!r:.80} is none of {', '.join(known)}, and no folder of a training run{guess}"

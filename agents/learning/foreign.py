@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from mecp_env.errors import ConfigError
 
 MOST_BYTES, MOST_UNPACKED = 256_000_000, 1_000_000_000
 DATA = "data"
+UNREADABLE = (KeyError, TypeError, ValueError, RecursionError, RuntimeError, NotImplementedError, EOFError, OSError)
 MARKS = {"sb3_contrib.common.maskable": "maskable_ppo", "sb3_contrib.common.recurrent": "recurrent_ppo"}
 
 
@@ -54,7 +56,10 @@ def load_zip(path: Path, trust: bool) -> ForeignAgent:
             "comes from, say so with --trust (load(path, trust=True))"
         )
     algorithm = algorithm_of(path)
-    model = CLASSES[algorithm].load(path, device="cpu")
+    try:
+        model = CLASSES[algorithm].load(path, device="cpu")
+    except Exception as error:  # the file's own code may raise anything
+        raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
     return ForeignAgent(model, algorithm, str(path))
 
 
@@ -64,7 +69,7 @@ def algorithm_of(path: Path) -> str:
         with zipfile.ZipFile(path) as archive:
             check_size(path, sum(part.file_size for part in archive.infolist()))
             kind = str(json.loads(archive.read(DATA))["policy_class"]["__module__"])
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, *UNREADABLE) as error:
         raise WeightError(f"{path}: no model file of Stable-Baselines3: {error!r}") from None
     return next((name for mark, name in MARKS.items() if kind.startswith(mark)), "ppo")
 

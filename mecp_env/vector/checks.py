@@ -34,10 +34,19 @@ def check_seeds(seed: Seeds, count: int) -> list[int | None]:
         return [None] * count
     if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
         return [int(seed) + i for i in range(count)]
-    seeds = [None if entry is None else int(entry) for entry in seed]  # type: ignore[union-attr]
+    expected = f"expected an integer, or one for each of {count} environments"
+    if isinstance(seed, str | bytes | bool | float) or not hasattr(seed, "__iter__"):
+        raise ValueError(f"seed: {seed!r:.80}, {expected}")
+    seeds = [_checked_seed(entry, expected) for entry in seed]
     if len(seeds) != count:
-        raise ValueError(f"seed: {len(seeds)} of them, expected a number, or one for each of {count} environments")
+        raise ValueError(f"seed: {len(seeds)} of them, {expected}")
     return seeds
+
+
+def _checked_seed(entry: Any, expected: str) -> int | None:
+    if entry is not None and (isinstance(entry, bool | np.bool_) or not isinstance(entry, int | np.integer)):
+        raise ValueError(f"seed: {entry!r:.80} among them, {expected}")
+    return None if entry is None else int(entry)
 
 
 def check_options(options: dict[str, Any] | None, count: int) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:

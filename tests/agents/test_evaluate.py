@@ -116,6 +116,8 @@ def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
         ({"jobs": 0}, "jobs: 0"),
         ({"max_periods": 0}, "max_periods"),
         ({"reference": "nerest"}, "reference: 'nerest'"),
+        ({"json": Path(__file__).parent}, "json: .*agents: expected the name of a file"),
+        ({"json": Path("page.md")}, "json: page.md: expected"),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_written(
@@ -134,6 +136,24 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path: Path, capsys: p
     assert main(Args(("nearest",), out=tmp_path / "file" / "out", difficulty="easy", episodes=1)) == 2
     assert "out" in capsys.readouterr().err
     assert main(Args(("nearest",), out=tmp_path, json=tmp_path / "file" / "a.json", difficulty="easy", episodes=1)) == 2
+
+
+def test_without_the_reference_it_says_that_nothing_is_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(Args(("gain",), out=tmp_path, difficulty="easy", episodes=1, max_periods=10, truth=False)) == 0
+    assert "nearest is not among the policies" in capsys.readouterr().err
+
+
+def test_ctrl_c_before_the_first_episode_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(args: Args) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "check", interrupted)
+    assert main(args_of(tmp_path)) == 130
+    assert capsys.readouterr().err == "evaluate: interrupted\n"
 
 
 def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(

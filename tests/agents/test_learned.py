@@ -89,7 +89,7 @@ def test_bytes_that_are_no_tensors_are_refused_whatever_their_checksum(folder):
             load(folder)
 
 
-@pytest.mark.parametrize("name", ["../x.safetensors", "/x", None, 3])
+@pytest.mark.parametrize("name", ["../x.safetensors", "/x", None, 3, "a\0b.safetensors", "\ud800.safetensors", "x.zip"])
 def test_policy_json_may_name_only_a_file_beside_it(name, folder):
     write_json(folder / "policy.json", {"algorithm": "maskable_ppo", "file": name, "sha256": "0"})
     with pytest.raises(WeightError, match="no file of this folder"):
@@ -112,6 +112,8 @@ def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
     write_json(tmp_path / "config.json", quick().to_dict())
     with pytest.raises(WeightError, match="no policy yet"):
         load(tmp_path)
+    with pytest.raises(ConfigError, match="name the folder"):
+        load(tmp_path / "policy-0.safetensors")
     assert main(Args("nothing")) == 2
     assert "nothing" in capsys.readouterr().err
     assert shipped()
@@ -180,6 +182,14 @@ def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_pat
     path = tmp_path / "model.zip"
     path.write_bytes(b"no zip")
     with pytest.raises(WeightError, match="no model file"):
+        load(path, trust=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "[" * 200_000)
+    with pytest.raises(WeightError, match="no model file"):
+        load(path, trust=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
+    with pytest.raises(WeightError, match="cannot be loaded"):
         load(path, trust=True)
     monkeypatch.setattr("agents.learning.foreign.MOST_UNPACKED", 1000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
