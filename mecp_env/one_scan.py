@@ -20,9 +20,11 @@ class _Reached(Exception):
 def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
     """Write a PNG for each stage of a scan; returns their paths.
 
-    The scan is the first from `period` on in which a polygon of the map is recognised. Raises `ConfigError` when the
-    exploration ends before.
+    The scan is the first from `period` on in which a polygon of the map is recognised. Raises `ConfigError` for a
+    negative period or seed, and when the exploration ends before.
     """
+    if period < 0:
+        raise ConfigError(f"period: {period}, at least 0")
     run = Run.begin(config, seed)
     report = recognition(run, period)
     slam = run.env.config.estimator_config

@@ -26,6 +26,7 @@ from mecp_env.progress import Progress, status
 from mecp_env.slam.config import SlamConfig
 from mecp_env.stopwatch import Stopwatch
 
+Said = pytest.CaptureFixture[str]
 FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
 FIGURES = {
     "rooms",
@@ -133,6 +134,30 @@ def test_a_wrong_line_ends_with_2_and_says_why(line: list[str], said: str, capsy
     assert ended.value.code == 2
     streams = capsys.readouterr()
     assert said in streams.err + streams.out
+
+
+@pytest.mark.parametrize("command", ["demo", "one-scan"])
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [
+        ("easy:0-3", "layout: easy:0-3 is 4 buildings; name one building, as easy:0"),
+        ("plans", "layout: plans is 2 buildings; name one building, as plans/a.json"),
+        ("", "''"),
+        ("easy", "easy: which buildings?"),
+    ],
+)
+def test_a_word_for_several_buildings_or_none_is_refused(
+    command: str, layout: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plans").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "plans" / f"{name}.json").touch()
+    assert cli.main([command, "--layout", layout]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"mecp-env: {said}")
+    assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["plans"]
 
 
 def test_an_unknown_layout_ends_with_2_and_names_the_shipped_ones(
@@ -263,6 +288,18 @@ def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.Capture
     assert len(list(tmp_path.glob("*.png"))) == 6
     assert cli.main([*line[:4], "99999", *line[5:]]) == 2
     assert "period" in capsys.readouterr().err
+
+
+def test_one_scan_takes_the_buildings_that_the_demo_takes(tmp_path: Path, capsys: Said) -> None:
+    assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
+    for layout in ("easy:3", str(tmp_path / "plan.yaml")):
+        assert cli.main(["one-scan", "--layout", layout, "--period", "3", "--out", str(tmp_path / "scan")]) == 0
+        assert capsys.readouterr().out.endswith("6-association.png\n")
+
+
+def test_one_scan_refuses_a_period_below_0(capsys: Said) -> None:
+    assert cli.main(["one-scan", "--period", "-5"]) == 2
+    assert capsys.readouterr().err == "mecp-env: period: -5, at least 0\n"
 
 
 def test_the_command_runs_as_a_module() -> None:

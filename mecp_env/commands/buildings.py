@@ -66,8 +66,20 @@ def expand_all(words: Sequence[str], reading: Reading | None = None) -> list[str
     return [single for word in words for single in expand(word, reading)]
 
 
+def one(word: str) -> str:
+    """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
+    first, *others = expand(word)
+    if others:
+        raise ConfigError(f"layout: {word} is {1 + len(others)} buildings; name one building, as {first}")
+    return first
+
+
 def resolve(word: str) -> str | Layout:
-    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short."""
+    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
+
+    Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
+    """
+    word = one(word)
     return word if word in shipped_layouts() else load(word)
 
 
@@ -113,7 +125,7 @@ def load(word: str, reading: Reading | None = None) -> Layout:
         return generate(GeneratorSpec.preset(series[1]), int(series[2]))
     if word in shipped_layouts():
         return load_layout(word)
-    if not Path(word).exists():
+    if not word or not Path(word).exists():
         raise _no_such(word)
     from mecp_env.world.importers import load_plan
 
@@ -127,4 +139,4 @@ def _no_such(word: str) -> MecpError:
         return ConfigError(f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9")
     shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
     nearest = guess(word, [*shipped_layouts(), *(f"{name}:{seeds or 0}" for name in DIFFICULTIES)])
-    return LayoutError(f"{word}: no such file or building; there are {shipped}, {presets}{nearest}")
+    return LayoutError(f"{word or repr(word)}: no such file or building; there are {shipped}, {presets}{nearest}")

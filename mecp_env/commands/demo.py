@@ -23,7 +23,7 @@ class Demo(Command):
         "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
     )
 
-    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a file
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: int = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
@@ -31,13 +31,13 @@ class Demo(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-        from mecp_env.commands.buildings import resolve, stem
+        from mecp_env.commands.buildings import one, resolve, stem
         from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
         from mecp_env.progress import Progress, say_result
         from mecp_env.render.window import require_display
         from mecp_env.stopwatch import timed_stages
 
-        folder = check_writable(self.out or Path("runs") / f"{stem(self.layout)}-{self.seed}")
+        folder = check_writable(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
         config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":
             require_display()

@@ -17,18 +17,21 @@ class OneScan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env one-scan",
+        "mecp-env one-scan --layout hard:7",
         "mecp-env one-scan --layout office --period 10 --out runs/office-scan",
     )
 
-    layout: str = "paper"  # as for demo
-    seed: int = 0
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
+    seed: int = 0  # the same seed gives the same run
     period: int = 40  # the first scan from here on in which a polygon of the map is recognised
     out: Path = Path("runs/one-scan")  # folder for the pictures
 
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
-        from mecp_env.one_scan import draw
+        from mecp_env.commands.buildings import resolve
+        from mecp_env.one_scan import draw  # pictures and physics are loaded only here
 
-        for path in draw(EnvConfig(layout=self.layout), self.seed, self.period, check_writable(self.out)):
+        folder, config = check_writable(self.out), EnvConfig.build({}, layout=resolve(self.layout))
+        for path in draw(config, self.seed, self.period, folder):
             print(path)
         return 0

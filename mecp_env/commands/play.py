@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from mecp_env.commands.base import Command, check_writable
-from mecp_env.commands.buildings import SERIES, resolve
+from mecp_env.commands.buildings import SERIES, expand, resolve
 from mecp_env.commands.fields import Fields, configuration
 from mecp_env.errors import ConfigError
 
@@ -24,15 +24,16 @@ RATES = (0.5, 30.0)
 class Play(Command):
     """Drive through a building by keyboard: left the world, right what the robot believes of it. The keys are listed in
     the window: arrows or W A S D drive, Shift slowly, Space waits, H hides the world, P keeps a picture, R begins
-    again, N takes the next building of a series or the next seed, Esc quits."""
+    again, N takes the next building of a series or folder, or else the next seed, Esc quits."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env play",
         "mecp-env play --layout medium:0",
+        "mecp-env play --layout runs/worlds --rate 10",
         "mecp-env play --layout office --config.slam.filter.kind ekf --config.start random",
     )
 
-    layout: str = "two_rooms"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a file
+    layout: str = "two_rooms"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, a plan, or a folder of plans
     seed: int = 0  # of the noise
     rate: float = 6.0  # control periods of 0.4 s a second, while a key is held; 2.5 is real time
     out: Path = Path("runs/play")  # folder for pictures (P)
@@ -45,13 +46,13 @@ class Play(Command):
         from mecp_env.render.window import Window, require_display
 
         self._check()
-        first = MecpEnv(configuration(resolve(self.layout), self.config, line))  # before the window: it may be refused
+        words = expand(self.layout)
+        first = MecpEnv(configuration(resolve(words[0]), self.config, line))  # before the window: it may be refused
         require_display()
 
         def make(number: int) -> tuple[MecpEnv, int]:
-            if not SERIES.fullmatch(self.layout):
-                return first, self.seed + number
-            return MecpEnv(configuration(resolve(later(self.layout, number)), self.config, line)), self.seed
+            word, seed = later(words, self.seed, number)
+            return first if word == words[0] else MecpEnv(configuration(resolve(word), self.config, line)), seed
 
         game, window = Game(make, self.out), Window("mecp_env: play")
         try:
@@ -69,10 +70,15 @@ class Play(Command):
             raise ConfigError(f"rate: {self.rate:g}, from {RATES[0]:g} to {RATES[1]:g} periods a second")
 
 
-def later(word: str, number: int) -> str:
-    """The building so many seeds after a generated one."""
-    preset, _, seed = word.partition(":")
-    return f"{preset}:{int(seed) + number}"
+def later(words: Sequence[str], seed: int, number: int) -> tuple[str, int]:
+    """Building and seed of a round: of several buildings one after the other, of one seed of a difficulty the next.
+
+    A building that is alone is always the same, its noise another each time; so is the noise when all had their turn.
+    """
+    preset, colon, first = words[0].partition(":")
+    if len(words) == 1 and SERIES.fullmatch(words[0]):
+        return f"{preset}{colon}{int(first) + number}", seed
+    return words[number % len(words)], seed + number // len(words)
 
 
 def loop(game: Game, window: Window, rate: float) -> None:

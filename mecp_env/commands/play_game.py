@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 
 from mecp_env.env import MecpEnv
+from mecp_env.errors import MecpError
 from mecp_env.render.keys import KeyHelp, key_strip
 from mecp_env.render.screen import Screen
 from mecp_env.render.text import summary
@@ -53,11 +54,19 @@ class Game:
         self.begin()
 
     def begin(self) -> None:
-        """Start the present round from its beginning."""
-        self.env, seed = self.make(self.round)
-        self.env.reset(seed=seed)
+        """Start the present round from its beginning. Raises `MecpError` where there can be none, and changes nothing."""
+        env, seed = self.make(self.round)
+        env.reset(seed=seed)
+        self.env = env
         self.view, self.moving, self.over = self.env.view(), False, False
         self.message, self.changed = HELP, True
+
+    def begin_or_tell(self) -> None:
+        """Start the present round; where its building cannot be used, the last one goes on and the window says why."""
+        try:
+            self.begin()
+        except MecpError as error:
+            self.message = f"Round {self.round + 1} cannot begin, N takes the next: {error}"
 
     def handle(self, event: pygame.event.Event) -> None:
         """Take in what the user did."""
@@ -79,7 +88,7 @@ class Game:
             self.keep_picture()
         elif key in (pygame.K_r, pygame.K_n):
             self.round += key == pygame.K_n
-            self.begin()
+            self.begin_or_tell()
         self.done = self.done or key in QUIT
 
     def action(self) -> NDArray[np.float32]:

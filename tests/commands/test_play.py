@@ -10,10 +10,13 @@ import pygame
 import pytest
 
 from mecp_env import cli
+from mecp_env.commands.buildings import expand
+from mecp_env.commands.play import later
 from mecp_env.commands.play_game import KEYS, Game
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette
 from mecp_env.render.keys import HEIGHT, key_strip
+from mecp_env.world.layout import load_layout
 
 Said = pytest.CaptureFixture[str]
 Key = int
@@ -156,6 +159,36 @@ def test_next_is_the_next_building_of_a_series(monkeypatch: pytest.MonkeyPatch, 
     script(monkeypatch, [(pygame.KEYDOWN, pygame.K_n)], [(pygame.KEYDOWN, pygame.K_ESCAPE)])
     assert cli.main(["play", "--layout", "easy:7"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("rooms-4-8, slam, period 0")
+
+
+@pytest.mark.parametrize(
+    ("layout", "rounds"),
+    [
+        ("two_rooms", [("two_rooms", 5), ("two_rooms", 6)]),
+        ("easy:7", [("easy:7", 5), ("easy:8", 5)]),
+        ("easy:7-8", [("easy:7", 5), ("easy:8", 5), ("easy:7", 6)]),
+    ],
+)
+def test_rounds_take_one_building_after_the_other(layout: str, rounds: list[tuple[str, int]]) -> None:
+    assert [later(expand(layout), 5, number) for number in range(len(rounds))] == rounds
+
+
+def test_next_walks_through_a_folder_and_tells_of_a_damaged_plan(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Said
+) -> None:
+    for name in ("paper", "two_rooms"):
+        (tmp_path / f"{name}.json").write_text(load_layout(name).to_json())
+    (tmp_path / "q.json").write_text("{")
+    told: list[str] = []
+    advance = Game.advance
+    monkeypatch.setattr(
+        Game, "advance", lambda game: (told.append(f"{game.view.title}: {game.message}"), advance(game))
+    )
+    script(monkeypatch, *[[(pygame.KEYDOWN, pygame.K_n)]] * 3)
+    assert cli.main(["play", "--layout", str(tmp_path)]) == 0
+    assert f"paper, slam, period 0: Round 2 cannot begin, N takes the next: {tmp_path}/q.json: no JSON" in told[0]
+    assert told[1].startswith("two_rooms, slam, period 0: Time stands still")
+    assert capsys.readouterr().out.startswith("paper, slam, period 0")
 
 
 def test_ctrl_c_closes_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
