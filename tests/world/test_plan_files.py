@@ -52,6 +52,16 @@ def noise(size: int, share: float) -> np.ndarray[Any, Any]:
     return ((np.random.default_rng(0).random((size, size)) > share) * 255).astype(np.uint8)
 
 
+def with_a_palette(path: Path) -> None:
+    """Bars over all that an image may be, in a palette of which one colour is clear: decoded it is four times as large.
+
+    Seen: 256 MB for such a file of 22 kB.
+    """
+    image = Image.fromarray(np.tile(np.arange(4096) // 64 % 3, (4096, 1)).astype(np.uint8))
+    image.putpalette([0, 0, 0, 255, 255, 255, 90, 90, 90])
+    image.save(path, transparency=2)
+
+
 ZEROS = zlib.compress(bytes(1000))
 STAR = [[float((50 + 20 * (i % 2)) * f(i / 1500)) for f in (np.cos, np.sin)] for i in range(9000)]
 BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
@@ -98,6 +108,7 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "only dust": ("plan.png", as_png(noise(1000, 0.5)), r"no floor is wide enough"),
     "dust on the floor": ("plan.png", as_png(noise(1900, 0.02)), r"image: \d+ pieces of wall, at most 20000"),
     "floor too large": ("plan.png", as_png(noise(4096, 0.3)), r"the floor spans 4096 x 4096 pixels, at most 4000000"),
+    "palette with transparency": ("plan.png", with_a_palette, r"the floor spans 40\d\d x 4096 pixels, at most 4000000"),
     "no yaml": ("map.yaml", b"image: [", r"no yaml"),
     "yaml of another kind": ("map.yaml", b"- 1\n- 2\n", r"a mapping with image, resolution, origin .*list"),
     "yaml with a tag": ("map.yaml", sheet(mode="!!python/object/apply:os.getcwd []"), r"yaml with tags is refused"),

@@ -19,6 +19,7 @@ MAX_JSON_BYTES = 2_000_000
 MAX_IMAGE_BYTES = 20_000_000
 MAX_PIXELS = 4096 * 4096
 MAX_PLAIN_PIXELS = 1_000_000  # of an image written in digits, which is slow to read
+STRIP_PIXELS = 1_000_000  # of an image that are worked on at once, in up to eight bytes each
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 FORMATS = ("PNG", "PPM")
 PORTABLE_HEADER, COMMENT = 2_000, re.compile(rb"#[^\n]*")  # of PGM; a long one is slow to read
@@ -78,10 +79,19 @@ def _check_header(image: Image.Image, most: int) -> None:
 
 def grey(image: Image.Image) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
     """Grey levels (h,w) 0-255 of an image, and where (h,w) it is opaque, or None for everywhere."""
-    if image.mode == "P":
-        image = image.convert("RGBA" if "transparency" in image.info else "RGB")
-    levels = np.asarray(image.convert("L"))
-    opaque = np.asarray(image.getchannel("A")) == 255 if image.mode in ("LA", "RGBA") else None
+    rows = max(1, STRIP_PIXELS // image.width)
+    tops = range(0, image.height, rows)
+    strips = [_grey(image.crop((0, top, image.width, min(top + rows, image.height)))) for top in tops]
+    opaque = [strip for _, strip in strips if strip is not None]
+    return np.concatenate([levels for levels, _ in strips]), np.concatenate(opaque) if opaque else None
+
+
+def _grey(strip: Image.Image) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """As `grey`, of some rows of an image."""
+    if strip.mode == "P":
+        strip = strip.convert("RGBA" if "transparency" in strip.info else "RGB")
+    levels = np.asarray(strip.convert("L"))
+    opaque = np.asarray(strip.getchannel("A")) == 255 if strip.mode in ("LA", "RGBA") else None
     return levels, opaque
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.errors import LayoutError
-from mecp_env.world.importers.files import grey, read_image
+from mecp_env.world.importers.files import STRIP_PIXELS, grey, read_image
 from mecp_env.world.importers.options import FreeSpace, PlanOptions
 from mecp_env.world.importers.vectorise import Placement, floor_polygon
 
@@ -27,7 +27,8 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
 
 def otsu(levels: NDArray[np.uint8]) -> int:
     """The grey level that parts dark from bright best (Otsu 1979): greatest variance between both."""
-    counts = np.bincount(levels.ravel(), minlength=256).astype(np.float64)
+    strips = np.array_split(levels, max(1, levels.size // STRIP_PIXELS))
+    counts = np.sum([np.bincount(strip.ravel(), minlength=256) for strip in strips], axis=0, dtype=np.float64)
     below = np.cumsum(counts)
     sums = np.cumsum(counts * np.arange(256))
     above = below[-1] - below
