@@ -54,7 +54,7 @@ class Game:
         self.begin()
 
     def begin(self) -> None:
-        """Start the present round from its beginning. Raises `MecpError` where there can be none, and changes nothing."""
+        """Start the present round from its beginning. Raises `MecpError` where there is none, and changes nothing."""
         env, seed = self.make(self.round)
         env.reset(seed=seed)
         self.env = env

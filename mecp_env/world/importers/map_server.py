@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from PIL import Image
 
 from mecp_env.errors import LayoutError
 from mecp_env.settings import shown
@@ -29,9 +31,10 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     fields = _fields(read_bytes(path, MAX_YAML_BYTES))
     resolution = require(fields["resolution"], "resolution", 0.005, 1.0)
     placement = _placement(fields["origin"], resolution)
+    floor = _floor_levels(fields)
     image = _beside(path, fields["image"])
-    levels, opaque = grey(read_image(image))
-    free = _free(levels, opaque, fields)
+    levels, opaque = grey(_decoded(image, fields["image"]))
+    free = floor[levels] if opaque is None else floor[levels] & opaque
     note = f"From {path.name} and {image.name}: {resolution:g} m a pixel."
     return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
 
@@ -49,6 +52,7 @@ def _fields(data: bytes) -> dict[str, Any]:
     try:
         text = data.decode("utf-8")
         _check_events(text)
+        _check_keys(text)
         fields = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, LayoutError):
@@ -77,6 +81,24 @@ def _check_events(text: str) -> None:
             raise LayoutError(f"yaml is nested deeper than {MAX_YAML_DEPTH} or has more than {MAX_EVENTS} parts")
 
 
+def _check_keys(text: str) -> None:
+    """No field of the file, or of a mapping in it, is given twice: which of the two is meant nobody can tell."""
+    left = [yaml.compose(text, Loader=yaml.SafeLoader)]
+    while left:
+        node = left.pop()
+        if isinstance(node, yaml.SequenceNode):
+            left += node.value
+        elif isinstance(node, yaml.MappingNode):
+            left += [value for _, value in node.value]
+            _check_unique([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
+
+
+def _check_unique(keys: list[str]) -> None:
+    for key, count in Counter(keys).items():
+        if count > 1:
+            raise LayoutError(f"{key:.80}: given {'twice' if count == 2 else f'{count} times'}")
+
+
 def _placement(origin: Any, resolution: float) -> Placement:
     if not isinstance(origin, list) or len(origin) not in (2, 3):
         raise LayoutError(f"origin: x, y and yaw expected (given: {shown(origin)})")
@@ -99,8 +121,16 @@ def _beside(path: Path, given: Any) -> Path:
     return image
 
 
-def _free(levels: NDArray[np.uint8], opaque: NDArray[np.bool_] | None, fields: dict[str, Any]) -> NDArray[np.bool_]:
-    """Which cells (h,w) are floor; what is unknown is not."""
+def _decoded(image: Path, given: str) -> Image.Image:
+    """The image of the field `image`, which every error names with what it says."""
+    try:
+        return read_image(image)
+    except LayoutError as error:
+        raise LayoutError(f"image: {shown(given)}: {str(error).removeprefix('image: ')}") from None
+
+
+def _floor_levels(fields: dict[str, Any]) -> NDArray[np.bool_]:
+    """Which grey levels (256,) are floor; what is unknown is not."""
     mode = fields.get("mode", "trinary")
     if mode not in MODES:
         raise LayoutError(f"mode: one of {', '.join(MODES)} expected (given: {shown(mode)})")
@@ -110,9 +140,7 @@ def _free(levels: NDArray[np.uint8], opaque: NDArray[np.bool_] | None, fields: d
     high = require(fields.get("occupied_thresh", 0.65), "occupied_thresh", 0.0, 1.0)
     if low >= high:
         raise LayoutError(f"free_thresh: {low:g} is not below occupied_thresh, {high:g}")
-    table = _table(mode, bool(fields.get("negate", 0)), low, high)
-    free: NDArray[np.bool_] = table[levels]
-    return free if opaque is None else free & opaque
+    return _table(mode, bool(fields.get("negate", 0)), low, high)
 
 
 def _table(mode: str, negate: bool, low: float, high: float) -> NDArray[np.bool_]:
