@@ -12,6 +12,7 @@ from typing import Any
 import mecp_env
 from mecp_env.commands.base import INTERRUPTED, WRONG_INPUT, Command
 from mecp_env.errors import MecpError
+from mecp_env.render.text import readable
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.commands, class, what the overview says
@@ -36,13 +37,13 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return parse(words, line).run(line)
     except MecpError as error:
-        print(f"mecp-env: {error}", file=sys.stderr)
+        print(f"mecp-env: {readable(str(error))}", file=sys.stderr)
         return WRONG_INPUT
     except BrokenPipeError:  # whoever reads the output has seen enough, as in `mecp-env ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        print(f"mecp-env: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+        print(f"mecp-env: {readable(str(error.filename or 'output'))}: {error.strerror}", file=sys.stderr)
         return WRONG_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -101,7 +102,7 @@ def parse(words: str, line: list[str]) -> Command:
     kind = load(words)
     line = kind.completed(line)
     for hint in kind.hints(line):
-        print(f"mecp-env: {hint}", file=sys.stderr)
+        print(f"mecp-env: {readable(hint)}", file=sys.stderr)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class

@@ -83,4 +83,5 @@ def say_result(metrics: dict[str, Any], folder: Path) -> None:
         table.add_row(name, form.format(**metrics))
     console = Console()
     console.print(table)
-    console.print(f"map.png, run.gif, metrics.json, trajectory.tum, truth.tum, config.json in {folder}/")
+    files = "map.png, run.gif, metrics.json, trajectory.tum, truth.tum, config.json"
+    console.print(f"{files} in {readable(str(folder))}/", markup=False)

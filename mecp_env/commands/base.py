@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from mecp_env.errors import ConfigError
+from mecp_env.render.text import readable
 from mecp_env.settings import guess
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
@@ -42,6 +43,11 @@ class Command(ABC):
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
+
+
+def say(line: str) -> None:
+    """Print a line that may hold names of strangers (buildings, files), without signs that a terminal would obey."""
+    print(readable(line))
 
 
 def check_writable(path: Path) -> Path:

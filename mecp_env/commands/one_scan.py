@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.base import Command, check_writable, say
 from mecp_env.config import EnvConfig
 
 
@@ -33,5 +33,5 @@ class OneScan(Command):
 
         folder, config = check_writable(self.out), EnvConfig.build({}, layout=resolve(self.layout))
         for path in draw(config, self.seed, self.period, folder):
-            print(path)
+            say(str(path))
         return 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.base import Command, check_writable, say
 from mecp_env.commands.buildings import SERIES, expand, resolve
 from mecp_env.commands.fields import Fields, configuration
 from mecp_env.errors import ConfigError
@@ -59,7 +59,7 @@ class Play(Command):
             loop(game, window, self.rate)
         finally:
             window.close()
-        print(game.result)
+        say(game.result)
         return 0
 
     def _check(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.base import Command, check_writable, say
 from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand_all, load, spare_sources, stem
 from mecp_env.errors import ConfigError
 from mecp_env.world.schema import Layout
@@ -44,7 +44,7 @@ class Draw(Command):
         path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
         spare_sources([path], words)
         buildings = [(title(word), load(word, self.reading)) for word in words]
-        print(draw(buildings, path, self.dpi))
+        say(str(draw(buildings, path, self.dpi)))
         return 0
 
 

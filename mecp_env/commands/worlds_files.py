@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mecp_env.commands.base import WRONG_INPUT, Command, check_writable
+from mecp_env.commands.base import WRONG_INPUT, Command, check_writable, say
 from mecp_env.commands.buildings import (
     NONE_GIVEN,
     Buildings,
@@ -23,7 +23,6 @@ from mecp_env.commands.buildings import (
     spare_sources,
 )
 from mecp_env.errors import ConfigError, MecpError
-from mecp_env.render.text import readable
 from mecp_env.world.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -74,9 +73,9 @@ def sound(word: str, reading: Reading) -> bool:
         singles = expand(word, reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
-        print(f"ok     {word}: {counted(load(word, reading))}")
+        say(f"ok     {word}: {counted(load(word, reading))}")
     except MecpError as error:
-        print(f"wrong  {readable(str(error))}")
+        say(f"wrong  {error}")
         return False
     return True
 
@@ -109,7 +108,7 @@ class Convert(Command):
         layout = load(source, self.reading)
         check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
         write(layout, self.target, self.map_resolution_m)
-        print(f"{self.target}: {readable(layout.name)}, {counted(layout)}")
+        say(f"{self.target}: {layout.name}, {counted(layout)}")
         return 0
 
 

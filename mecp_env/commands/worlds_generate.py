@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self, get_args
 
 import tyro
 
-from mecp_env.commands.base import Command, check_writable
+from mecp_env.commands.base import Command, check_writable, say
 from mecp_env.commands.buildings import counted
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator.spec import (
@@ -76,12 +76,12 @@ class Generate(Command):
         for path, layout in self._buildings():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(layout.to_json())
-            print(f"{path}: {counted(layout)}")
+            say(f"{path}: {counted(layout)}")
             drawn += [(path.stem, layout)] if self.sheet else []
         if self.sheet:
             from mecp_env.commands.worlds_draw import draw
 
-            print(draw(drawn, self.sheet))
+            say(str(draw(drawn, self.sheet)))
         return 0
 
     def _check(self) -> None:

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from mecp_env.commands.base import Command
 from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand, load
+from mecp_env.render.text import readable
 
 COLUMNS = {  # figure -> heading, format
     "rooms": ("rooms", "{:.0f}"),
@@ -96,7 +97,7 @@ def _print_table(measured: Mapping[str, Sequence[Figures]]) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for word, figures in measured.items():
         entries = (_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items())
-        table.add_row(Text(word), *entries)
+        table.add_row(Text(readable(word)), *entries)
     Console().print(table)
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import colorsys
+import json
 import math
 import os
+import re
 from collections.abc import Iterator
 from html import escape
 from itertools import pairwise
@@ -18,6 +20,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from mecp_env.errors import LayoutError
+from mecp_env.render.text import readable
 from mecp_env.slam.data import Cell, SemanticGrid
 from mecp_env.world.layout import Layout
 from mecp_env.world.outline import Outline, build_outline, door_ring, thin_walls_m
@@ -51,8 +54,14 @@ def save_map_server(
         levels, origin, resolution_m = _levels(given), given.origin, given.resolution_m
     sheet, image = (stem.with_name(stem.name + ending) for ending in (".yaml", ".pgm"))
     Image.fromarray(levels[::-1]).save(image, format="PPM")
-    sheet.write_text(YAML.format(image=image.name, resolution=resolution_m, x=float(origin[0]), y=float(origin[1])))
+    x, y = origin.tolist()
+    sheet.write_text(YAML.format(image=_scalar(image.name), resolution=resolution_m, x=x, y=y), encoding="utf-8")
     return sheet, image
+
+
+def _scalar(name: str) -> str:
+    """The name of a file as yaml has it, in quotes where it holds more than letters, digits, dots and dashes."""
+    return name if re.fullmatch(r"[\w.-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def _raster(outline: Outline, resolution_m: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -145,7 +154,7 @@ def _colour(index: int) -> str:
 def _path(area: BaseGeometry, fill: str, title: str) -> str:
     parts = [part for part in shapely.get_parts(area) if isinstance(part, Polygon)]
     edge = " ".join(map(_outline_path, parts))
-    return f'<path d="{edge}" fill="{fill}" fill-rule="evenodd"><title>{escape(title)}</title></path>\n'
+    return f'<path d="{edge}" fill="{fill}" fill-rule="evenodd"><title>{escape(readable(title))}</title></path>\n'
 
 
 def _outline_path(area: Polygon) -> str:

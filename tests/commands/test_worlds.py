@@ -269,6 +269,34 @@ def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Sa
     assert "\0" not in said
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"\\u001b]0;owned\\u0007": 1, "\\u001b]0;owned\\u0007": 2}',
+        '{"kind\\u001b[2J": 1}',
+        '{"verts": 0, "type": "\\u001b[2J"}',
+    ],
+)
+def test_a_file_of_strangers_does_not_speak_to_the_terminal(content: str, tmp_path: Path, capsys: Said) -> None:
+    path = tmp_path / "plan\x1b[2J.json"
+    path.write_text(content)
+    for line in (["worlds", "stats"], ["worlds", "draw"], ["worlds", "validate"], ["demo", "--layout"]):
+        assert cli.main([*line, str(path)]) == 2
+    said = capsys.readouterr()
+    assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
+    assert "plan?[2J.json" in said.out
+    assert len(said.err.splitlines()) == 3
+
+
+def test_a_sound_building_of_any_name_does_not_either(tmp_path: Path, capsys: Said) -> None:
+    path = tmp_path / "plan\x1b[2J.json"
+    path.write_text(load_layout("two_rooms").to_json().replace("two_rooms", "two\\u001b[2J"))
+    for line in (["stats", path], ["validate", path], ["convert", path, f"{path}.svg"]):
+        assert run(*line) == 0
+    said = capsys.readouterr()
+    assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
+
+
 def test_a_series_names_its_seeds() -> None:
     assert expand("hard:8-10") == ["hard:8", "hard:9", "hard:10"]
     assert expand("hard:8") == ["hard:8"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import shapely
+import yaml
 from PIL import Image
 
 from mecp_env.errors import LayoutError
@@ -75,6 +77,19 @@ def test_the_drawing_of_a_layout_names_rooms_and_doors(tmp_path: Path) -> None:
     root = ET.parse(save_svg(layout, tmp_path / "plan.svg")).getroot()
     titles = [title.text for title in root.iter("{http://www.w3.org/2000/svg}title")]
     assert titles == ["west", "east", "door of west and east"]
+
+
+def test_names_with_control_characters_leave_a_drawing_well_formed(tmp_path: Path) -> None:
+    fields = json.loads(load_layout("two_rooms").to_json().replace("west", "w\\u0007\\u001b]0;a\\u0007"))
+    root = ET.parse(save_svg(load_layout(fields), tmp_path / "plan.svg")).getroot()
+    titles = [title.text for title in root.iter("{http://www.w3.org/2000/svg}title")]
+    assert titles == ["w??]0;a?", "east", "door of w??]0;a? and east"]
+
+
+@pytest.mark.parametrize("stem", ["a: b", "x #1", "[map]", 'a"b', "部屋", "-"])
+def test_the_image_may_have_any_name(stem: str, tmp_path: Path) -> None:
+    sheet, image = save_map_server(load_layout("two_rooms"), tmp_path / stem, 0.1)
+    assert yaml.safe_load(sheet.read_text())["image"] == image.name
 
 
 @pytest.mark.parametrize("resolution_m", [0.0, -1.0, 2.0, float("nan"), 0.0001])
