@@ -11,12 +11,14 @@ import math
 import multiprocessing
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -104,6 +106,21 @@ def machine() -> dict[str, str]:
         "numba": numba.__version__,
         "numpy": np.__version__,
     }
+
+
+@cache
+def commit() -> str:
+    """The commit of the clone that this runs from, with a `+` when something was changed since; "" elsewhere."""
+    try:
+        changed = "+" if _git("status", "--porcelain", "--untracked-files=no") else ""
+        return _git("rev-parse", "HEAD") + changed
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def _git(*words: str) -> str:
+    line = ["git", "-C", str(Path(__file__).parent), *words]
+    return subprocess.run(line, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
 
 
 def _processor() -> str:

@@ -7,18 +7,20 @@ A building is seen when the episode ends by itself with 95 % of the free area se
 was found as well; lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither
 complete nor lost. Each building is started from a place that its number draws, each plan three times. Doors of plans
 are 0.55 to 1.9 m wide. What is not complete is kept in `runs/worlds/`: the layout, a picture, and the command that
-shows the episode again.
+shows the episode again, with version and commit.
 """
 
 from __future__ import annotations
 
 import json
+import shlex
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import Figures, Gate, OptionError, Options, estimate, in_parallel, ratio, share, table
+import mecp_env
+from benchmarks.common import Figures, Gate, OptionError, Options, commit, estimate, in_parallel, ratio, share, table
 from mecp_env.entry_points import make
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
@@ -162,9 +164,10 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "layout.json").write_text(layout.to_json())
     save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
-    again = f"mecp-env demo --layout {folder}/layout.json --seed {seed} --config.start random{flags(setting)}"
-    again += f" --config.max-periods {MAX_PERIODS}"
-    record: dict[str, Any] = {"again": again, "seed": seed, "outcome": found.outcome, **found.final}
+    again = f"mecp-env demo --layout {shlex.quote(str(folder / 'layout.json'))} --seed {seed} --config.start random"
+    again += f"{flags(setting)} --config.max-periods {MAX_PERIODS}"
+    code = {"version": mecp_env.__version__, "commit": commit()}
+    record: dict[str, Any] = {"again": again, **code, "seed": seed, "outcome": found.outcome, **found.final}
     (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")
 
 

@@ -302,7 +302,8 @@ def test_one_scan_refuses_a_period_below_0(capsys: Said) -> None:
     assert capsys.readouterr().err == "mecp-env: period: -5, at least 0\n"
 
 
-def test_the_command_runs_as_a_module() -> None:
-    done = subprocess.run([sys.executable, "-m", "mecp_env.cli", "--help"], capture_output=True, text=True)
+@pytest.mark.parametrize("module", ["mecp_env", "mecp_env.cli"])
+def test_the_command_runs_as_a_module(module: str) -> None:
+    done = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, text=True)
     assert done.returncode == 0
     assert "one-scan" in done.stdout

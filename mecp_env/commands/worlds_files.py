@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from mecp_env.commands.buildings import (
     load,
     spare_sources,
 )
-from mecp_env.errors import ConfigError, MecpError
+from mecp_env.errors import ConfigError, LayoutError, MecpError
 from mecp_env.world.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -117,7 +118,10 @@ def _write_json(layout: Layout, path: Path, resolution_m: float) -> None:
 
 
 def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
-    save_map_server(layout, path.with_suffix(""), resolution_m)
+    try:
+        save_map_server(layout, path.with_suffix(""), resolution_m)
+    except LayoutError as error:
+        raise LayoutError(re.sub(r"^resolution_m\b", "map_resolution_m", str(error))) from None
 
 
 def _write_svg(layout: Layout, path: Path, resolution_m: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -216,6 +217,8 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
         (["generate", "--rooms", "3", "--loops", "30", "--difficulty", "easy"], "30 loops"),
         (["generate", "--split", "test", "--seed", "1000"], "1000 buildings"),
         (["convert", "office", "office.txt"], ".json, .yaml, .svg"),
+        (["convert", "office", "map.yaml", "--map-resolution-m", "2"], "mecp-env: map_resolution_m: from 0.005 to 1 m"),
+        (["convert", "paper", "map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),
         (["convert", "easy:0-1", "two.json"], "easy:0 and 1 more, one building is converted"),
     ],
 )
@@ -245,6 +248,23 @@ def test_a_wrong_option_ends_with_2_and_names_it(line: list[str], named: str, ca
         run(*line)
     assert ended.value.code == 2
     assert named in capsys.readouterr().err
+
+
+def options_helped(text: str) -> dict[str, str]:
+    """Option -> what the help says of it, without the values that it takes and the default."""
+    _, *parts = re.split(r"\n[ │]+--([a-z][a-z-]+)", text)
+    said = [" ".join(part.partition("(default")[0].replace("│", " ").split()) for part in parts[1::2]]
+    words = [re.sub(r"^(INT|FLOAT|PATH|[\[{]\S*| )+", "", one) for one in said]
+    return dict(zip(parts[::2], words, strict=True))
+
+
+def test_every_option_of_a_building_has_a_help_of_its_own(capsys: Said) -> None:
+    with pytest.raises(SystemExit):
+        run("generate", "--help")
+    helped = options_helped(capsys.readouterr().out)
+    assert {name.replace("-", "_") for name in helped} >= set(GeneratorSpec.model_fields)
+    assert [name for name, said in helped.items() if len(said) < 8] == []
+    assert len(set(helped.values())) == len(helped)
 
 
 def test_help_shows_what_the_difficulty_has(capsys: Said) -> None:

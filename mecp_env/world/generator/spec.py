@@ -45,19 +45,20 @@ class GeneratorSpec(Settings):
 
     rooms: int = Field(8, ge=2, le=60)  # corridors are rooms too
     loops: int = Field(0, ge=0, le=30)  # doors beyond those that join all rooms: rooms - 1 + loops doors
-    corridors: int = Field(0, ge=0, le=8)
-    corridor_width_m: Annotated[tuple[Width, Width], Single] = (1.6, 2.0)
+    corridors: int = Field(0, ge=0, le=8)  # of the rooms so many; at most one for three others
+    corridor_width_m: Annotated[tuple[Width, Width], Single] = (1.6, 2.0)  # between the middles of its walls
     room_side_m: Annotated[tuple[Side, Side], Single] = (3.2, 5.5)  # the side of a square of the room's area
     shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are no rectangle
     shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # which they may be
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
     turned_deg: Annotated[tuple[Turn, Turn], Single] = (0.0, 0.0)  # the whole building against the axes
-    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single] = (0.12, 0.12)
-    door_width_m: Annotated[tuple[Width, Width], Single] = (0.9, 0.9)
+    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single] = (0.12, 0.12)  # one for the whole building
+    door_width_m: Annotated[tuple[Width, Width], Single] = (0.9, 0.9)  # drawn for each door
     max_doors: int = Field(4, ge=1, le=20)  # of a room; corridors may have any number
     # pieces on 10 m^2 of rooms, none in corridors; in rooms of 3.2-5.5 m about 2 find room (boxes 1), over 6 m 3
     furniture: float = Field(0.0, ge=0.0, le=3.0)
+    # what the furniture may be
     pieces: Annotated[tuple[Piece, ...], Field(min_length=1), Word] = ("shelf", "box", "square_pillar", "round_pillar")
 
     @classmethod
