@@ -19,7 +19,10 @@ INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
 
 
 def main(words: list[str]) -> int:
-    """Train; exit code 0, 1 when a worker died or the disk is full, 2 for wrong input, 130 after Ctrl-C."""
+    """Train; the exit code: 0, 2 for wrong input, 130 after Ctrl-C.
+
+    It is 1 when a worker died, a weight is no number any more, or the disk is full.
+    """
     try:
         return train(parse(words))
     except MecpError as error:
@@ -68,13 +71,14 @@ def go_on(trainer: Trainer) -> None:
 
 
 def run(trainer: Trainer) -> int:
-    """Train until the end, Ctrl-C, or the death of a worker; the exit code."""
+    """Train until the end, Ctrl-C, the death of a worker, or weights that are no numbers; the exit code."""
+    from agents.learning.files import NotFiniteError
     from mecp_env.vector import WorkerDied
 
     stop_on_interrupt(trainer)
     try:
         trainer.run()
-    except WorkerDied as error:
+    except (WorkerDied, NotFiniteError) as error:
         trainer.report.say(f"train: {error}")
         return FAILED
     return INTERRUPTED if trainer.stop else 0

@@ -43,7 +43,8 @@ class Checkpoints:
         self.folder, self.keep = folder, keep
 
     def save(self, model: OnPolicyAlgorithm, progress: Progress) -> Path:
-        """Write a checkpoint, then remove the oldest ones."""
+        """Write a checkpoint, then remove the oldest ones. Raises `NotFiniteError` before anything is written."""
+        files.check_finite(model.policy)
         data = files.tensor_bytes(tensors_of(model, progress))
         path = self.folder / f"{progress.decisions:012d}{ENDING}"
         files.write_whole(path.with_suffix(SUM_ENDING), files.checksum(data).encode())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -111,7 +112,9 @@ class TrainConfig(Settings):
         algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
         merged = merge(merge(COMMON, DEFAULTS[algorithm]), dict(fields))
         refuse_unknown(cls, merged, cls.__name__)
-        return cls(**merged | {"algorithm": algorithm})
+        config = cls(**merged | {"algorithm": algorithm})
+        check_batches(config)
+        return config
 
     @property
     def actions(self) -> str:
@@ -145,6 +148,21 @@ def check_algorithm(name: Any) -> str:
     if name not in ALGORITHMS:
         raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}")
     return str(name)
+
+
+def check_batches(config: TrainConfig) -> None:
+    """Raise `ConfigError` where a batch of an update is a single decision: its advantage has no deviation.
+
+    sb3-contrib divides by that deviation all the same, and every weight becomes NaN; Stable-Baselines3 does not.
+    """
+    decisions, batch = config.ppo.steps * config.environments, config.ppo.batch
+    if config.algorithm == "ppo" or batch >= decisions or decisions % batch != 1:
+        return
+    better = next(size for size in count(batch + 1) if decisions % size != 1)
+    raise ConfigError(
+        f"ppo.batch: {batch} leaves a last batch of 1 of the {decisions} decisions of an update (ppo.steps "
+        f"{config.ppo.steps} x environments {config.environments}), at least 2; ppo.batch {better} does not"
+    )
 
 
 def read_config(path: Path) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import safetensors
 import safetensors.torch
 from torch import Tensor, nn
 
-from mecp_env.errors import ConfigError
+from mecp_env.errors import ConfigError, MecpError
 
 MOST_BYTES = 64_000_000  # of a weight file or a checkpoint
 NAME_LENGTH = 12  # of the checksum in a file's name
@@ -19,6 +19,10 @@ NAME_LENGTH = 12  # of the checksum in a file's name
 
 class WeightError(ConfigError):
     """A file of weights is damaged, too large, changed, or of another network."""
+
+
+class NotFiniteError(MecpError):
+    """Training made a weight infinite or NaN: such weights are not kept."""
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -83,6 +87,13 @@ def tensor_bytes(tensors: dict[str, Tensor], metadata: dict[str, str] | None = N
 def weights_of(policy: nn.Module) -> dict[str, Tensor]:
     """The parameters of a policy by name, each once."""
     return {name: parameter.detach() for name, parameter in policy.named_parameters()}
+
+
+def check_finite(policy: nn.Module) -> None:
+    """Raise `NotFiniteError` for a policy with a weight that is no number."""
+    for name, weight in weights_of(policy).items():
+        if not bool(weight.isfinite().all()):
+            raise NotFiniteError(f"weights: {name} is not finite any more; a smaller ppo.learning_rate?")
 
 
 def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> None:

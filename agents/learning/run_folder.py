@@ -57,7 +57,11 @@ class RunFolder:
         write_json(path, [*known, {"event": what, **surroundings()}])
 
     def keep_policy(self, policy: nn.Module, facts: Mapping[str, Any]) -> None:
-        """Make these the weights that are loaded from this folder; `facts` say where they come from."""
+        """Make these the weights that are loaded from this folder; `facts` say where they come from.
+
+        Raises `NotFiniteError`; the weights from before then stay.
+        """
+        files.check_finite(policy)
         save_policy(self.folder, policy, self.config.algorithm, facts)
 
 

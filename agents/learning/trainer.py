@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.learning import models
+from agents.learning import files, models
 from agents.learning.checkpoints import Progress
 from agents.learning.environments import FIGURES, make_many
 from agents.learning.models import DriveBuffer
@@ -103,7 +103,8 @@ class Trainer:
         return not self.stop
 
     def update(self, seconds: float, waited_s: float, periods: int) -> None:
-        """Write down what the last update came to."""
+        """Write down what the last update came to. Raises `NotFiniteError`."""
+        files.check_finite(self.model.policy)
         self.progress.seconds += seconds
         self.progress.updates = self.model._n_updates
         speed = {"periods_per_s": periods / seconds, "waiting_share": waited_s / seconds}

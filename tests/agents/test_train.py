@@ -263,6 +263,19 @@ def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch)
     assert f"--resume {folder}" in said
 
 
+def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsys, monkeypatch):
+    def ruin(self):
+        with torch.no_grad():
+            next(self.policy.parameters()).fill_(float("nan"))
+
+    monkeypatch.setattr("sb3_contrib.MaskablePPO.train", ruin)
+    folder, code = run(tmp_path)
+    assert code == 1
+    assert "is not finite any more" in capsys.readouterr().out.replace("\n", " ")
+    assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()] == ["000000000000"]
+    assert load(folder)
+
+
 @pytest.mark.parametrize("workers", ["batch", "processes"])
 def test_workers_learn_the_same_as_one_process(workers, tmp_path):
     """Where the environments live changes no bit of what is learned."""

@@ -69,6 +69,18 @@ def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, 
         parse(["--config", str(path)])
 
 
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "recurrent_ppo"])
+def test_a_last_batch_of_one_decision_is_refused_with_a_size_that_will_do(algorithm):
+    """sb3-contrib divides by the deviation of its one advantage: after the update every weight was NaN."""
+    sizes = {"algorithm": algorithm, "environments": 1, "ppo": {"steps": 7, "batch": 6}}
+    with pytest.raises(ConfigError, match=r"ppo\.batch: 6 leaves a last batch of 1 of the 7 decisions.*ppo\.batch 7"):
+        TrainConfig.build(sizes)
+    with pytest.raises(ConfigError, match=r"ppo\.batch 5 does not"):
+        TrainConfig.build(sizes | {"environments": 3, "ppo": {"steps": 3, "batch": 4}})
+    assert TrainConfig.build(sizes | {"ppo": {"steps": 7, "batch": 7}}).ppo.batch == 7
+    assert TrainConfig.build(sizes | {"algorithm": "ppo"}).ppo.batch == 6
+
+
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, "\x00"])
 def test_a_file_that_is_no_configuration_is_refused(text, tmp_path):
     path = tmp_path / "config.json"
