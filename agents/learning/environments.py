@@ -55,6 +55,9 @@ class EpisodeLog(gym.Wrapper[Any, Any, Any, Any]):
     drive so far, and `info["discount"]` is that factor at the end of the drive: a semi-Markov decision process
     (Sutton, Precup, Singh 1999) whose clock is the odometer, because coverage is compared over metres. With velocities
     rewards stay as they are. `info` holds `periods`, `discount`, and at the end of an episode `figures`.
+
+    An episode whose filter diverged has ended here (`terminated`), whatever the environment calls it: nothing is to be
+    earned after it, while a learner values what comes after one that was cut short.
     """
 
     def __init__(self, env: gym.Env[Any, Any], discount: float, discount_m: float) -> None:
@@ -74,7 +77,7 @@ class EpisodeLog(gym.Wrapper[Any, Any, Any, Any]):
         return observation, {}
 
     def step(self, action: Any) -> Step:
-        """As of the environment below, with the reward of a drive discounted."""
+        """As of the environment below, with the reward of a drive discounted; a divergence is an end."""
         self.drive.clear()
         step = self.env.step(action)
         observation, reward, terminated, truncated, _ = step
@@ -89,7 +92,8 @@ class EpisodeLog(gym.Wrapper[Any, Any, Any, Any]):
         info: dict[str, Any] = {"periods": len(self.drive), "discount": factor}
         if terminated or truncated:
             info |= {"figures": self._figures(terminated)}
-        return observation, float(reward), terminated, truncated, info
+        lost = bool(self.drive[-1][4]["diverged"])
+        return observation, float(reward), terminated or lost, truncated and not lost, info
 
     def _of_drive(self) -> tuple[float, float]:
         """The discounted reward of a drive, and the discount of what comes after it."""

@@ -24,7 +24,7 @@ from agents.learning.environments import FIGURES, make_env, make_many  # noqa: E
 from agents.learning.models import DriveBuffer, make_model  # noqa: E402
 from agents.learning.report import Report  # noqa: E402
 from agents.learning.warm_start import imitate  # noqa: E402
-from tests.agents.training import quick, start, write_config  # noqa: E402
+from tests.agents.training import QUICK, quick, start, write_config  # noqa: E402
 
 
 def rows(path):
@@ -222,6 +222,30 @@ def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres
     plain.reset(seed=0)
     _, undiscounted, *_ = plain.step(0)
     assert reward != undiscounted
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
+def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
+    """With the value of going on added to it, losing the map was worth as much as keeping it."""
+    for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_periods": 2}, False)):
+        venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
+        venv.reset()
+        dones = np.zeros(2, np.bool_)
+        for _ in range(20):
+            observations, _, dones, infos = venv.step(onward(venv))
+            if dones.any():
+                break
+        info = infos[int(np.flatnonzero(dones)[0])]
+        assert info["TimeLimit.truncated"] is not terminal
+        assert info["figures"]["terminated"] == 0.0
+        assert (info["figures"]["reward_divergence"] < 0.0) is terminal
+        venv.close()
+
+
+def onward(venv):
+    """An action for each environment: the first goal, or full speed ahead."""
+    many = [0, 0] if isinstance(venv.action_space, gym.spaces.Discrete) else [[1.0, 0.0]] * 2
+    return np.array(many, venv.action_space.dtype)
 
 
 def test_advantages_of_drives_are_those_of_the_definition():
