@@ -58,6 +58,19 @@ class DriveBuffer(MaskableDictRolloutBuffer):
         self.returns = self.advantages + self.values
 
 
+def value_cut_off(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str, Any]]) -> None:
+    """Add to `rewards` (n_envs,) what would have come after drives in which the time ran out, by their own discount.
+
+    sb3-contrib would add it by the discount of a decision, which is that of a drive of no length.
+    """
+    for row, info in enumerate(infos):
+        if info["TimeLimit.truncated"]:
+            info["TimeLimit.truncated"] = False  # it is accounted for
+            with torch.no_grad():
+                value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
+            rewards[row] += info["discount"] * float(value)
+
+
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
     """The class of the policy (or its name for Stable-Baselines3) and its keywords."""
     network = config.network

@@ -90,10 +90,11 @@ class Trainer:
             self.evaluate()
         self.save()
 
-    def note(self, infos: list[dict[str, Any]]) -> bool:
-        """Take in a decision of every environment; False when it is time to stop."""
+    def note(self, rewards: np.ndarray, infos: list[dict[str, Any]]) -> bool:
+        """Take in a decision of every environment, before it is learned from; False when it is time to stop."""
         if isinstance(self.model.rollout_buffer, DriveBuffer):
             self.model.rollout_buffer.coming = np.array([info["discount"] for info in infos], np.float32)
+            models.value_cut_off(self.model.policy, rewards, infos)
         self.progress.periods += sum(info["periods"] for info in infos)
         ended = [info["figures"] for info in infos if "figures" in info]
         self.episodes += ended
@@ -163,7 +164,7 @@ class Rhythm(BaseCallback):
         self.waited_s, self.periods = 0.0, 0
 
     def _on_step(self) -> bool:
-        return self.trainer.note(self.locals["infos"])
+        return self.trainer.note(self.locals["rewards"], self.locals["infos"])
 
     def _on_rollout_start(self) -> None:
         self.between()
