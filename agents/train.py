@@ -47,7 +47,8 @@ def train(order: Order) -> int:
     from agents.learning.warm_start import check_teacher
 
     check_teacher(order.config)
-    make_env(order.config).close()  # what is wrong with the environment is said before anything is written
+    for index in range(len(order.config.buildings.difficulty)):  # what is wrong is said before anything is written
+        make_env(order.config, index).close()
     folder = RunFolder(order.folder, order.config)
     if not order.resume:
         folder.begin()

@@ -9,15 +9,20 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tyro
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings
+from mecp_env.settings import Settings, shown
 
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 MOST_CONFIG_BYTES = 1_000_000
+ELSEWHERE = {"difficulty", "split", "config", *EnvConfig.model_fields}  # what `gymnasium.make` takes beside a spec
+DERIVED = {
+    "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
+    "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
+}
 
 
 class Environment(EnvConfig):
@@ -29,7 +34,27 @@ class Environment(EnvConfig):
     reward: RewardConfig = RewardConfig(completion=1.0)
 
 
-class BuildingsConfig(Settings):
+def number(value: Any) -> Any:
+    """`value` itself. Raises `ValueError` for a truth value or a text, which may look like a number."""
+    if isinstance(value, bool | str):
+        raise ValueError("Input should be a number")
+    return value
+
+
+class Section(Settings):
+    """A section whose numbers and truth values are given as such."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        assert info.field_name is not None
+        kind = cls.model_fields[info.field_name].annotation
+        if kind is bool and not isinstance(value, bool):
+            raise ValueError("Input should be true or false")
+        return number(value) if kind in (int, float, float | None) else value
+
+
+class BuildingsConfig(Section):
     """Where the robot learns: another generated building at every reset, or always the same layout."""
 
     difficulty: Annotated[tuple[str, ...], Field(min_length=1)] = ("medium",)  # dealt out to the environments in turn
@@ -37,8 +62,24 @@ class BuildingsConfig(Settings):
     spec: dict[str, float] = Field({})  # fields of `GeneratorSpec` over the difficulty's own: rooms 12 loops 2
     layout: str | None = None  # a shipped layout or a file, in place of generated buildings
 
+    @field_validator("spec", mode="before")
+    @classmethod
+    def _numbers_of_a_building(cls, spec: Any) -> Any:
+        """Refuse numbers in disguise, and what is set elsewhere; names that there are not the environment refuses."""
+        for name, value in spec.items() if isinstance(spec, dict) else ():
+            number(value)
+            if name in ELSEWHERE:
+                raise ValueError(f"{name} is no field of GeneratorSpec")
+        return spec
 
-class NetworkConfig(Settings):
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.layout is not None and self.spec:
+            raise ValueError(f"spec: {shown(self.spec)}, but layout: {shown(self.layout)} is one building; choose one")
+        return self
+
+
+class NetworkConfig(Section):
     """Sizes of the network (docs/training.md has the picture)."""
 
     width: int = Field(64, ge=4, le=1024)  # of the code of a goal, of a landmark and of the context
@@ -49,7 +90,7 @@ class NetworkConfig(Settings):
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
 
 
-class PpoConfig(Settings):
+class PpoConfig(Section):
     """Hyper-parameters of PPO; a decision is a drive with goals, a control period with velocities."""
 
     steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
@@ -68,7 +109,7 @@ class PpoConfig(Settings):
     normalise_reward: bool = True  # by the running deviation of the discounted return
 
 
-class WarmStartConfig(Settings):
+class WarmStartConfig(Section):
     """What is learned of an explorer before PPO begins."""
 
     teacher: str | None = None  # nearest, gain, bfs: an explorer of `agents`
@@ -77,7 +118,7 @@ class WarmStartConfig(Settings):
     epochs: int = Field(10, ge=1, le=1000)
 
 
-class LogConfig(Settings):
+class LogConfig(Section):
     """Evaluations and files."""
 
     evaluate_every: int = Field(10_000, ge=1)  # decisions
@@ -87,7 +128,7 @@ class LogConfig(Settings):
     tensorboard: bool = True
 
 
-class TrainConfig(Settings):
+class TrainConfig(Section):
     """All that a training run depends on."""
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
@@ -107,8 +148,10 @@ class TrainConfig(Settings):
     def build(cls, fields: Mapping[str, Any]) -> Self:
         """The configuration with `fields` over the defaults of their algorithm.
 
-        Raises `ConfigError` for an unknown name at any level (with the nearest known one) or a wrong value.
+        Raises `ConfigError` for an unknown name at any level (with the nearest known one), a wrong value, or a field of
+        the environment that follows from another one here.
         """
+        refuse_derived(fields.get("env"))
         algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
         merged = merge(merge(COMMON, DEFAULTS[algorithm]), dict(fields))
         refuse_unknown(cls, merged, cls.__name__)
@@ -148,6 +191,13 @@ def check_algorithm(name: Any) -> str:
     if name not in ALGORITHMS:
         raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}")
     return str(name)
+
+
+def refuse_derived(env: Any) -> None:
+    """Raise `ConfigError` for fields of the environment that are set by other names; they would not count."""
+    for name in env if isinstance(env, Mapping) else ():
+        if name in DERIVED:
+            raise ConfigError(f"env.{name}: {DERIVED[name]}")
 
 
 def check_batches(config: TrainConfig) -> None:

@@ -63,12 +63,12 @@ def value_cut_off(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str,
 
     sb3-contrib would add it by the discount of a decision, which is that of a drive of no length.
     """
-    for row, info in enumerate(infos):
-        if info["TimeLimit.truncated"]:
-            info["TimeLimit.truncated"] = False  # it is accounted for
-            with torch.no_grad():
-                value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
-            rewards[row] += info["discount"] * float(value)
+    for row in [row for row, info in enumerate(infos) if info["TimeLimit.truncated"]]:
+        info = infos[row]
+        info["TimeLimit.truncated"] = False  # it is accounted for
+        with torch.no_grad():
+            value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
+        rewards[row] += info["discount"] * float(value)
 
 
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:

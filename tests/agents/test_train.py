@@ -107,6 +107,8 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
         ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
         ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs chooses goals, ppo velocities"),
         ({"buildings": {"difficulty": ["mediun"]}}, "none of"),
+        ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
+        ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
         ({"buildings": {"layout": "nowhere"}}, "nowhere"),
         ({"ppo": {"epoch": 1}}, "did you mean 'epochs'"),
     ],
@@ -233,7 +235,7 @@ def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorit
         venv.reset()
         dones = np.zeros(2, np.bool_)
         for _ in range(20):
-            observations, _, dones, infos = venv.step(onward(venv))
+            _, _, dones, infos = venv.step(onward(venv))
             if dones.any():
                 break
         info = infos[int(np.flatnonzero(dones)[0])]

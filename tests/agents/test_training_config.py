@@ -60,6 +60,18 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
         ({"algorithm": "dqn"}, "none of ppo, maskable_ppo, recurrent_ppo"),
         ({"ppo": {"clip": float("nan")}}, "finite"),
+        ({"env": {"layout": "paper"}}, r"env\.layout: .*buildings\.layout"),
+        ({"env": {"actions": "goal"}}, r"env\.actions: follows from the algorithm"),
+        ({"steps": "10"}, r"steps: Input should be a number \(given: '10'"),
+        ({"ppo": {"learning_rate": True}}, "learning_rate: Input should be a number"),
+        ({"ppo": {"target_kl": "0.1"}}, "target_kl: Input should be a number"),
+        ({"ppo": {"anneal": "yes"}}, "anneal: Input should be true or false"),
+        ({"log": {"tensorboard": 0}}, "tensorboard: Input should be true or false"),
+        ({"buildings": {"spec": {"rooms": "3"}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"rooms": [2, 3]}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"estimator": 1}}}, "spec: estimator is no field of GeneratorSpec"),
+        ({"buildings": {"spec": {"split": 1}}}, "spec: split is no field of GeneratorSpec"),
+        ({"buildings": {"layout": "paper", "spec": {"rooms": 3}}}, "'paper' is one building"),
     ],
 )
 def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, tmp_path):
