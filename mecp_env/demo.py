@@ -22,10 +22,15 @@ from mecp_env.render.screen import Screen, ScreenConfig
 from mecp_env.render.view import View
 from mecp_env.slam.geometry import compose, inverse
 from mecp_env.stopwatch import Stopwatch
+from mecp_env.world.exporters import save_map_server, save_svg
 from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]
 
+FILES = (  # what a run leaves behind
+    *("map.png", "run.gif", "belief.yaml", "belief.pgm", "belief.svg"),
+    *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
+)
 FILM_SIZE = ScreenConfig(width_px=960, height_px=430)
 
 
@@ -77,12 +82,14 @@ class Run:
         self.film.offer(self.periods, lambda: self.screen.frame(view))
 
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
-        """Write everything there is into `folder`; returns the metrics."""
+        """Write `FILES`, everything there is, into `folder`; returns the metrics."""
         folder.mkdir(parents=True, exist_ok=True)
         view, metrics = self.env.view(), self.metrics(watch)
         save(map_figure(view), folder / "map.png")
         self._film_end(view)
         self.film.save(folder / "run.gif")
+        save_map_server(view.report.grid, folder / "belief")
+        save_svg(view.report.grid, folder / "belief.svg")
         (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
         (folder / "config.json").write_text(json.dumps(self._recipe(), indent=2) + "\n")
         period_s = self.env.config.robot.period_s

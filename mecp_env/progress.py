@@ -12,7 +12,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from mecp_env.demo import Run
+from mecp_env.demo import FILES, Run
 from mecp_env.render.text import readable
 from mecp_env.stopwatch import Stopwatch
 
@@ -83,5 +83,4 @@ def say_result(metrics: dict[str, Any], folder: Path) -> None:
         table.add_row(name, form.format(**metrics))
     console = Console()
     console.print(table)
-    files = "map.png, run.gif, metrics.json, trajectory.tum, truth.tum, config.json"
-    console.print(f"{files} in {readable(str(folder))}/", markup=False)
+    console.print(f"{', '.join(FILES)} in {readable(str(folder))}/", markup=False)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from PIL import Image
 from rich.console import Console
 
@@ -25,9 +26,13 @@ from mecp_env.demo import Run, tum
 from mecp_env.progress import Progress, status
 from mecp_env.slam.config import SlamConfig
 from mecp_env.stopwatch import Stopwatch
+from mecp_env.world.importers import load_plan
+from mecp_env.world.outline import build_outline
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
+FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
+    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
+}
 FIGURES = {
     "rooms",
     "rooms_found",
@@ -57,8 +62,23 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_demo_leaves_its_six_files(kept: Path) -> None:
+def test_the_demo_leaves_its_nine_files(kept: Path) -> None:
     assert {path.name for path in kept.iterdir()} == FILES
+
+
+def test_the_believed_map_can_be_read_and_is_small(kept: Path) -> None:
+    layout = load_plan(kept / "belief.yaml")
+    assert (len(layout.rooms), len(layout.doors)) == (2, 1)
+    x, y = np.loadtxt(kept / "trajectory.tum")[:, 1:3].T
+    assert shapely.contains_xy(build_outline(layout).free_area, x, y).all()  # both are in the map frame
+    assert sum(path.stat().st_size for path in kept.glob("belief.*")) < 100_000
+
+
+def test_a_run_does_not_overwrite_the_plan_that_it_explores(kept: Path, capsys: Said) -> None:
+    before = (kept / "belief.pgm").read_bytes()
+    assert cli.main(["demo", "--layout", str(kept / "belief.yaml"), "--out", str(kept)]) == 2
+    assert "name another file" in capsys.readouterr().err
+    assert (kept / "belief.pgm").read_bytes() == before
 
 
 def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:

@@ -31,13 +31,14 @@ class Demo(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-        from mecp_env.commands.buildings import one, resolve, stem
-        from mecp_env.demo import Run  # pictures and physics are loaded only where they are used
+        from mecp_env.commands.buildings import one, resolve, spare_sources, stem
+        from mecp_env.demo import FILES, Run  # pictures and physics are loaded only where they are used
         from mecp_env.progress import Progress, say_result
         from mecp_env.render.window import require_display
         from mecp_env.stopwatch import timed_stages
 
         folder = check_writable(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
+        spare_sources([folder / name for name in FILES], [self.layout])
         config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":
             require_display()
