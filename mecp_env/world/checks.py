@@ -16,6 +16,7 @@ from mecp_env.world.outline import (
     GAP_POST_M,
     ROBOT_RADIUS_M,
     Array,
+    Doors,
     Ints,
     Outline,
     build_outline,
@@ -41,6 +42,7 @@ MAX_NEAR = 200_000  # pairs of faces so near to each other; each counts twice, a
 NEAR_M = 0.44
 CHUNK = 100
 OPEN_SHARE = 0.9  # of a doorway that is a gap
+SHARED_SHARE = 0.1  # of the smaller of two doorways of which one is a gap; two cuts touch nowhere
 
 
 def check_geometry(layout: Layout) -> Layout:
@@ -52,6 +54,7 @@ def check_geometry(layout: Layout) -> Layout:
     _check_doors(layout)
     try:
         outline = build_outline(layout)
+        _check_doors_apart(outline.doors)
         _check_gaps(layout, outline)
         _check_starts(layout, outline)
         _check_density(outline)
@@ -164,6 +167,18 @@ def _check_door_sides(floors: Mapping[str, Polygon], door: Door, thickness: floa
         if not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
             raise LayoutError(f"doors.{index}.centre: {door.centre} is not between its rooms, {beside}")
+
+
+def _check_doors_apart(doors: Doors) -> None:
+    """No doorway lies on another one: between two doors there are posts."""
+    rings = shapely.polygons(np.array([door_ring(doors, i, 0.0) for i in range(len(doors))]).reshape(-1, 4, 2))
+    one, other = _touching(rings, MAX_TOUCHING, "doors")
+    shared = shapely.area(shapely.intersection(rings[one], rings[other]))
+    most = SHARED_SHARE * np.minimum(shapely.area(rings[one]), shapely.area(rings[other]))
+    cuts = ~(doors.gap[one] | doors.gap[other])
+    for pair in np.flatnonzero(cuts | (shared > most))[:1].tolist():
+        given = f"{doors.centre[one[pair]].round(3).tolist()}, {doors.width[one[pair]]:g} m wide"
+        raise LayoutError(f"doors.{one[pair]}.centre: {given}, touches the doorway of doors.{other[pair]}")
 
 
 def _check_gaps(layout: Layout, outline: Outline) -> None:

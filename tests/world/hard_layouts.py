@@ -100,6 +100,13 @@ def gaps(count: int) -> list[Document]:
     ]
 
 
+def slanted_gaps(count: int) -> list[Document]:
+    """Doors of 20 m beside each other, 2 cm apart: none touches, but the boxes around them do."""
+    changes = {"width_m": 20.0, "direction_deg": 45.0, "depth_m": 0.01}
+    places = [[10.0 + 0.02 * i, -10.0 + 0.02 * i] for i in range(count)]
+    return [gap | changes | {"centre": place} for gap, place in zip(gaps(count), places, strict=True)]
+
+
 def cuts(walls: list[Document]) -> list[Document]:
     """A door in the middle of each wall."""
     doors = []
@@ -136,6 +143,8 @@ HARD: dict[str, Document] = {
     "starts beyond number": hall(starts=[{"point": [0.001 * i, 0.0]} for i in range(1001)]),
     "starts among walls": hall(walls=scattered(4900), starts=[{"point": [0.0005 * i, 0.0]} for i in range(1000)]),
     "gaps amid the floor": hall(doors=gaps(2000)),
+    "gaps in a heap": hall(doors=[gap | {"centre": [50.0 + 0.001 * i, 9.0]} for i, gap in enumerate(gaps(2000))]),
+    "gaps side by side": hall(doors=slanted_gaps(2000)),
     "doors beyond number": hall(doors=gaps(2001)),
     "a door in each wall": hall(walls=scattered(1900, 3.0), doors=cuts(scattered(1900, 3.0))),
     "nothing but wrong points": hall(walls=[{"points": [[0]] * 900}] * 300),

@@ -180,6 +180,24 @@ def test_bad_files_are_refused(name: str, tmp_path: Path) -> None:
         load_layout(path)
 
 
+def two_doors(along_m: float, **changes: Any) -> Document:
+    """The two rooms with a second door beside the first, between their centres so many metres."""
+    document = copy.deepcopy(DOCUMENTS["two_rooms"])
+    (door,) = document["doors"]
+    document["doors"].append(door | {"centre": [door["centre"][0], door["centre"][1] + along_m]} | changes)
+    return document
+
+
+@pytest.mark.parametrize(
+    ("along_m", "changes"), [(0.0, {}), (0.0, {"width_m": 0.1}), (0.4, {}), (0.9, {}), (0.0, {"width_m": 1.4})]
+)
+def test_two_doors_in_one_place_are_refused(along_m: float, changes: Document) -> None:
+    """Seen: a layout with a door twice was explored to the last period, for half of it can never be found."""
+    with pytest.raises(LayoutError, match=r"doors\.1\.centre: \[5\.0, .* m wide, touches the doorway of doors\.0"):
+        load_layout(two_doors(along_m, **changes))
+    assert len(load_layout(two_doors(1.0)).doors) == 2
+
+
 def test_a_missing_file_lists_the_shipped_names(tmp_path: Path) -> None:
     for given_name in ("papre", "", "a\0b", "x" * 5000, tmp_path, tmp_path / "none.json"):
         with pytest.raises(
@@ -324,6 +342,7 @@ BAD_SOLIDS = {
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
     "gap in the open": (replace("doors.0.width_m", 0.5), r"doors\.0\.width_m: an end is 0\.20 m from a wall, at most"),
     "gap to nowhere": (replace("doors.0.rooms.1", "north"), r"doors\.0\.rooms\.1: no room is called 'north'"),
+    "gap twice": (lambda document: document["doors"].append(document["doors"][0]), r"doors\.1\.centre: .* of doors\.0"),
     "gap the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre: .*not between its rooms"),
 }
 
