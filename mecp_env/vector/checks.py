@@ -32,10 +32,10 @@ def check_seeds(seed: Seeds, count: int) -> list[int | None]:
     """A seed for each environment: `seed + i` of a number, the entries of a list. Raises `ValueError`."""
     if seed is None:
         return [None] * count
-    if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
-        return [int(seed) + i for i in range(count)]
+    if _is_integer(seed):
+        return [int(seed) + i for i in range(count)]  # type: ignore[arg-type]
     expected = f"expected an integer, or one for each of {count} environments"
-    if isinstance(seed, str | bytes | bool | float) or not hasattr(seed, "__iter__"):
+    if not isinstance(seed, Sequence | np.ndarray):
         raise ValueError(f"seed: {seed!r:.80}, {expected}")
     seeds = [_checked_seed(entry, expected) for entry in seed]
     if len(seeds) != count:
@@ -44,9 +44,15 @@ def check_seeds(seed: Seeds, count: int) -> list[int | None]:
 
 
 def _checked_seed(entry: Any, expected: str) -> int | None:
-    if entry is not None and (isinstance(entry, bool | np.bool_) or not isinstance(entry, int | np.integer)):
+    if entry is None:
+        return None
+    if not _is_integer(entry):
         raise ValueError(f"seed: {entry!r:.80} among them, {expected}")
-    return None if entry is None else int(entry)
+    return int(entry)
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def check_options(options: dict[str, Any] | None, count: int) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
