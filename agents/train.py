@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import sys
+from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any
 
-from agents.learning.line import Order, parse
-from mecp_env.errors import MecpError
-
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imports take seconds; here nothing would catch a Ctrl-C that comes in them
+    from agents.learning.line import Order
     from agents.learning.trainer import Trainer
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
-ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTED: "stopped, saved"}
+ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTED: "stopped"}
 INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
 
 
@@ -24,6 +24,19 @@ def main(words: list[str]) -> int:
     It is 1 when a worker died, a weight is no number any more, or the disk is full.
     """
     try:
+        return attempt(words)
+    except KeyboardInterrupt:
+        print("train: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def attempt(words: list[str]) -> int:
+    """As `main`; what is wrong is said on stderr. Raises `KeyboardInterrupt` outside the training itself."""
+    from mecp_env.errors import MecpError
+
+    try:
+        from agents.learning.line import parse
+
         return train(parse(words))
     except MecpError as error:
         print(f"train: {error}", file=sys.stderr)
@@ -36,6 +49,15 @@ def main(words: list[str]) -> int:
         print(f"train: {error.filename or 'files'}: {error.strerror}", file=sys.stderr)
         return FAILED
     return WRONG_INPUT
+
+
+def workers_leave_ctrl_c() -> None:
+    """Have the process that starts workers ignore Ctrl-C: each of them then does from its first moment on."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def train(order: Order) -> int:
@@ -52,7 +74,10 @@ def train(order: Order) -> int:
     folder = RunFolder(order.folder, order.config)
     if not order.resume:
         folder.begin()
-    with Report(order.folder, order.config) as report, Trainer(folder, report) as trainer:
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        workers_leave_ctrl_c()
+    report = Report(order.folder, order.config)
+    with Trainer(folder, report) as trainer, report:  # workers are forked only where no thread runs yet
         if order.resume:
             go_on(trainer)
         code = run(trainer)

@@ -28,18 +28,20 @@ BAR_WIDTH = 12
 
 
 class Report:
-    """Bar, tables and curves of a run; a context manager."""
+    """Bar, tables and curves of a run; a context manager, which starts the threads of bar and curves."""
 
     def __init__(self, folder: Path, config: TrainConfig, console: Console | None = None) -> None:
         self.config = config
         self.training = Table(folder / "progress.csv", TRAINING)
         self.evaluations = Table(folder / "evaluation.csv", EVALUATION)
-        self.curves = curves(folder) if config.log.tensorboard else None
+        self.folder = folder
+        self.curves: Any = None
         columns = (BarColumn(BAR_WIDTH), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
         self.bar = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.description}"), console=console)
         self.task = self.bar.add_task("begins", total=config.steps)
 
     def __enter__(self) -> Self:
+        self.curves = curves(self.folder) if self.config.log.tensorboard else None
         self.bar.start()
         return self
 

@@ -77,10 +77,11 @@ class Trainer:
         return True
 
     def run(self) -> None:
-        """Train to the end, or until `stop`; then everything is saved."""
+        """Train to the end, or until `stop`; then everything is saved. A warm start counts when it is whole."""
         self.report.begin(self.progress.decisions)
-        if not self.progress.decisions and self.config.warm_start.teacher:
-            imitate(self.model, self.venv, self.config, self.report)
+        if not self.warmed_up():
+            self.report.say("nothing is saved yet: a warm start is whole or begins again")
+            return
         left = self.config.steps - self.progress.decisions
         rhythm = Rhythm(self)
         if left > 0:
@@ -89,6 +90,12 @@ class Trainer:
         if not self.stop and self.evaluated != self.progress.decisions:
             self.evaluate()
         self.save()
+
+    def warmed_up(self) -> bool:
+        """Imitate the teacher, if there is one and the run begins; False when that was stopped."""
+        if self.progress.decisions or not self.config.warm_start.teacher:
+            return True
+        return imitate(self.model, self.venv, self.config, self.report, lambda: self.stop)
 
     def note(self, rewards: np.ndarray, infos: list[dict[str, Any]]) -> bool:
         """Take in a decision of every environment, before it is learned from; False when it is time to stop."""

@@ -6,9 +6,14 @@ import difflib
 import importlib
 import multiprocessing
 import os
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+import signal
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
 from functools import partial
+from itertools import count, islice, takewhile
 from typing import Any
 
 import numpy as np
@@ -23,6 +28,7 @@ from agents.learning.config import TrainConfig
 from agents.learning.environments import GOAL_VALID, make_env
 from agents.learning.report import Report
 from mecp_env.errors import ConfigError
+from mecp_env.vector import WorkerDied
 
 TEACHERS = {  # explorers that choose goals: name -> "module:Class"
     "nearest": "agents.nearest:Nearest",
@@ -30,8 +36,14 @@ TEACHERS = {  # explorers that choose goals: name -> "module:Class"
     "bfs": "agents.bfs:BreadthFirstAgent",
 }
 BATCH = 128
+LOOK_S = 0.2  # how often somebody looks whether to stop
 FIRST_SEED = 1_000_000_000  # of the teacher's episodes: none of those of the training itself
 Lesson = dict[str, np.ndarray]  # compact observations (n,...), `action` and `earned` (n,)
+
+
+def never() -> bool:
+    """Nobody asks to stop."""
+    return False
 
 
 def make_teacher(name: str) -> Any:
@@ -53,9 +65,13 @@ def check_teacher(config: TrainConfig) -> None:
         raise ConfigError(f"warm_start.teacher: {name} chooses goals, {config.algorithm} velocities")
 
 
-def imitate(model: OnPolicyAlgorithm, venv: VecNormalize, config: TrainConfig, report: Report) -> None:
-    """Let the policy imitate the teacher, and the critic learn its returns."""
-    lesson = gather(config, report)
+def imitate(
+    model: OnPolicyAlgorithm, venv: VecNormalize, config: TrainConfig, report: Report, stop: Callable[[], bool] = never
+) -> bool:
+    """Let the policy imitate the teacher, and the critic learn its returns; False when `stop()` came before the end."""
+    lesson = gather(config, report, stop)
+    if stop():
+        return False
     scale_rewards(venv, lesson["earned"])
     targets = torch.as_tensor(lesson.pop("earned") / np.sqrt(venv.ret_rms.var + venv.epsilon))
     actions = torch.as_tensor(lesson.pop("action"))
@@ -63,9 +79,12 @@ def imitate(model: OnPolicyAlgorithm, venv: VecNormalize, config: TrainConfig, r
     rng = np.random.default_rng(config.seed)
     agreed, imitating = float("nan"), config.warm_start.imitate
     for _ in range(config.warm_start.epochs):
+        if stop():
+            return False
         parts = torch.as_tensor(rng.permutation(len(actions))).split(BATCH)
         agreed = float(np.mean([learn(model, (observations, actions, targets), rows, imitating) for rows in parts]))
     report.say(f"warm start: {len(actions):,} decisions of {config.warm_start.teacher}, agrees with {agreed:.0%}")
+    return True
 
 
 def learn(
@@ -95,28 +114,61 @@ def scale_rewards(venv: VecNormalize, earned: np.ndarray) -> None:
     venv.ret_rms.count = float(len(earned))
 
 
-def gather(config: TrainConfig, report: Report) -> Lesson:
-    """At least as many decisions of the teacher as the configuration says, in whole episodes."""
-    parts, count = list[Lesson](), 0
-    for part in episodes(config):
-        parts.append(part)
-        count += len(part["action"])
-        report.status(f"warm start: {count:,} of {config.warm_start.decisions:,} decisions")
-        if count >= config.warm_start.decisions:
-            break
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+def gather(config: TrainConfig, report: Report, stop: Callable[[], bool]) -> Lesson:
+    """At least as many decisions of the teacher as the configuration says, in whole episodes; fewer after `stop()`."""
+    with closing(episodes(config, stop)) as played:
+        parts = list(enough(played, config.warm_start.decisions, report))
+    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
 
-def episodes(config: TrainConfig) -> Iterator[Lesson]:
-    """Episodes of the teacher without end, always the same ones in the same order."""
+def enough(played: Iterator[Lesson], decisions: int, report: Report) -> Iterator[Lesson]:
+    """The first of some episodes, until they hold so many decisions."""
+    held = 0
+    for part in played:
+        held += len(part["action"])
+        report.status(f"warm start: {held:,} of {decisions:,} decisions")
+        yield part
+        if held >= decisions:
+            return
+
+
+def episodes(config: TrainConfig, stop: Callable[[], bool]) -> Generator[Lesson]:
+    """Episodes of the teacher until `stop()`, always the same ones in the same order. Raises `WorkerDied`."""
     play = partial(watch, config)
     if config.workers == "here":
-        yield from (play(number) for number in range(10**9))
+        yield from map(play, takewhile(lambda _: not stop(), count()))
         return
     width = max(1, min(config.environments, os.cpu_count() or 1))
-    with ProcessPoolExecutor(width, mp_context=multiprocessing.get_context("forkserver")) as pool:
-        for first in range(0, 10**9, 4 * width):
-            yield from pool.map(play, range(first, first + 4 * width))
+    with crew(width) as pool:
+        yield from in_order((pool.submit(play, number) for number in count()), 4 * width, stop)
+
+
+def end(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool."""
+    for process in list(pool._processes.values()):
+        process.terminate()
+
+
+@contextmanager
+def crew(width: int) -> Iterator[ProcessPoolExecutor]:
+    """So many processes, which leave Ctrl-C to this one and are ended at once. Raises `WorkerDied` when one dies."""
+    context = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(width, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        try:
+            yield pool
+        except BrokenProcessPool as error:
+            raise WorkerDied(f"a process of the warm start: {error}") from None
+        finally:  # what is begun and not needed any more takes seconds
+            end(pool)
+
+
+def in_order(begun: Iterator[Future[Lesson]], ahead: int, stop: Callable[[], bool]) -> Generator[Lesson]:
+    """The results, one after the other, of work that `begun` begins; so much is begun ahead."""
+    waiting = deque(islice(begun, ahead))
+    while not stop():
+        if wait(list(waiting)[:1], LOOK_S).done:
+            yield waiting.popleft().result()
+            waiting.append(next(begun))
 
 
 def watch(config: TrainConfig, number: int) -> Lesson:

@@ -16,7 +16,6 @@ pytest.importorskip("safetensors")
 
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
-from agents import train  # noqa: E402
 from agents.learned import load  # noqa: E402
 from agents.learning.checkpoints import Checkpoints, read  # noqa: E402
 from agents.learning.config import ALGORITHMS  # noqa: E402
@@ -25,23 +24,12 @@ from agents.learning.models import DriveBuffer, make_model  # noqa: E402
 from agents.learning.report import Report  # noqa: E402
 from agents.learning.trainer import Trainer  # noqa: E402
 from agents.learning.warm_start import imitate  # noqa: E402
-from tests.agents.training import QUICK, quick, start, write_config  # noqa: E402
+from tests.agents.training import QUICK, quick, run, start, write_config  # noqa: E402
 
 
 def rows(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
-
-
-def run(tmp_path, *words, **fields):
-    """A run in this process; its folder and exit code."""
-    config = write_config(tmp_path / "given.json", **fields)
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        code = train.main(["--config", str(config), "--out", str(tmp_path / "run"), *words])
-    finally:
-        signal.signal(signal.SIGINT, before)
-    return tmp_path / "run", code
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+from agents import train
 from agents.learning.config import TrainConfig
 
 ROOT = Path(__file__).parent.parent.parent
@@ -32,6 +34,17 @@ def write_config(path: Path, **fields: object) -> Path:
     """Such a configuration as a file."""
     path.write_text(json.dumps(QUICK | {"algorithm": "maskable_ppo"} | fields))
     return path
+
+
+def run(tmp_path: Path, *words: str, **fields: object) -> tuple[Path, int]:
+    """A run in this process; its folder and exit code."""
+    config = write_config(tmp_path / "given.json", **fields)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        code = train.main(["--config", str(config), "--out", str(tmp_path / "run"), *words])
+    finally:
+        signal.signal(signal.SIGINT, before)
+    return tmp_path / "run", code
 
 
 def start(*words: str) -> subprocess.Popen[str]:
