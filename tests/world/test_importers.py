@@ -138,6 +138,19 @@ def test_rooms_are_numbered_where_boxes_say_nothing(tmp_path: Path) -> None:
     assert sorted(room.name for room in layout.rooms) == ["Room", "room 2", "room 3"]
 
 
+def test_a_large_clean_plan_is_counted_by_its_corners(tmp_path: Path) -> None:
+    """Rooms of 8 m in 96 x 96 m: 89,000 vertices at the pixels, few corners. Seen: refused as more than 50,000."""
+    picture = np.full((1923, 1923), 255, dtype=np.uint8)
+    walls = range(0, 1923, 160)
+    for first in walls:
+        picture[first : first + 3] = picture[:, first : first + 3] = 0
+    for first in walls[1:-1]:
+        for middle in range(70, 1923, 160):
+            picture[first : first + 3, middle : middle + 18] = picture[middle : middle + 18, first : first + 3] = 255
+    layout = read(picture, tmp_path)
+    assert (len(layout.rooms), len(layout.doors)) == (144, 264)
+
+
 def test_labelled_rooms_and_doors(tmp_path: Path) -> None:
     """A door line is taken at its word, be the opening 3 m wide."""
     layout = read(plans.labelled_picture(), tmp_path, kind="labelled")

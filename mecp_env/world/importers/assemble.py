@@ -28,7 +28,8 @@ from mecp_env.world.importers.straighten import along_directions, directions, st
 from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
 
-MAX_VERTICES = 50_000  # of a floor as it was read
+MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside
+ON_EDGE_M = 1e-6  # a vertex so near to the line through its neighbours is in the middle of an edge
 MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
 MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
 RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
@@ -45,10 +46,12 @@ MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
-    _require_few(plan.area, MAX_VERTICES)
-    thin = thinned(plan.area, plan.noise_m)
+    given = int(shapely.get_num_coordinates(plan.area))
+    floor = plan.area if given <= MAX_VERTICES else _without_steps(plan.area)
+    _require_few(floor, MAX_VERTICES)
+    thin = thinned(floor, plan.noise_m)
     _require_few(thin, MAX_THINNED)
-    read = reachable_floor(plan.area if shapely.get_num_coordinates(plan.area) <= MANY_VERTICES else thin)
+    read = reachable_floor(floor if given <= MANY_VERTICES else thin)
     area = _drawn(read, plan.noise_m, options)
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     try:
@@ -89,6 +92,17 @@ def _is_ragged(floor: Polygon) -> bool:
     faces = int(shapely.get_num_coordinates(floor))
     many = faces > MANY_FACES and floor.length / faces < SHORT_EDGE_M
     return many and along_directions(floor) < CLEAN_SHARE
+
+
+def _without_steps(floor: Polygon) -> Polygon:
+    """`floor` without the vertices that stand at every pixel along a straight edge."""
+    points, ring = shapely.get_coordinates(shapely.get_rings(floor), return_index=True)
+    before, across = points[1:-1] - points[:-2], points[2:] - points[:-2]
+    off = np.abs(before[:, 0] * across[:, 1] - before[:, 1] * across[:, 0])
+    along = (ring[2:] == ring[:-2]) & (off <= ON_EDGE_M * np.hypot(*across.T))
+    kept = np.concatenate([[True], ~along, [True]])
+    rings = shapely.linearrings(points[kept], indices=ring[kept])
+    return Polygon(rings[0], rings[1:])
 
 
 def _require_few(area: Polygon, most: int) -> None:
