@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import sys
 from multiprocessing import forkserver
@@ -33,18 +32,21 @@ def main(words: list[str]) -> int:
 def attempt(words: list[str]) -> int:
     """As `main`; what is wrong is said on stderr. Raises `KeyboardInterrupt` outside the training itself."""
     from mecp_env.errors import MecpError
+    from mecp_env.vector import WorkerDied
 
     try:
         from agents.learning.line import parse
+        from agents.learning.output import enduring_output
 
-        return train(parse(words))
+        with enduring_output():
+            return train(parse(words))
     except MecpError as error:
         print(f"train: {error}", file=sys.stderr)
     except ModuleNotFoundError as error:
         print(f"train: needs {error.name}: {INSTALL}", file=sys.stderr)
-    except BrokenPipeError:  # whoever reads the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except WorkerDied as error:
+        print(f"train: {error}", file=sys.stderr)
+        return FAILED
     except OSError as error:
         print(f"train: {error.filename or 'files'}: {error.strerror}", file=sys.stderr)
         return FAILED

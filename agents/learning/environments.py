@@ -14,13 +14,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
 from agents.curve import Curve, budget_m
 from agents.learning.compact import Compact
 from agents.learning.config import TrainConfig
+from agents.learning.processes import Processes
 from agents.sb3_batch import SB3Batch
 from mecp_env.rewards import TERMS
 from mecp_env.vector import BatchEnv
@@ -222,5 +223,5 @@ def gather(makers: list[Callable[[], gym.Env[Any, Any]]], workers: str) -> VecEn
         return DummyVecEnv(list(makers))
     apart = [partial(in_worker, make) for make in makers]
     if workers == "processes":
-        return SubprocVecEnv(list(apart))
+        return Processes(apart)
     return SB3Batch(BatchEnv(apart, autoreset_mode=AutoresetMode.SAME_STEP))

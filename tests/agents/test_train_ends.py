@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import time
 from concurrent.futures import Future
+from functools import partial
 from itertools import count
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -15,6 +20,7 @@ pytest.importorskip("safetensors")
 from agents import train  # noqa: E402
 from agents.learning import warm_start  # noqa: E402
 from agents.learning.checkpoints import Checkpoints  # noqa: E402
+from agents.learning.processes import Processes  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.agents.training import quick, run  # noqa: E402
 
@@ -66,3 +72,60 @@ def test_a_teacher_whose_process_dies_is_named(monkeypatch):
     monkeypatch.setattr(warm_start, "in_order", die)
     with pytest.raises(WorkerDied, match="of the warm start: a child process terminated"):
         list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), warm_start.never))
+
+
+@pytest.fixture
+def pair():
+    venv = Processes([partial(gym.make, "CartPole-v1")] * 2)
+    venv.reset()
+    yield venv
+    venv.close()
+
+
+def test_the_process_of_an_environment_that_dies_is_named_and_nobody_waits(pair):
+    """A step waited for ever, or ended in a bare EOFError, and so did closing."""
+    pair.processes[1].kill()
+    pair.processes[1].join()
+    begun = time.monotonic()
+    with pytest.raises(WorkerDied, match="environment 1 was killed by SIGKILL"):
+        pair.step(np.array([0, 0]))
+    pair.close()
+    assert time.monotonic() - begun < 5.0
+    assert not any(process.is_alive() for process in pair.processes)
+
+
+def test_processes_interrupted_in_a_step_are_closed_at_once(pair):
+    pair.step_async(np.array([0, 0]))
+    pair.remotes[0].recv()  # Ctrl-C comes when one answer has been taken
+    pair.close()
+    assert not any(process.is_alive() for process in pair.processes)
+
+
+def test_an_environment_that_cannot_be_made_in_its_process_is_named():
+    with pytest.raises(WorkerDied, match="environment 0 ended with exit code 1"):
+        Processes([no_environment])
+
+
+def no_environment():
+    raise RuntimeError("none")
+
+
+def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
+    """`train ... | head -1` ended in the middle with exit code 0."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as output:
+        monkeypatch.setattr("sys.stdout", output)
+        folder, code = run(tmp_path, steps=12)
+    assert code == 0
+    assert capsys.readouterr().err.count("nobody reads the output any more") == 1
+    assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()][-1] == "000000000012"
+
+
+def test_a_broken_pipe_from_elsewhere_is_a_failure(tmp_path, capsys, monkeypatch):
+    def broken(order):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(train, "train", broken)
+    assert run(tmp_path)[1] == 1
+    assert "Broken pipe" in capsys.readouterr().err
