@@ -272,9 +272,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._observe(self._started())
 
     def summary(self) -> dict[str, float]:
-        """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`)."""
+        """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`, `Site.counts`)."""
         episode = self._started()
-        return episode.metrics.summary(self._site.truth, episode.report)
+        return episode.metrics.summary(self._site.truth, episode.report) | self._site.counts()
 
     @property
     def spec(self) -> EnvSpec | None:

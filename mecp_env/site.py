@@ -80,6 +80,11 @@ class Site:
             self._others = Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
         return self._others
 
+    def counts(self) -> dict[str, float]:
+        """The people, boxes and closed doors that there are; fewer than were asked for where no more found room."""
+        moving = self.movers.state
+        return {"people": len(moving.people), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
+
     def check_building(self, number: Any) -> int | None:
         """`number` if there is a building of that number, or None. Raises `ConfigError`."""
         return check_building(number, self._source)

@@ -97,7 +97,7 @@ class OdometryConfig(Settings):
 class CrowdConfig(Settings):
     """People: round, each with a size and a speed of its own, who walk from room to room along shortest ways."""
 
-    people: int = Field(0, ge=0, le=50)
+    people: int = Field(0, ge=0, le=50)  # as many as find room; `summary()` tells how many there are
     radius_m: Sizes = (0.2, 0.3)
     speed_m_s: Speeds = (0.3, 1.2)
     pause_s: Times = (0.0, 5.0)  # how long one stands where he wanted to go
@@ -107,6 +107,6 @@ class CrowdConfig(Settings):
 class ClutterConfig(Settings):
     """What else is not as the plan has it: boxes that the robot can push, doors that are closed for an episode."""
 
-    movable_boxes: int = Field(0, ge=0, le=50)
+    movable_boxes: int = Field(0, ge=0, le=50)  # as many as find room; `summary()` tells how many there are
     box_m: Sizes = (0.3, 0.6)  # length of a side
-    closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door
+    closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door that is not at the start

@@ -63,6 +63,23 @@ def test_rooms_behind_closed_doors_do_not_count() -> None:
     assert env.reset(options={"start": (8.0, 3.0, 0.0)})[1]["rooms"] == 1
 
 
+def test_the_summary_tells_how_many_found_room() -> None:
+    """Seen: of 50 people and 50 boxes in two rooms fewer were there, and nobody was told."""
+    crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0}}
+    env = make(**crowded)
+    env.reset(seed=0)
+    moving, told = env.unwrapped._site.movers.state, env.unwrapped.summary()
+    assert (told["people"], told["boxes"]) == (len(moving.people), len(moving.boxes))
+    assert 0 < told["people"] + told["boxes"] < 100
+    assert told["closed_doors"] == 1
+    twin = make(**crowded)
+    twin.unwrapped.set_state(env.unwrapped.get_state())
+    assert twin.unwrapped.summary() == told
+    bare = make()
+    bare.reset(seed=0)
+    assert [bare.unwrapped.summary()[name] for name in ("people", "boxes", "closed_doors")] == [0, 0, 0]
+
+
 def test_an_explorer_ends_behind_closed_doors() -> None:
     env = gymnasium.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", clutter={"closed_doors": 1.0})
     env.reset(seed=0)
