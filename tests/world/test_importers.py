@@ -158,6 +158,19 @@ def test_labelled_rooms_and_doors(tmp_path: Path) -> None:
     assert sorted(door.width_m for door in layout.doors) == pytest.approx([0.9, 3.0], abs=0.03)
 
 
+def test_a_labelled_room_that_nobody_can_enter_is_named(tmp_path: Path) -> None:
+    """Seen: a room without a door was left out, and nobody was told. One behind a door too narrow is named, too."""
+    closed, narrow = plans.labelled_picture(), plans.labelled_picture()
+    closed[32:92, 174:176] = 0
+    narrow[32:92, 174:176] = 0
+    narrow[60:64, 174:176] = 255
+    for picture in (closed, narrow):
+        with pytest.raises(LayoutError, match=r"image: the room at column \d+, row \d+ is lost") as caught:
+            read(picture, tmp_path, kind="labelled")
+        column, row = (int(word.strip(",")) for word in str(caught.value).split() if word.strip(",").isdigit())
+        assert tuple(picture[row, column]) == (30, 30, 200)
+
+
 def test_a_ring_of_corridor_round_a_core(tmp_path: Path) -> None:
     """A room inside of another: the outer one is a ring with a slit, and the two do not overlap."""
     picture = np.zeros((200, 200), dtype=np.uint8)

@@ -41,6 +41,7 @@ WALL_M = 0.15  # thickness of the walls around the building
 MOST_STARTS = 4
 START_CLEAR_M = 0.4  # between a start and every wall, where there is room
 DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
+NEAR_M = 0.1  # a point so near to a floor is on it
 MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 
@@ -54,6 +55,7 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     read = reachable_floor(floor if given <= MANY_VERTICES else thin)
     area = _drawn(read, plan.noise_m, options)
     rooms = split(area, _doors(area, directions(area), plan, options), options)
+    _require_rooms(plan.drawn, rooms.floors)
     try:
         return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
     except LayoutError:  # a piece of furniture is in the way by less than a pixel
@@ -109,6 +111,15 @@ def _require_few(area: Polygon, most: int) -> None:
     vertices = int(shapely.get_num_coordinates(area))
     if vertices > most:
         raise LayoutError(f"the floor has {vertices} vertices, at most {most}")
+
+
+def _require_rooms(drawn: tuple[tuple[str, Point], ...], floors: list[Polygon]) -> None:
+    """Raises LayoutError for a room that the file has and that is on none of the floors."""
+    points = np.array([point for _, point in drawn], dtype=np.object_)
+    found = set(shapely.STRtree(floors).query(points, "dwithin", NEAR_M)[0].tolist())
+    lost = [place for i, (place, _) in enumerate(drawn) if i not in found]
+    if lost:
+        raise LayoutError(f"image: the room at {lost[0]} is lost: no door leads to it that is wide enough")
 
 
 def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: PlanOptions) -> list[Gap]:

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
+from shapely.geometry import Point
 
 from mecp_env.errors import LayoutError
 from mecp_env.world.importers.files import read_image
 from mecp_env.world.importers.options import Crossing, FreeSpace, PlanOptions
-from mecp_env.world.importers.vectorise import MAX_CELLS, Placement, floor_polygon
+from mecp_env.world.importers.vectorise import MAX_CELLS, Array, Placement, floor_polygon
 
 MAX_PARTS = 2_000  # rooms, or doors, of an image
 MAX_SPREAD = 20_000_000  # pixels in the boxes around each colour
@@ -21,11 +23,12 @@ SMALLEST_CELLS = 12  # a patch of fewer pixels is the blurred edge of another
 
 OPAQUE, BLACK, WHITE = 0xFF000000, 0xFF000000, 0xFFFFFFFF
 Labels = NDArray[np.int32]
+DOWNWARDS = np.array([1.0, -1.0])  # rows are counted from above
 WALL, DOOR = 0, 1  # rooms are 2, 3, ...
 
 
 def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
-    """The floor of a labelled image, and its doors: white patches that part two rooms.
+    """The floor of a labelled image, its rooms, and its doors: white patches that part two rooms.
 
     Raises LayoutError where two rooms touch without a door, and for a door that does not join two rooms.
     """
@@ -39,7 +42,8 @@ def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
     placement = Placement(options.resolution_m)
     area = floor_polygon(labels != WALL, placement)
     note = f"From {path.name}, labelled: {options.resolution_m:g} m a pixel."
-    return FreeSpace(path.stem, note, area, placement.noise_m, crossings=_crossings(labels, placement))
+    crossings, drawn = _crossings(labels, placement), _drawn(labels, placement)
+    return FreeSpace(path.stem, note, area, placement.noise_m, crossings=crossings, drawn=drawn)
 
 
 def _labels(image: Image.Image) -> Labels:
@@ -89,11 +93,25 @@ def _crossings(labels: Labels, placement: Placement) -> tuple[Crossing, ...]:
     if count > MAX_PARTS:
         raise LayoutError(f"image: {count} doors, at most {MAX_PARTS}")
     found: list[Any] = [_crossing(labels, doors, i, place) for i, place in enumerate(ndimage.find_objects(doors), 1)]
-    to_world = np.array([1.0, -1.0]), np.array([0.5, len(labels) - 0.5])  # row from above to row from below
-    return tuple(
-        Crossing(placement.to_world((middle * to_world[0] + to_world[1])[None])[0], along * to_world[0])
-        for middle, along in found
-    )
+    return tuple(Crossing(_in_world(middle[None], labels, placement)[0], along * DOWNWARDS) for middle, along in found)
+
+
+def _in_world(pixels: Array, labels: Labels, placement: Placement) -> Array:
+    """Points (n,2), m, of the middles of pixels (n,2), column and row from above."""
+    return placement.to_world(pixels * DOWNWARDS + (0.5, len(labels) - 0.5))
+
+
+def _drawn(labels: Labels, placement: Placement) -> tuple[tuple[str, Point], ...]:
+    """Each room: the pixel that is furthest from its edges, and the point there."""
+    inside = np.pad(labels > DOOR, 1)
+    depth = ndimage.distance_transform_cdt(inside, "chessboard")[1:-1, 1:-1]
+    deepest = np.zeros(int(labels.max()) + 1, np.int32)
+    np.maximum.at(deepest, labels, depth)
+    rows, columns = np.nonzero((depth > 0) & (depth == deepest[labels]))
+    _, first = np.unique(labels[rows, columns], return_index=True)
+    pixels = np.stack([columns[first], rows[first]], axis=1)
+    points = shapely.points(_in_world(pixels.astype(np.float64), labels, placement))
+    return tuple((f"column {x}, row {y}", point) for (x, y), point in zip(pixels.tolist(), points, strict=True))
 
 
 def _crossing(labels: Labels, doors: Any, index: int, place: Any) -> tuple[Any, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
-from shapely.geometry import Polygon
+from shapely.geometry import Point, Polygon
 
 from mecp_env.settings import Settings
 
@@ -56,3 +56,4 @@ class FreeSpace:
     noise_m: float  # how far its edges are from the walls that they stand for
     labels: tuple[tuple[str, Polygon], ...] = ()  # names of rooms and roughly where they lie
     crossings: tuple[Crossing, ...] | None = None  # None: doors have to be found
+    drawn: tuple[tuple[str, Point], ...] = ()  # where the file has each room, and a point in it; all have to be found
