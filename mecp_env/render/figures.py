@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Interval = tuple[float, float, float]  # value, lower and upper end of its 95 % interval
 
 ELLIPSE_MAGNIFIED = 5.0
+CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
 TRUTH_GREY = (0.72, 0.73, 0.75)
 
 
@@ -55,7 +56,9 @@ def map_figure(view: View) -> Figure:
     _name_rooms(axes, view)
     _draw_scale(axes, view.bounds)
     _plain(axes, view.bounds)
-    figure.suptitle(readable(_caption(view)), x=0.01, ha="left", fontsize=13, parse_math=False)
+    caption = readable(_caption(view))
+    size = min(13.0, max(7.0, CAPTION_POINTS / len(caption)))
+    figure.suptitle(caption, x=0.01, ha="left", fontsize=size, parse_math=False)
     figure.legend(handles=_map_legend(view), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
     return figure
 
