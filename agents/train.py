@@ -65,12 +65,14 @@ def workers_leave_ctrl_c() -> None:
 def train(order: Order) -> int:
     """Begin a run, or go on with one; the exit code. Raises `ConfigError`."""
     from agents.learning.environments import make_env
+    from agents.learning.models import check_size
     from agents.learning.report import Report
     from agents.learning.run_folder import RunFolder
     from agents.learning.trainer import Trainer
     from agents.learning.warm_start import check_teacher
 
     check_teacher(order.config)
+    check_size(order.config)
     for index in range(len(order.config.buildings.difficulty)):  # what is wrong is said before anything is written
         make_env(order.config, index).close()
     folder = RunFolder(order.folder, order.config)

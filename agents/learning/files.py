@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from mecp_env.errors import ConfigError, MecpError
 
-MOST_BYTES = 64_000_000  # of a weight file or a checkpoint
+MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy; `agents.learned` loads no larger file
+MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two means that Adam keeps of each, and the rest
 NAME_LENGTH = 12  # of the checksum in a file's name
 
 

@@ -16,10 +16,12 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
+from agents.learning import files
 from agents.learning.compact import compact_space
 from agents.learning.config import TrainConfig
 from agents.learning.encoder import ObservationEncoder
 from agents.learning.pointer import GoalPointerPolicy
+from mecp_env.errors import ConfigError
 from mecp_env.observations import GOALS, Observer
 
 CLASSES: dict[str, type[OnPolicyAlgorithm]] = {"ppo": PPO, "maskable_ppo": MaskablePPO, "recurrent_ppo": RecurrentPPO}
@@ -120,6 +122,18 @@ def make_policy(config: TrainConfig) -> BasePolicy:
     made: BasePolicy = policy(observation_space(config), action_space(config), lambda _: 0.0, **keywords)
     made.set_training_mode(False)
     return made
+
+
+def check_size(config: TrainConfig) -> None:
+    """Raise `ConfigError` for a network whose weights would be refused when they are loaded."""
+    use_threads(1)  # workers may be forked after this, which threads of PyTorch would not survive
+    size = len(files.tensor_bytes(files.weights_of(make_policy(config))))
+    network = config.network
+    if size > files.MOST_POLICY_BYTES:
+        raise ConfigError(
+            f"network.width: {network.width} (grid_channels {network.grid_channels}, lstm {network.lstm}) makes a file "
+            f"of {size} bytes of weights, at most {files.MOST_POLICY_BYTES}"
+        )
 
 
 def observation_space(config: TrainConfig) -> spaces.Dict:

@@ -16,11 +16,13 @@ pytest.importorskip("safetensors")
 
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
+from agents import learned  # noqa: E402
 from agents.learned import load  # noqa: E402
-from agents.learning.checkpoints import Checkpoints, read  # noqa: E402
+from agents.learning import files  # noqa: E402
+from agents.learning.checkpoints import Checkpoints, Progress, read  # noqa: E402
 from agents.learning.config import ALGORITHMS  # noqa: E402
 from agents.learning.environments import FIGURES, make_env, make_many  # noqa: E402
-from agents.learning.models import DriveBuffer, make_model  # noqa: E402
+from agents.learning.models import DriveBuffer, check_size, make_model  # noqa: E402
 from agents.learning.report import Report  # noqa: E402
 from agents.learning.trainer import Trainer  # noqa: E402
 from agents.learning.warm_start import imitate  # noqa: E402
@@ -99,6 +101,8 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
         ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
         ({"buildings": {"layout": "nowhere"}}, "nowhere"),
         ({"ppo": {"epoch": 1}}, "did you mean 'epochs'"),
+        ({"network": {"width": 640}}, "network.width: 640 (grid_channels 16, lstm 128) makes a file of 24"),
+        ({"algorithm": "recurrent_ppo", "network": {"lstm": 1024}}, "bytes of weights, at most 16000000"),
     ],
 )
 def test_wrong_input_is_said_before_anything_is_written(fields, said, tmp_path, capsys):
@@ -106,6 +110,23 @@ def test_wrong_input_is_said_before_anything_is_written(fields, said, tmp_path, 
     assert code == 2
     assert said in capsys.readouterr().err
     assert not folder.exists()
+
+
+def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
+    """A wide network trained to the end; then neither its checkpoints nor its policy could be read."""
+    config = quick(network={"width": 500})
+    check_size(config)
+    assert learned.MOST_BYTES >= files.MOST_POLICY_BYTES
+    venv = make_many(config, 0)
+    model = make_model(config, venv, 0)
+    sum(weight.sum() for weight in model.policy.parameters()).backward()
+    model.policy.optimizer.step()  # from now on Adam has its memory
+    path = Checkpoints(tmp_path, 1).save(model, Progress())
+    size = sum(weight.numel() * 4 for weight in model.policy.parameters())
+    assert size > 0.9 * files.MOST_POLICY_BYTES
+    assert path.stat().st_size < files.MOST_BYTES
+    assert read(path)
+    venv.close()
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
