@@ -5,11 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import sys
+from contextlib import closing
 from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # imports take seconds; here nothing would catch a Ctrl-C that comes in them
     from agents.learning.line import Order
+    from agents.learning.run_folder import RunFolder
     from agents.learning.trainer import Trainer
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
@@ -66,29 +68,34 @@ def train(order: Order) -> int:
     """Begin a run, or go on with one; the exit code. Raises `ConfigError`."""
     from agents.learning.environments import make_env
     from agents.learning.models import check_size
-    from agents.learning.report import Report
     from agents.learning.run_folder import RunFolder
-    from agents.learning.trainer import Trainer
     from agents.learning.warm_start import check_teacher
 
     check_teacher(order.config)
     check_size(order.config)
     for index in range(len(order.config.buildings.difficulty)):  # what is wrong is said before anything is written
         make_env(order.config, index).close()
-    folder = RunFolder(order.folder, order.config)
-    if not order.resume:
-        folder.begin()
+    with closing(RunFolder(order.folder, order.config)) as folder:
+        folder.hold() if order.resume else folder.begin()
+        code = train_in(folder, order)
+    print(f"{ENDS[code]}: {order.folder}")
+    if code:
+        print(f"go on with: python -m agents.train --resume {order.folder}")
+    return code
+
+
+def train_in(folder: RunFolder, order: Order) -> int:
+    """Train in a folder that is held; the exit code."""
+    from agents.learning.report import Report
+    from agents.learning.trainer import Trainer
+
     if "forkserver" in multiprocessing.get_all_start_methods():
         workers_leave_ctrl_c()
     report = Report(order.folder, order.config)
     with Trainer(folder, report) as trainer, report:  # workers are forked only where no thread runs yet
         if order.resume:
             go_on(trainer)
-        code = run(trainer)
-    print(f"{ENDS[code]}: {order.folder}")
-    if code:
-        print(f"go on with: python -m agents.train --resume {order.folder}")
-    return code
+        return run(trainer)
 
 
 def go_on(trainer: Trainer) -> None:

@@ -31,6 +31,7 @@ class Progress:
     seconds: float = 0.0  # of training, over all resumptions
     best_score: float = -1.0  # the largest area under the curve on the validation split
     next_evaluation: int = 0  # in decisions
+    evaluated: int = -1  # after so many decisions, the last time
     return_mean: float = 0.0  # the running figures by which rewards are normalised
     return_var: float = 1.0
     return_count: float = 1e-4

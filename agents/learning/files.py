@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from pathlib import Path
@@ -12,6 +13,11 @@ import safetensors.torch
 from torch import Tensor, nn
 
 from mecp_env.errors import ConfigError, MecpError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy; `agents.learned` loads no larger file
 MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two means that Adam keeps of each, and the rest
@@ -50,6 +56,23 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def lock(path: Path) -> Any:
+    """Hold a file for this process, until what comes back is closed or the process has gone, killed or not.
+
+    Raises `BlockingIOError` when another process holds it. Where the system has no such locks it holds nothing. (Locks
+    of `flock` would be inherited by forked workers, which outlive a killed process for a while.)
+    """
+    file = path.open("a")
+    if fcntl is None:
+        return file
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EAGAIN):
+            raise BlockingIOError(*error.args) from None
+    return file
 
 
 def checksum(data: bytes) -> str:

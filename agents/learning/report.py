@@ -78,7 +78,8 @@ class Report:
         self.bar.update(self.task, description=f"{area(values)}{speed}")
 
     def evaluation(self, counts: Counts, values: Mapping[str, float], best: bool) -> None:
-        """The figures of an evaluation."""
+        """The figures of an evaluation, in place of those of the same decisions from before a crash."""
+        self.evaluations.cut(counts.decisions - 1)
         self.evaluations.add(clock(counts) | values)
         self._draw("validation", counts.decisions, values)
         error = f"area under the curve {values['auc']:.4f} +- {values['auc_error']:.4f}"

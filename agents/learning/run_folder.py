@@ -25,7 +25,7 @@ from agents.learning.config import TrainConfig
 from mecp_env.errors import ConfigError
 
 PACKAGES = ("gymnasium", "numpy", "numba", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "safetensors")
-CONFIG, ABOUT, POLICY = "config.json", "run.json", "policy.json"
+CONFIG, ABOUT, POLICY, LOCK = "config.json", "run.json", "policy.json", ".lock"
 
 
 class RunFolder:
@@ -34,13 +34,27 @@ class RunFolder:
     def __init__(self, folder: Path, config: TrainConfig) -> None:
         self.folder, self.config = folder, config
         self.checkpoints = Checkpoints(folder / "checkpoints", config.log.keep)
+        self.held: Any = None
+
+    def hold(self) -> None:
+        """Let no other process train here until `close`. Raises `ConfigError` when one does."""
+        try:
+            self.held = files.lock(self.folder / LOCK)
+        except BlockingIOError:
+            raise ConfigError(f"out: {self.folder} is being trained by another process") from None
+
+    def close(self) -> None:
+        """Let others train here."""
+        if self.held is not None:
+            self.held.close()
 
     def begin(self) -> None:
-        """Make the folder. Raises `ConfigError` where a run is already, or nothing can be written."""
+        """Make the folder and hold it. Raises `ConfigError` where a run is already, or nothing can be written."""
         if (self.folder / CONFIG).exists():
             raise ConfigError(f"out: {self.folder} holds a run; --resume {self.folder} goes on with it")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            self.hold()
             self.keep_config()
         except OSError as error:
             raise ConfigError(f"out: {self.folder}: {error.strerror}; choose another place with --out") from None
@@ -144,5 +158,6 @@ class Table:
         """All rows that are whole."""
         if not self.path.exists():
             return []
-        with self.path.open(newline="") as file:
-            return [row for row in csv.DictReader(file) if row.get("decisions")]
+        with self.path.open(newline="", errors="replace") as file:  # after a power failure a tail may be cut or zeros
+            whole = [line for line in file if line.endswith("\n") and "\0" not in line]
+        return [row for row in csv.DictReader(whole) if row.get("decisions")]

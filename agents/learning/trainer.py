@@ -40,7 +40,6 @@ class Trainer:
         self.stop = False
         self.progress = Progress()
         self.saved_s = time.perf_counter()
-        self.evaluated = -1  # after so many decisions
         self.episodes: list[dict[str, float]] = []
 
     def __enter__(self) -> Self:
@@ -87,7 +86,7 @@ class Trainer:
         if left > 0:
             self.model.learn(left, callback=rhythm, reset_num_timesteps=False)
             rhythm.between()
-        if not self.stop and self.evaluated != self.progress.decisions:
+        if not self.stop and self.progress.evaluated != self.progress.decisions:
             self.evaluate()
         self.save()
 
@@ -130,7 +129,7 @@ class Trainer:
         """Evaluate the policy; the best one so far is what is loaded from the folder."""
         progress = self.progress
         progress.next_evaluation = progress.decisions + self.config.log.evaluate_every
-        self.evaluated = progress.decisions
+        progress.evaluated = progress.decisions
         if not self.config.log.evaluate_buildings:
             return
         figures = self.validation.run(self.model.policy)

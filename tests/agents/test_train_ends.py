@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import Future
 from functools import partial
@@ -21,8 +23,9 @@ from agents import train  # noqa: E402
 from agents.learning import warm_start  # noqa: E402
 from agents.learning.checkpoints import Checkpoints  # noqa: E402
 from agents.learning.processes import Processes  # noqa: E402
+from agents.learning.run_folder import RunFolder, Table  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
-from tests.agents.training import quick, run  # noqa: E402
+from tests.agents.training import ROOT, quick, run  # noqa: E402
 
 
 def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
@@ -129,3 +132,38 @@ def test_a_broken_pipe_from_elsewhere_is_a_failure(tmp_path, capsys, monkeypatch
     monkeypatch.setattr(train, "train", broken)
     assert run(tmp_path)[1] == 1
     assert "Broken pipe" in capsys.readouterr().err
+
+
+HOLD = "import sys; from pathlib import Path; from agents.learning.files import lock; "
+HOLD += "held = lock(Path(sys.argv[1])); print('held', flush=True); input()"
+
+
+def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(tmp_path, capsys):
+    folder, _ = run(tmp_path, steps=12)
+    words = [sys.executable, "-c", HOLD, str(folder / ".lock")]
+    other = subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert other.stdout.readline() == "held\n"
+    assert train.main(["--resume", str(folder)]) == 2
+    assert "is being trained by another process" in capsys.readouterr().err
+    other.kill()
+    other.communicate()
+    RunFolder(folder, quick()).hold()
+
+
+def test_a_finished_run_that_is_resumed_is_not_evaluated_again(tmp_path):
+    folder, _ = run(tmp_path, steps=12)
+    before = (folder / "evaluation.csv").read_text()
+    assert train.main(["--resume", str(folder)]) == 0
+    assert (folder / "evaluation.csv").read_text() == before
+
+
+@pytest.mark.parametrize("tail", ["\0" * 40, "3,1", "3,1\0\0\n"], ids=["zeros", "cut", "both"])
+def test_a_table_with_a_torn_tail_keeps_its_whole_rows(tail, tmp_path):
+    table = Table(tmp_path / "table.csv", ["decisions", "auc"])
+    table.cut(0)
+    for decisions in (1, 2):
+        table.add({"decisions": decisions, "auc": 0.5})
+    with table.path.open("a") as file:
+        file.write(tail)
+    table.cut(5)
+    assert [row["decisions"] for row in table.rows()] == ["1", "2"]
