@@ -67,7 +67,8 @@ def run_script(text: str, **keywords: Any) -> subprocess.Popen[str]:
 
 
 START = """
-import os, sys, time, numpy as np, mecp_env
+import os, signal, sys, time, numpy as np, mecp_env
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run in the background are deaf to it
 from tests.vector.helpers import make_small
 a, b = make_small(), make_small()
 a.reset(seed=1)
