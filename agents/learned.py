@@ -32,7 +32,7 @@ from mecp_env.errors import ConfigError, MecpError
 
 WEIGHTS = Path(__file__).parent / "weights"
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
-MOST_BYTES = 16_000_000  # of the weights of a policy
+MOST_BYTES = files.MOST_POLICY_BYTES
 WRONG_INPUT, INTERRUPTED = 2, 130  # exit codes beside 0
 
 
