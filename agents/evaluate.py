@@ -156,12 +156,9 @@ def tasks_of(args: Args) -> list[Task]:
     """All episodes, building by building: what is done when somebody stops it can be compared."""
     setting = setting_of(args)
     settings = [setting, *([replace(setting, estimator="truth")] if args.truth and args.estimator != "truth" else [])]
-    policies = list(dict.fromkeys(args.policies))
+    names = list(dict.fromkeys(args.policies))
     return [
-        Task(name, number, each, args.trust)
-        for number in range(args.episodes)
-        for each in settings
-        for name in policies
+        Task(name, number, each, args.trust) for number in range(args.episodes) for each in settings for name in names
     ]
 
 

@@ -28,9 +28,9 @@ from agents.learning.foreign import ForeignAgent, load_zip
 from agents.learning.models import make_policy, use_threads
 from agents.learning.player import Player
 from agents.learning.run_folder import CONFIG, POLICY
+from agents.registry import WEIGHTS, shipped
 from mecp_env.errors import ConfigError, MecpError
 
-WEIGHTS = Path(__file__).parent / "weights"
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
 WRONG_INPUT, INTERRUPTED = 2, 130  # exit codes beside 0
@@ -91,11 +91,6 @@ def put_policy(policy: BasePolicy, folder: Path, config: TrainConfig) -> None:
         raise WeightError(f"{folder / POLICY}: names no file of this folder with its SHA-256")
     path = folder / name
     files.put_weights(policy, files.tensors_in(files.read_checked(path, sha256, MOST_BYTES), path), path)
-
-
-def shipped() -> list[str]:
-    """The names of the policies that come with the repository."""
-    return [name for name in ALGORITHMS if (WEIGHTS / name / POLICY).exists()] or ["(no shipped policy)"]
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import tyro
 from numpy.typing import NDArray
 
 from agents.learning.config import read_config
+from agents.registry import WEIGHTS
 from mecp_env.errors import ConfigError, MecpError
 
-HERE = Path(__file__).parent
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 MOST_BYTES = 1_900_000  # of weights in the repository
 WRONG_INPUT = 2
@@ -31,7 +31,7 @@ class Args:
     """Draw the learning curve of some runs, and ship the policy of the best one."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]  # folders of runs of one algorithm
-    weights: Path = HERE / "weights"  # where shipped policies lie
+    weights: Path = WEIGHTS  # where shipped policies lie
     picture: Path | None = None  # of the curve; default: beside the weights
     ship: bool = True  # no: only the picture
 

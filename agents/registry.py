@@ -45,9 +45,14 @@ def load_learned(name: str, trust: bool = False) -> Agent:
     return agent
 
 
+def shipped() -> list[str]:
+    """The names of the trained policies that come with the repository."""
+    return [name for name in LEARNED if (WEIGHTS / name / "policy.json").is_file()]
+
+
 def policies() -> list[str]:
     """The names that there are: explorers, and the trained policies that come with the repository."""
-    return [*EXPLORERS, *(name for name in LEARNED if (WEIGHTS / name / "policy.json").is_file())]
+    return [*EXPLORERS, *shipped()]
 
 
 def unknown_policy(name: str) -> str:

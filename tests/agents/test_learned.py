@@ -11,11 +11,12 @@ torch = pytest.importorskip("torch")
 contrib = pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from agents.learned import WEIGHTS, Args, load, main, shipped  # noqa: E402
+from agents.learned import Args, load, main  # noqa: E402
 from agents.learning import files  # noqa: E402
 from agents.learning.files import WeightError  # noqa: E402
 from agents.learning.models import make_policy  # noqa: E402
 from agents.learning.run_folder import save_policy, write_json  # noqa: E402
+from agents.registry import WEIGHTS, shipped  # noqa: E402
 from mecp_env.errors import ConfigError  # noqa: E402
 from tests.agents.training import quick  # noqa: E402
 
