@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from mecp_env.slam.data import FeatureState, FeatureTable, KnownPolygon, Match, 
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 DEAD = int(FeatureState.DEAD)
 
@@ -61,9 +64,10 @@ class PolygonStore:
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
         """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
-        kept = {tuple(p.ids.tolist()): p for p in self.polygons if _whole(p, features, graph)}
-        merged = [replace(p, room=graph.resolve(p.room)) for p in kept.values()] if graph.merged else kept.values()
-        self.polygons = _seen_most(list(merged), self.most_per_room)
+        rooms = {room: graph.resolve(room) for room in {p.room for p in self.polygons}}
+        sound = _whole(self.polygons, features, rooms)
+        kept = {tuple(p.ids.tolist()): _in_room(p, rooms[p.room]) for p in compress(self.polygons, sound)}
+        self.polygons = _seen_most(list(kept.values()), self.most_per_room)
         self._index()
 
     def rename(self, keep: int, drop: int) -> None:
@@ -76,12 +80,12 @@ class PolygonStore:
                 self.polygons[i] = replace(polygon, ids=ring, intervals=intervals)
 
     def _index(self) -> None:
-        self.row = {tuple(p.ids.tolist()): i for i, p in enumerate(self.polygons)}
+        rings = [polygon.ids.tolist() for polygon in self.polygons]
+        self.row = {tuple(ring): i for i, ring in enumerate(rings)}
         self.rings = {}
-        for cardinality in {len(p.ids) for p in self.polygons}:
-            index = [i for i, p in enumerate(self.polygons) if len(p.ids) == cardinality]
-            rings = np.array([self.polygons[i].ids for i in index])
-            self.rings[cardinality] = Rings(np.array(index, np.int64), rings)
+        for cardinality in set(map(len, rings)):
+            index = [i for i, ring in enumerate(rings) if len(ring) == cardinality]
+            self.rings[cardinality] = Rings(np.array(index, np.int64), np.array([rings[i] for i in index], np.int64))
 
     def _index_ring(self, ring: Ints) -> None:
         """Take in the ids of the last polygon of the list."""
@@ -131,14 +135,35 @@ def roll_to_least(ring: Ints, intervals: Array, rolled: Array) -> None:
 def _seen_most(polygons: list[KnownPolygon], most: int) -> list[KnownPolygon]:
     """The polygons in order, of each room the `most` that were seen most often, then latest."""
     dropped: set[int] = set()
-    for room in {p.room for p in polygons}:
-        members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_period))
-        dropped.update(id(p) for p in members[: max(0, len(members) - most)])
+    for room, count in Counter(p.room for p in polygons).items():
+        if count > most:
+            members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_period))
+            dropped.update(id(p) for p in members[: count - most])
     return [p for p in polygons if id(p) not in dropped]
 
 
-def _whole(polygon: KnownPolygon, features: FeatureTable, graph: RoomGraph) -> bool:
-    return is_whole(polygon.ids, features.state, features.room, graph.resolve(polygon.room))
+def _whole(polygons: list[KnownPolygon], features: FeatureTable, rooms: dict[int, int]) -> list[bool]:
+    """Which polygons have vertices that differ, live and lie in the room that theirs has become."""
+    if not polygons:
+        return []
+    ends = np.cumsum([len(p.ids) for p in polygons])
+    now, whole = np.array([rooms[p.room] for p in polygons]), np.empty(len(polygons), np.bool_)
+    find_whole(np.concatenate([p.ids for p in polygons]), ends, features.state, features.room, now, whole)
+    found: list[bool] = whole.tolist()
+    return found
+
+
+def _in_room(polygon: KnownPolygon, room: int) -> KnownPolygon:
+    return polygon if polygon.room == room else replace(polygon, room=room)
+
+
+@kernel
+def find_whole(ids: Ints, ends: Ints, state: Ints, room_of: Ints, rooms: Ints, whole: Bools) -> None:
+    """Write which rings (P,) are whole in their `rooms` (P,); `ids` (n,) holds one after another, up to `ends` (P,)."""
+    first = 0
+    for p in range(ends.shape[0]):
+        whole[p] = is_whole(ids[first : ends[p]], state, room_of, rooms[p])
+        first = ends[p]
 
 
 @kernel

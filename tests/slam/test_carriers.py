@@ -10,7 +10,7 @@ from mecp_env.slam.data import Corners, Decision, Doorways, Match, Reason
 from mecp_env.slam.geometry import place, polar_to_points, to_map, wrap_angle
 from mecp_env.slam.linalg import downdate
 from mecp_env.slam.lookup import find_equal, find_rows
-from mecp_env.slam.polygon_store import is_whole, link
+from mecp_env.slam.polygon_store import find_whole, is_whole, link
 
 
 def corners_of(rng, n):
@@ -100,6 +100,16 @@ def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
     assert not is_whole(np.array([0, 2]), state, room, 0)
     assert not is_whole(np.array([0, 3]), state, room, 0)
     assert not is_whole(np.array([1, 1]), state, room, 0)
+
+
+def test_whole_polygons_are_found_as_one_by_one():
+    rng = np.random.default_rng(3)
+    state, room = rng.integers(1, 4, 40), rng.integers(0, 2, 40)
+    rings = [rng.choice(40, rng.integers(1, 5)) for _ in range(300)]
+    rooms, whole = rng.integers(0, 2, len(rings)), np.empty(len(rings), np.bool_)
+    find_whole(np.concatenate(rings), np.cumsum([len(ring) for ring in rings]), state, room, rooms, whole)
+    assert whole.tolist() == [is_whole(ring, state, room, int(now)) for ring, now in zip(rings, rooms, strict=True)]
+    assert 10 < whole.sum() < 290
 
 
 def test_pairs_of_a_polygon_are_accepted_first_and_bear_its_name():
