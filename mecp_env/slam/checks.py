@@ -1,24 +1,39 @@
-"""What a scan and an odometry reading must be, so that a damaged log is refused before it touches the map."""
+"""What a scan, an odometry reading and a match must be, so that a damaged log is refused before it touches the map.
+
+Kernels do not look whether an index lies in an array: what strangers' code gives them is looked at here.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from mecp_env.errors import MecpError
 from mecp_env.kernel import kernel
-from mecp_env.slam.data import Array, Odometry, Scan
+from mecp_env.slam.data import Array, Decision, Match, Odometry, Scan
 
 SOUND, NOT_FINITE, OUT_OF_RANGE, OUT_OF_ORDER = 0, 1, 2, 3
+KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
+COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
+DECISIONS = frozenset(map(int, Decision))
+WITH_ID = frozenset((int(Decision.LANDMARK), int(Decision.PROVISIONAL)))
 
 
 class SensorError(MecpError):
     """A scan or an odometry reading of the wrong shape, not finite, or out of its bounds."""
 
 
+class MatchError(MecpError):
+    """An associator gave what is no match of the scan: columns of another length or type, an id never given out."""
+
+
 def check_scan(scan: Scan) -> None:
-    """Raise `SensorError` unless the scan is K sweeps of B beams, finite, within range and in order of bearing."""
+    """Raise `SensorError` unless the scan is K sweeps of B beams, finite, within range and in order of bearing.
+
+    Ranges and bearings are arrays of float64, hits of bool: what a log has of another type is converted by its reader.
+    """
     shape = np.shape(scan.ranges)
     if len(shape) != 2 or 0 in shape:
         raise SensorError(f"scan.ranges: shape {shape} is not (K, B) with K, B >= 1")
@@ -26,7 +41,8 @@ def check_scan(scan: Scan) -> None:
         given = np.shape(getattr(scan, name))
         if given != shape:
             raise SensorError(f"scan.{name}: shape {given} is not that of the ranges, {shape}")
-    fault = find_fault(np.asarray(scan.ranges, float), np.asarray(scan.bearings, float), float(scan.max_range_m))
+    _require_arrays(scan, KINDS, "scan", SensorError)
+    fault = find_fault(scan.ranges, scan.bearings, float(scan.max_range_m))
     if fault == NOT_FINITE:
         raise SensorError("scan.ranges, scan.bearings: every value must be finite")
     if fault == OUT_OF_RANGE:
@@ -100,3 +116,35 @@ def look_over(increments: Array, cov: Array) -> tuple[bool, float]:
             finite &= math.isfinite(increments[m, i]) & math.isfinite(cov[m, i, 0]) & math.isfinite(cov[m, i, 1])
             least = min(least, cov[m, i, i])
     return finite, least
+
+
+def check_match(match: Match, corners: int, features: int) -> Match:
+    """`match` itself. Raises `MatchError` unless it has a sound decision for each of so many corners.
+
+    A corner that is LANDMARK or PROVISIONAL has an id below `features`, the number of ids that were given out.
+    """
+    if not isinstance(match, Match):
+        raise MatchError(f"match: {type(match).__name__}, a Match expected")
+    _require_arrays(match, COLUMNS, "match", MatchError)
+    for name in COLUMNS:
+        shape = getattr(match, name).shape
+        if shape != (corners,):
+            raise MatchError(f"match.{name}: shape {shape}, one of each corner expected, ({corners},)")
+    for corner, (id_, decision) in enumerate(zip(match.ids.tolist(), match.decision.tolist(), strict=True)):
+        if decision not in DECISIONS:
+            raise MatchError(
+                f"match.decision[{corner}]: {decision} is no Decision, {min(DECISIONS)} to {max(DECISIONS)}"
+            )
+        if decision in WITH_ID and not 0 <= id_ < features:
+            raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")
+    return match
+
+
+def _require_arrays(carrier: object, kinds: dict[str, np.dtype[Any]], what: str, error: type[MecpError]) -> None:
+    """Raise `error` unless the fields of `kinds` are arrays of that type."""
+    for name, kind in kinds.items():
+        given = getattr(carrier, name)
+        if not isinstance(given, np.ndarray):
+            raise error(f"{what}.{name}: {type(given).__name__}, an array of {kind} expected")
+        if given.dtype != kind:
+            raise error(f"{what}.{name}: an array of {given.dtype}, one of {kind} expected")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.slam.association import Associator, KnownAssociator, ignored, make_associator
-from mecp_env.slam.checks import check_odometry, check_scan
+from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.corners import extract_corners
@@ -56,7 +56,8 @@ class SlamPipeline:
     """EKF-SLAM with MECP data association over odometry and laser scans.
 
     The map frame is the robot's pose when `start` is called. `step` takes one control period. `config` may be a dict.
-    Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then.
+    Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then. Put an
+    associator of your own into `associator`; `MatchError` says what is wrong with a match that it gave.
     """
 
     config: SlamConfig
@@ -184,7 +185,8 @@ class SlamPipeline:
 
     def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
         view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
-        return self.associator.associate(corners, polygons, view, self.filter)
+        match = self.associator.associate(corners, polygons, view, self.filter)
+        return check_match(match, len(corners), len(self.features.state))
 
     def _correct(self, corners: Corners, match: Match) -> Match:
         """Update the filter with the corners recognised; a place not updated for a while makes it a closure."""

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mecp_env.slam.checks import NOT_FINITE, OUT_OF_ORDER, OUT_OF_RANGE, SOUND, find_fault, look_over
+from mecp_env.slam.association.base import undecided
+from mecp_env.slam.checks import (
+    NOT_FINITE,
+    OUT_OF_ORDER,
+    OUT_OF_RANGE,
+    SOUND,
+    MatchError,
+    SensorError,
+    check_match,
+    check_scan,
+    find_fault,
+    look_over,
+)
+from mecp_env.slam.data import Decision, Scan
 
 MAX_RANGE_M = 30.0
 DAMAGE = (math.nan, math.inf, -math.inf, -1e-9, 0.0, MAX_RANGE_M, 30.1, -math.pi, math.pi, 3.2, -3.2)
@@ -53,3 +67,51 @@ def test_odometry_is_looked_over():
         array[place] = math.nan
         assert not look_over(increments, cov)[0]
         array[place] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("field", "change", "told"),
+    [
+        ("ranges", np.ndarray.tolist, "scan.ranges: list, an array of float64"),
+        ("ranges", np.float32, "scan.ranges: an array of float32, one of float64"),
+        ("bearings", np.float32, "scan.bearings: an array of float32"),
+        ("hit", np.int64, "scan.hit: an array of int64, one of bool"),
+    ],
+)
+def test_a_scan_of_another_type_is_refused(field, change, told):
+    scan = Scan(np.ones((1, 3)), np.array([[-1.0, 0.0, 1.0]]), np.ones((1, 3), np.bool_), MAX_RANGE_M)
+    check_scan(scan)
+    with pytest.raises(SensorError, match=told):
+        check_scan(replace(scan, **{field: change(getattr(scan, field))}))
+
+
+def with_decision(match, decision, id_):
+    """The match with this said of its last corner; in place."""
+    match.decision[-1], match.ids[-1] = decision, id_
+    return match
+
+
+def test_a_sound_match_is_given_back():
+    for match in (undecided(0), undecided(3), with_decision(undecided(3), Decision.LANDMARK, 4)):
+        assert check_match(match, len(match.ids), 5) is match
+
+
+@pytest.mark.parametrize(
+    ("match", "told"),
+    [
+        (None, "match: NoneType, a Match"),
+        (undecided(2), r"match.ids: shape \(2,\), one of each corner expected, \(3,\)"),
+        (undecided(4), r"match.ids: shape \(4,\)"),
+        (replace(undecided(3), nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
+        (replace(undecided(3), ids=[0, 1, 2]), "match.ids: list, an array of int64"),
+        (replace(undecided(3), reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
+        (with_decision(undecided(3), 4, 0), r"match.decision\[2\]: 4 is no Decision, 0 to 3"),
+        (with_decision(undecided(3), Decision.LANDMARK, 5), r"match.ids\[2\]: 5, one of the 5 ids"),
+        (with_decision(undecided(3), Decision.LANDMARK, -1), r"match.ids\[2\]: -1"),
+        (with_decision(undecided(3), Decision.PROVISIONAL, 10**12), r"match.ids\[2\]: 10{12},"),
+    ],
+)
+def test_a_match_of_an_unsound_associator_is_refused(match, told):
+    """Kernels went through arrays by such a match and ended the process."""
+    with pytest.raises(MatchError, match=told):
+        check_match(match, 3, 5)

@@ -8,7 +8,8 @@ import pytest
 
 from mecp_env.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
-from mecp_env.slam.checks import SensorError
+from mecp_env.slam.association.base import undecided
+from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.data import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
@@ -242,3 +243,21 @@ def test_landmarks_beyond_the_capacity_are_counted(drive):
     *_, (pipeline, report, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
     assert len(report.belief.ids) == 8
     assert pipeline.filter.dropped > 0
+
+
+class Foreign:
+    """An associator that answers with what it was given."""
+
+    def __init__(self, answer):
+        self.associate = lambda corners, polygons, view, belief: answer(len(corners))
+
+
+def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
+    pipeline = SlamPipeline(SlamConfig())
+    pipeline.associator = Foreign(undecided)
+    for scan in drive.scans[:3]:
+        report = pipeline.start(scan)
+    assert len(report.belief.ids)
+    pipeline.associator = Foreign(lambda n: undecided(n + 1))
+    with pytest.raises(MatchError, match="one of each corner"):
+        pipeline.start(drive.scans[3])

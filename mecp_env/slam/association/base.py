@@ -25,7 +25,11 @@ class Associator(Protocol):
     """Decides for each corner of a scan which landmark it is, if any."""
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision a corner; nothing is written to the map or the filter."""
+        """One decision a corner; nothing is written to the map or the filter.
+
+        `undecided` makes the match to fill in: ids (n,), `Decision` and `Reason` (n,), NIS (n,). The pipeline raises
+        `MatchError` for columns of another length or type and for ids that were never given out. Name a landmark once.
+        """
 
 
 @lru_cache
