@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Self
@@ -56,7 +57,33 @@ def check_writable(path: Path) -> Path:
     while not there.exists() and there != there.parent:
         there = there.parent
     if there != path.absolute() and not there.is_dir():
-        raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place with --out")
+        raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place")
     if not os.access(there, os.W_OK):
-        raise ConfigError(f"out: {path}: {there} cannot be written to; choose another place with --out")
+        raise ConfigError(f"out: {path}: {there} cannot be written to; choose another place")
     return path
+
+
+def check_folder(path: Path) -> Path:
+    """`path` itself, a folder that may have to be made. Raises `ConfigError` for a file, and as `check_writable`."""
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"out: {path} is a file, a folder is expected; choose another place")
+    return check_writable(path)
+
+
+@contextmanager
+def folder_of(path: Path) -> Iterator[None]:
+    """Make the folder that a file goes into; where writing fails, what was made of it and is empty goes again."""
+    above = path.absolute().parents
+    made = [folder for folder in above if not folder.exists()]
+    above[0].mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in made:
+            _remove_empty(folder)
+        raise
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # something is in it
+        folder.rmdir()

@@ -136,7 +136,9 @@ def load(word: str, reading: Reading | None = None) -> Layout:
 def _no_such(word: str) -> MecpError:
     preset, _, seeds = word.partition(":")
     if preset in DIFFICULTIES:
-        return ConfigError(f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9")
+        return ConfigError(
+            f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9; 18 digits at most"
+        )
     shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
     nearest = guess(word, [*shipped_layouts(), *(f"{name}:{seeds or 0}" for name in DIFFICULTIES)])
     return LayoutError(f"{word or repr(word)}: no such file or building; there are {shipped}, {presets}{nearest}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from mecp_env.commands.base import INTERRUPTED, Command, check_writable
+from mecp_env.commands.base import INTERRUPTED, Command, check_folder
 from mecp_env.commands.fields import Fields, configuration
 
 
@@ -37,7 +37,7 @@ class Demo(Command):
         from mecp_env.render.window import require_display
         from mecp_env.stopwatch import timed_stages
 
-        folder = check_writable(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
+        folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
         config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.commands.base import Command, check_writable, say
+from mecp_env.commands.base import Command, check_folder, say
 from mecp_env.config import EnvConfig
 
 
@@ -31,7 +31,7 @@ class OneScan(Command):
         from mecp_env.commands.buildings import resolve
         from mecp_env.one_scan import draw  # pictures and physics are loaded only here
 
-        folder, config = check_writable(self.out), EnvConfig.build({}, layout=resolve(self.layout))
+        folder, config = check_folder(self.out), EnvConfig.build({}, layout=resolve(self.layout))
         for path in draw(config, self.seed, self.period, folder):
             say(str(path))
         return 0

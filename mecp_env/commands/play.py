@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from mecp_env.commands.base import Command, check_writable, say
+from mecp_env.commands.base import Command, check_folder, say
 from mecp_env.commands.buildings import SERIES, expand, resolve
 from mecp_env.commands.fields import Fields, configuration
 from mecp_env.errors import ConfigError
@@ -63,7 +63,7 @@ class Play(Command):
         return 0
 
     def _check(self) -> None:
-        check_writable(self.out)
+        check_folder(self.out)
         if self.seed < 0:
             raise ConfigError(f"seed: {self.seed}, at least 0")
         if not RATES[0] <= self.rate <= RATES[1]:

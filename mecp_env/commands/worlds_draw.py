@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.commands.base import Command, check_writable, say
+from mecp_env.commands.base import Command, check_writable, folder_of, say
 from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand_all, load, spare_sources, stem
 from mecp_env.errors import ConfigError
 from mecp_env.world.schema import Layout
@@ -59,6 +59,6 @@ def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 150) ->
     from mecp_env.render.plan_figures import save_plans
 
     plans = [floor_plan(layout, title) for title, layout in buildings]
-    check_writable(path).parent.mkdir(parents=True, exist_ok=True)
-    save_plans(plans, path, dpi)
+    with folder_of(check_writable(path)):
+        save_plans(plans, path, dpi)
     return path

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mecp_env.commands.base import WRONG_INPUT, Command, check_writable, say
+from mecp_env.commands.base import WRONG_INPUT, Command, check_writable, folder_of, say
 from mecp_env.commands.buildings import (
     NONE_GIVEN,
     Buildings,
@@ -107,8 +107,8 @@ class Convert(Command):
         pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
         spare_sources(pair if write is _write_map else [self.target], [source])
         layout = load(source, self.reading)
-        check_writable(self.target).parent.mkdir(parents=True, exist_ok=True)
-        write(layout, self.target, self.map_resolution_m)
+        with folder_of(check_writable(self.target)):
+            write(layout, self.target, self.map_resolution_m)
         say(f"{self.target}: {layout.name}, {counted(layout)}")
         return 0
 

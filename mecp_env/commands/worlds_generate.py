@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self, get_args
 
 import tyro
 
-from mecp_env.commands.base import Command, check_writable, say
+from mecp_env.commands.base import Command, check_folder, check_writable, say
 from mecp_env.commands.buildings import counted
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator.spec import (
@@ -94,7 +94,7 @@ class Generate(Command):
             split_seed(self.split, self.seed + self.count - 1)
         if self.out.suffix == ".json" and self.count > 1:
             raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
-        check_writable(self.out)
+        (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
         if self.sheet:
             from mecp_env.render.plan_figures import check_count, check_format
 

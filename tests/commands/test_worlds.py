@@ -219,6 +219,8 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
         (["convert", "office", "office.txt"], ".json, .yaml, .svg"),
         (["convert", "office", "map.yaml", "--map-resolution-m", "2"], "mecp-env: map_resolution_m: from 0.005 to 1 m"),
         (["convert", "paper", "map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),
+        (["convert", "paper", "new/below/map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),
+        (["draw", "easy:99999999999999999999"], "18 digits at most"),
         (["convert", "easy:0-1", "two.json"], "easy:0 and 1 more, one building is converted"),
     ],
 )
@@ -359,3 +361,28 @@ def test_a_single_number_is_a_range(tmp_path: Path) -> None:
     assert run("generate", "--difficulty", "easy", *line) == 0
     fields = {"door_width_m": 0.8, "turned_deg": -30.0, "wall_thickness_m": (0.1, 0.2)}
     assert load_layout(out) == generate(GeneratorSpec.preset("easy", **fields), 0)
+
+
+@pytest.mark.parametrize("command", [["demo"], ["one-scan"], ["play"], ["worlds", "generate"]])
+def test_a_folder_that_is_a_file_is_told_before_the_work(command: list[str], tmp_path: Path, capsys: Said) -> None:
+    """The demo said so after the exploration, which was lost."""
+    (tmp_path / "out").write_text("kept")
+    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.err == f"mecp-env: out: {tmp_path / 'out'} is a file, a folder is expected; choose another place\n"
+    assert (said.out, (tmp_path / "out").read_text()) == ("", "kept")
+
+
+def test_a_refused_conversion_keeps_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    for target in ("old/map.yaml", "old/new/map.yaml"):
+        assert run("convert", "two_rooms", tmp_path / target, "--map-resolution-m", "2") == 2
+    assert [path.name for path in tmp_path.rglob("*")] == ["old"]
+
+
+def test_an_image_without_a_resolution_is_told_of_the_yaml_beside_it(tmp_path: Path, capsys: Said) -> None:
+    assert run("convert", "two_rooms", tmp_path / "map.yaml") == 0
+    for told in ("name a map_server yaml (map.yaml lies beside it)", "name a map_server yaml\n"):
+        assert run("draw", tmp_path / "map.pgm") == 2
+        assert told in capsys.readouterr().err
+        (tmp_path / "map.yaml").unlink(missing_ok=True)

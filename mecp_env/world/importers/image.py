@@ -16,7 +16,9 @@ from mecp_env.world.importers.vectorise import Placement, floor_polygon
 def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     """The floor of an image whose pixels have `options.resolution_m`, brighter than `options.free_above`."""
     if options.resolution_m is None:
-        raise LayoutError("resolution_m: metres a pixel are missing; give them, or a yaml file of map_server beside it")
+        sheet = path.with_suffix(".yaml")
+        beside = f" ({sheet.name} lies beside it)" if sheet.is_file() else ""
+        raise LayoutError(f"resolution_m: metres a pixel are missing; give them, or name a map_server yaml{beside}")
     levels, opaque = grey(read_image(path))
     threshold = otsu(levels) if options.free_above is None else options.free_above
     free = levels > threshold if opaque is None else (levels > threshold) & opaque
