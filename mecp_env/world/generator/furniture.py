@@ -41,7 +41,15 @@ class Places(NamedTuple):
     centres: Array  # (m,k,2) m, of its circles
     radius: float  # m, of each
     wall: NDArray[np.int64]  # (m,) the wall that it stands against, or -1
-    obstacles: list[dict[str, Any]]  # (m,) the piece at each place
+    middles: Array  # (m,2) m, of the piece
+    piece: dict[str, Any]  # as the layout has it, without its place
+    turns: Array | None = None  # (m,) degrees, where the wall turns it
+
+    def obstacle(self, place: int) -> dict[str, Any]:
+        """The piece at a place, as the layout has it."""
+        x, y = self.middles[place].tolist()
+        turn = {} if self.turns is None else {"turn_deg": float(self.turns[place])}
+        return self.piece | turn | {"centre": (x, y)}
 
 
 def furnish(
@@ -86,8 +94,13 @@ class Room:
     ring: Array  # (n,2) m
     doors: Array  # (d,2) m, their middles
     thickness: float  # m, of the walls
+    low: Array = field(init=False)  # (2,) m, the box around it: its lower left corner
+    high: Array = field(init=False)  # (2,) m, and its upper right one
     circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
     pieces: list[Placed] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.low, self.high = self.ring.min(axis=0), self.ring.max(axis=0)
 
     def put_all(self, kinds: list[str], rng: np.random.Generator) -> list[str]:
         """Put pieces where they are in nobody's way; those for which no such place was found."""
@@ -95,13 +108,13 @@ class Room:
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Put a piece where it is in nobody's way; False where no such place was found."""
-        places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _standing(kind, self.ring, rng)
+        places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _standing(kind, self, rng)
         fits = np.flatnonzero(_is_clear(places, self))
         if not len(fits):
             return False
         first = int(fits[0])
         centres = places.centres[first]
-        piece = Placed(np.column_stack([centres, np.full(len(centres), places.radius)]), places.obstacles[first])
+        piece = Placed(np.column_stack([centres, np.full(len(centres), places.radius)]), places.obstacle(first))
         self.pieces.append(piece)
         self.circles = np.concatenate([self.circles, piece.circles])
         return True
@@ -142,12 +155,42 @@ def following(ring: Array) -> Array:
 
 
 def _is_clear(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece stands in the room, away from doors, pieces, and walls but its own."""
+    """At which places (m,) a piece stands in the room, away from doors, pieces, and walls but its own.
+
+    What is refused at little cost is not looked at again: in a full room that is nearly everything.
+    """
+    clear = _may_be_off_walls(places, room)
+    left = np.flatnonzero(clear)
+    if not len(left):
+        return clear
+    some = Places(places.centres[left], places.radius, places.wall[left], places.middles, places.piece)
+    off = _is_off(some, room.circles, CLEAR_M)
+    off &= _is_off(some, room.doors, DOOR_CLEAR_M)
+    if off.any():
+        off &= _is_off_walls(some, room)
+    clear[left] = off
+    return clear
+
+
+def _may_be_off_walls(places: Places, room: Room) -> Bools:
+    """At which places (m,) a piece that stands against no wall is far enough from the box around the room.
+
+    Inside of the room its walls are nearer than the box.
+    """
+    if places.wall[0] >= 0:
+        return np.ones(len(places.centres), np.bool_)
+    least = places.radius + CLEAR_M + room.thickness / 2.0 - 1e-6  # so that rounding refuses nothing
+    inner = (places.centres >= room.low + least) & (places.centres <= room.high - least)
+    return np.asarray(inner.all(axis=(1, 2)))
+
+
+def _is_off_walls(places: Places, room: Room) -> Bools:
+    """At which places (m,) a piece stands in the room, away from walls but its own."""
     far = edge_distances(room.ring, places.centres).min(axis=1)
     own = places.wall[:, None] == np.arange(len(room.ring))
-    clear = inside(room.ring, places.centres.mean(axis=1))
-    clear &= (far + np.where(own, np.inf, 0.0)).min(axis=1) >= places.radius + CLEAR_M + room.thickness / 2.0
-    return clear & _is_off(places, room.doors, DOOR_CLEAR_M) & _is_off(places, room.circles, CLEAR_M)
+    least = places.radius + CLEAR_M + room.thickness / 2.0
+    clear: Bools = (far + np.where(own, np.inf, 0.0)).min(axis=1) >= least
+    return clear & inside(room.ring, places.centres.mean(axis=1))
 
 
 def _is_off(places: Places, others: Array, least_m: float) -> Bools:
@@ -160,12 +203,11 @@ def _is_off(places: Places, others: Array, least_m: float) -> Bools:
     return off
 
 
-def _standing(kind: str, ring: Array, rng: np.random.Generator) -> Places:
+def _standing(kind: str, room: Room, rng: np.random.Generator) -> Places:
     """A pillar or a box anywhere in the box around a room."""
-    centres = rng.uniform(ring.min(axis=0), ring.max(axis=0), (PLACES, 2)).round(3)
+    centres = rng.uniform(room.low, room.high, (PLACES, 2)).round(3)
     offsets, radius, piece = _piece(kind, rng)
-    pieces = [piece | {"centre": (x, y)} for x, y in centres.tolist()]
-    return Places(centres[:, None] + offsets, radius, np.full(PLACES, -1), pieces)
+    return Places(centres[:, None] + offsets, radius, np.full(PLACES, -1), centres, piece)
 
 
 def _piece(kind: str, rng: np.random.Generator) -> tuple[Array, float, dict[str, Any]]:
@@ -177,7 +219,7 @@ def _piece(kind: str, rng: np.random.Generator) -> tuple[Array, float, dict[str,
     width, depth = (round(float(size), 3) for size in rng.uniform(low, high, 2))
     if kind == "square_pillar":
         return *_cover((width, width), 0.0), {"kind": "box", "size": (width, width), "turn_deg": 0.0}
-    turn = round(float(rng.choice([0.0, rng.uniform(-45.0, 45.0)])), 2)
+    turn = round((0.0, rng.uniform(-45.0, 45.0))[rng.integers(2)], 2)
     return *_cover((width, depth), math.radians(turn)), {"kind": "box", "size": (width, depth), "turn_deg": turn}
 
 
@@ -192,12 +234,8 @@ def _shelf(ring: Array, thickness: float, rng: np.random.Generator) -> Places:
     centres += (depth + thickness) / 2.0 * np.column_stack([-ahead[:, 1], ahead[:, 0]])
     offsets, radius = _cover((length, depth), 0.0)
     circles = centres[:, None] + offsets[:, :1] * ahead[:, None]
-    turns = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])).tolist()
-    boxes = [
-        {"kind": "box", "centre": (x, y), "size": (length, depth), "turn_deg": turn}
-        for (x, y), turn in zip(centres.tolist(), turns, strict=True)
-    ]
-    return Places(circles, radius, wall, boxes)
+    turns = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return Places(circles, radius, wall, centres, {"kind": "box", "size": (length, depth)}, turns)
 
 
 def _cover(size: tuple[float, float], turn: float) -> tuple[Array, float]:
