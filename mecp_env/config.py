@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.errors import ConfigError
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.settings import Settings, guess, no_bool
+from mecp_env.settings import Settings, guess, number
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 
@@ -61,7 +61,7 @@ def plain_layout(value: Any) -> Any:
     return [plain_layout(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-Number = Annotated[float, BeforeValidator(no_bool)]
+Number = Annotated[float, BeforeValidator(number)]
 
 
 class EnvConfig(Settings):

@@ -6,14 +6,17 @@ import difflib
 import re
 import reprlib
 from collections.abc import Iterable, Iterator
-from typing import Any, Self, get_args
+from functools import cache
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from mecp_env.errors import ConfigError
 
 MOST_TOLD = 3  # wrong fields that one message tells of
+NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
+UNION = re.compile(r"(literal|tuple)\[")  # how pydantic names a part of a union in a path
 PLACEHOLDER = re.compile(r"'([^']+)'")  # the words in what pydantic says is expected
 
 
@@ -39,7 +42,10 @@ def _innermost(error: ValidationError) -> Iterator[Any]:
 
 def _told(one: Any, root: str, model: type[BaseModel]) -> str:
     path, kind, context = one["loc"], one["type"], one.get("ctx", {})
-    place, given = ".".join([root, *map(str, path)])[:200], one["input"]
+    steps = [step for step in map(str, path) if not UNION.match(step)]
+    place, given = ".".join([root, *steps])[:200], one["input"]
+    if isinstance(context.get("error"), ConfigError):
+        return _further_out(str(context["error"]), place)
     if kind == "extra_forbidden":
         return f"{place}: no such field{guess(path[-1], fields_at(model, path[:-1]))} (given: {shown(given)})"
     if kind in ("literal_error", "union_tag_invalid"):
@@ -48,6 +54,12 @@ def _told(one: Any, root: str, model: type[BaseModel]) -> str:
         return f"{place}: {one['msg']}{guess(word, known)} (given: {shown(given)})"
     said = f"{place}: {one['msg'].removeprefix('Value error, ')}"
     return said if not path and kind == "value_error" else f"{said} (given: {shown(given)})"  # which names the value
+
+
+def _further_out(said: str, place: str) -> str:
+    """What a section says of its fields, told by the one around it: by their whole path, the value once."""
+    section = said[: re.match(r"\w*", said).end()]  # type: ignore[union-attr]
+    return re.sub(rf"(^|; ){section}(?=[.:])", lambda found: found[1] + place, said)
 
 
 def fields_at(model: type[BaseModel], path: Iterable[int | str]) -> list[str]:
@@ -97,17 +109,44 @@ def as_many(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
-def no_bool(value: Any) -> Any:
-    """`value` itself. Raises `ValueError` for True and False, which are no numbers."""
-    if isinstance(value, bool | np.bool_):
+def number(value: Any) -> Any:
+    """`value` itself. Raises `ValueError` for a truth value or a text, which may look like a number."""
+    if isinstance(value, bool | np.bool_ | str | bytes):
         raise ValueError("Input should be a number")
     return value
+
+
+@cache
+def _kinds(model: type[BaseModel], field: str) -> frozenset[Any]:
+    """The types of which the value of a field may be, with `tuple` those of its entries."""
+    return frozenset(_leaves(model.model_fields[field].annotation))
+
+
+def _leaves(annotation: Any) -> list[Any]:
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is None or origin is Literal:
+        return [origin or annotation]
+    inner = [leaf for part in (parts[:1] if origin is Annotated else parts) for leaf in _leaves(part)]
+    return [tuple, *inner] if origin is tuple else inner
 
 
 class Settings(BaseModel):
     """A frozen section of the configuration tree; a wrong field raises `ConfigError`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse numbers and truth values in disguise ("10", True for 1), which pydantic would take."""
+        assert info.field_name is not None
+        kinds = _kinds(cls, info.field_name)
+        if kinds == {bool} and not isinstance(value, bool):
+            raise ValueError("Input should be true or false")
+        if kinds <= NUMBERS:
+            for item in value if isinstance(value, tuple | list) else () if tuple in kinds else (value,):
+                number(item)
+        return value
 
     def __init__(self, **fields: Any) -> None:
         try:

@@ -11,7 +11,7 @@ from shapely.geometry import Point
 
 from mecp_env.config import unknown
 from mecp_env.errors import ConfigError, LayoutError
-from mecp_env.settings import no_bool
+from mecp_env.settings import number
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive_kernels import wall_distance
 from mecp_env.world.outline import Outline, random_free_pose
@@ -72,7 +72,7 @@ def check_space(outline: Outline, robot: RobotConfig) -> None:
 def to_pose(start: Any) -> tuple[float, float, float]:
     """`start` as three finite numbers, the heading at most a full turn. Raises `ConfigError`."""
     try:
-        x, y, heading = (float(no_bool(value)) for value in start)
+        x, y, heading = (float(number(value)) for value in start)
     except (TypeError, ValueError):
         raise ConfigError(f'start: expected "layout", "random" or x, y, heading, given {start!r:.80}') from None
     if not np.isfinite([x, y, heading]).all():

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tyro
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings, shown
+from mecp_env.settings import Settings, as_many, number, shown
 
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
@@ -34,30 +34,11 @@ class Environment(EnvConfig):
     reward: RewardConfig = RewardConfig(completion=1.0)
 
 
-def number(value: Any) -> Any:
-    """`value` itself. Raises `ValueError` for a truth value or a text, which may look like a number."""
-    if isinstance(value, bool | str):
-        raise ValueError("Input should be a number")
-    return value
-
-
-class Section(Settings):
-    """A section whose numbers and truth values are given as such."""
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
-        assert info.field_name is not None
-        kind = cls.model_fields[info.field_name].annotation
-        if kind is bool and not isinstance(value, bool):
-            raise ValueError("Input should be true or false")
-        return number(value) if kind in (int, float, float | None) else value
-
-
-class BuildingsConfig(Section):
+class BuildingsConfig(Settings):
     """Where the robot learns: another generated building at every reset, or always the same layout."""
 
-    difficulty: Annotated[tuple[str, ...], Field(min_length=1)] = ("medium",)  # dealt out to the environments in turn
+    # dealt out to the environments in turn
+    difficulty: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_many)] = ("medium",)
     split: Literal["train", "validation", "test"] = "train"
     spec: dict[str, float] = Field({})  # fields of `GeneratorSpec` over the difficulty's own: rooms 12 loops 2
     layout: str | None = None  # a shipped layout or a file, in place of generated buildings
@@ -79,7 +60,7 @@ class BuildingsConfig(Section):
         return self
 
 
-class NetworkConfig(Section):
+class NetworkConfig(Settings):
     """Sizes of the network (docs/training.md has the picture)."""
 
     width: int = Field(64, ge=4, le=1024)  # of the code of a goal, of a landmark and of the context
@@ -90,7 +71,7 @@ class NetworkConfig(Section):
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
 
 
-class PpoConfig(Section):
+class PpoConfig(Settings):
     """Hyper-parameters of PPO; a decision is a drive with goals, a control period with velocities."""
 
     steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
@@ -109,7 +90,7 @@ class PpoConfig(Section):
     normalise_reward: bool = True  # by the running deviation of the discounted return
 
 
-class WarmStartConfig(Section):
+class WarmStartConfig(Settings):
     """What is learned of an explorer before PPO begins."""
 
     teacher: str | None = None  # nearest, gain, bfs: an explorer of `agents`
@@ -118,7 +99,7 @@ class WarmStartConfig(Section):
     epochs: int = Field(10, ge=1, le=1000)
 
 
-class LogConfig(Section):
+class LogConfig(Settings):
     """Evaluations and files."""
 
     evaluate_every: int = Field(10_000, ge=1)  # decisions
@@ -128,7 +109,7 @@ class LogConfig(Section):
     tensorboard: bool = True
 
 
-class TrainConfig(Section):
+class TrainConfig(Settings):
     """All that a training run depends on."""
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"

@@ -32,6 +32,11 @@ def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
     assert again.env.estimator_config == config.env.estimator_config
 
 
+def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
+    assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
+    assert parse(["ppo", "--env.max-periods", "90"]).config.env.max_periods == 90
+
+
 def test_options_stand_above_the_file(tmp_path):
     path = tmp_path / "config.json"
     path.write_text(json.dumps({"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}}))
@@ -58,6 +63,7 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         ({"env": {"laser": {"beems": 90}}}, "did you mean 'beams'"),
         ({"stepps": 3}, "did you mean 'steps'"),
         ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
+        ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
         ({"algorithm": "dqn"}, "none of ppo, maskable_ppo, recurrent_ppo"),
         ({"ppo": {"clip": float("nan")}}, "finite"),
         ({"env": {"layout": "paper"}}, r"env\.layout: .*buildings\.layout"),

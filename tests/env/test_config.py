@@ -36,6 +36,14 @@ WRONG = [
     {"start": "nowhere"},
     {"start": (1.0, 2.0)},
     {"start": (True, 2.0, 0.0)},
+    {"start": ("1", 2.0, 0.0)},
+    {"max_periods": "10"},
+    {"max_periods": True},
+    {"reward": {"contact": "-1"}},
+    {"observation": {"map": "true"}},
+    {"observation": {"map": 1}},
+    {"end": {"coverage": True}},
+    {"slam": {"corners": {"door_width_m": ("0.7", 1.0)}}},
     {"layout": 3},
     {"observation": {"map": "please"}},
     {"robot": {"max_speed_m_s": -1.0}},
@@ -63,6 +71,22 @@ def test_unknown_names_are_refused_at_every_level_with_the_nearest(fields, messa
 def test_wrong_values_are_refused_with_field_and_value(fields):
     with pytest.raises(ConfigError, match=next(iter(fields))):
         EnvConfig.build(fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"slam": {"filter": {"kind": "ekff"}}}, "EnvConfig.slam.filter.kind: Input should be 'riekf' or 'ekf'; did"),
+        ({"crowd": {"people": "4"}}, "EnvConfig.crowd.people: Input should be a number (given: '4')"),
+        ({"slam": {"filter": {"kind": 1}, "rooms": {"wall_thickness_m": "x"}}}, "EnvConfig.slam.filter.kind: "),
+        ({"start": "nowhere"}, "EnvConfig.start: Input should be 'layout' or 'random'"),
+    ],
+)
+def test_a_wrong_value_in_a_section_is_told_once_by_its_whole_path(fields, message):
+    with pytest.raises(ConfigError) as told:
+        EnvConfig.build(fields)
+    assert str(told.value).startswith(message)
+    assert str(told.value).count("Config.") == str(told.value).count("EnvConfig.") == str(told.value).count("(given")
 
 
 @pytest.mark.parametrize(("fields", "message"), IN_VAIN, ids=repr)
