@@ -59,6 +59,7 @@ def test_options_reach_the_reader(folder: Path) -> None:
     [
         ({}, ConfigError, "path of a floor plan"),
         ({"plan": "nowhere.json"}, LayoutError, "nowhere"),
+        ({"plan": "nowhere"}, LayoutError, "nowhere: no such file or folder"),
         ({"plan": "x.docx"}, LayoutError, "docx"),
         ({"plan": None}, ConfigError, "plan: the path of a floor plan"),
         ({"plan": ""}, ConfigError, "plan: the path of a floor plan"),

@@ -57,6 +57,8 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
         _agreed(kind, "map_server")
         return layout_of(read_map_server(path, options), options)
     if path.suffix.lower() != ".json":
+        if not path.exists():
+            raise LayoutError("no such file or folder")
         raise LayoutError(f"a plan file ends in .json, {', '.join((*YAML, *IMAGES))}, given {path.suffix!r:.80}")
     return _load_json(path, kind, options)
 
