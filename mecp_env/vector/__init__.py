@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 
 from mecp_env.vector.batch import BatchEnv
+from mecp_env.vector.checks import check_count
 from mecp_env.vector.crew import WorkerDied, WorkerError
 
 __all__ = ["BatchEnv", "WorkerDied", "WorkerError", "make_batch"]
@@ -22,10 +23,10 @@ def make_batch(
     """`num_envs` environments of the registered id `name`, each in `wrappers`.
 
     Keywords named in `OPTIONS` are those of `BatchEnv`; all others go to `gymnasium.make`, `max_episode_steps` and
-    `render_mode` too.
+    `render_mode` too. Raises `ValueError` for another number than 1, 2, ...
     """
     options = {option: keywords.pop(option) for option in OPTIONS if option in keywords}
-    return BatchEnv([partial(_make, name, wrappers, keywords)] * num_envs, **options)
+    return BatchEnv([partial(_make, name, wrappers, keywords)] * check_count(num_envs), **options)
 
 
 def _make(name: str, wrappers: tuple[Callable[[Any], Any], ...], keywords: dict[str, Any]) -> gymnasium.Env[Any, Any]:

@@ -22,6 +22,13 @@ def check_mode(mode: str | AutoresetMode) -> AutoresetMode:
         raise ValueError(f"autoreset_mode: {mode!r} is none of {names}") from None
 
 
+def check_count(count: int) -> int:
+    """`count` itself. Raises `ValueError` for what is no number of environments."""
+    if not _is_integer(count) or count < 1:
+        raise ValueError(f"num_envs: {count!r:.80}, expected an integer of at least 1")
+    return int(count)
+
+
 def check_workers(workers: int | None) -> None:
     """Raises `ValueError` for what is no number of workers."""
     if workers is not None and (type(workers) is not int or workers < 1):

@@ -128,6 +128,22 @@ def test_calls_attributes_and_frames() -> None:
     venv.close()
 
 
+def test_a_batch_in_windows_shows_and_returns_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    venv = make_small(render_mode="human")
+    venv.reset(seed=1)
+    assert venv.step(STILL)[4]["period"].tolist() == [1] * N
+    assert venv.render_mode == "human"
+    assert venv.render() == (None,) * N
+    venv.close()
+
+
+def test_without_a_display_a_batch_of_windows_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
+    with pytest.raises(ConfigError, match="'human' can open no window"):
+        make_small(render_mode="human")
+
+
 def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
     env.unwrapped.set_state(state)
 
@@ -207,6 +223,7 @@ def test_steps_and_waits_come_in_pairs_and_in_order() -> None:
 @pytest.mark.parametrize(
     ("keywords", "message"),
     [
+        ({"count": "2"}, "num_envs: '2'"),
         ({"workers": 0}, "workers: 0"),
         ({"workers": 1.5}, "workers: 1.5"),
         ({"autoreset_mode": "sometimes"}, "autoreset_mode: 'sometimes'.*'NextStep'"),
