@@ -29,7 +29,8 @@ class SB3Batch(VecEnv):
     """A `BatchEnv` with `autoreset_mode="SameStep"` as a VecEnv. Raises `ValueError` for another mode.
 
     `infos` are plain dicts with `TimeLimit.truncated`, and `terminal_observation` where an episode ended, as
-    Stable-Baselines3 reads them.
+    Stable-Baselines3 reads them. A learner adds the value of going on to an episode that was truncated; so one whose
+    filter diverged, after which nothing can be earned, is an end here, though the environment truncates it.
     """
 
     def __init__(self, batch: BatchEnv) -> None:
@@ -61,7 +62,7 @@ class SB3Batch(VecEnv):
             last, final = each[i].pop("final_obs"), each[i].pop("final_info")
             self.reset_infos[i], each[i] = each[i], final | {"terminal_observation": last}
         for info, cut in zip(each, (truncated & ~terminated).tolist(), strict=True):
-            info["TimeLimit.truncated"] = cut
+            info["TimeLimit.truncated"] = cut and not info.get("diverged", False)
         return observations, reward.astype(np.float32), dones, each
 
     def close(self) -> None:

@@ -57,6 +57,26 @@ def test_the_batch_gives_what_their_own_classes_give(actions: str, theirs: str) 
     other.close()
 
 
+def ends(diverged_sigma_m: float, max_periods: int) -> list[dict[str, Any]]:
+    """The last infos of the episodes of a batch that drives on."""
+    venv = make_batch(slam={"filter": {"diverged_sigma_m": diverged_sigma_m}}, max_periods=max_periods)
+    venv.reset()
+    found: list[dict[str, Any]] = []
+    for _ in range(20):
+        _, _, dones, infos = venv.step(np.tile(np.float32([0.5, 0.5]), (N, 1)))
+        found += [infos[i] for i in np.flatnonzero(dones)]
+    venv.close()
+    return found
+
+
+def test_a_divergence_is_an_end_and_a_time_limit_is_none() -> None:
+    """As truncated, the value of going on was added to it: losing the map was worth as much as keeping it."""
+    for diverged, infos in ((True, ends(0.0012, 1000)), (False, ends(1e3, 5))):
+        assert infos
+        assert all(info["diverged"] is diverged for info in infos)
+        assert all(info["TimeLimit.truncated"] is not diverged for info in infos)
+
+
 def plain(value: Any) -> Any:
     """Without the difference between numbers of Python and of NumPy in infos."""
     if isinstance(value, dict):
