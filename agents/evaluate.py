@@ -16,22 +16,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
-import gymnasium as gym
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.comparison import Row, compare, rows_of, timing
 from agents.curve import BUDGET_M_PER_M2
+from agents.ending import FAILED, INTERRUPTED, complain, ended
 from agents.episode import Episode, Task
 from agents.page import page
 from agents.pool import Failure, finished
 from agents.registry import EXPLORERS, make_agent, policies
 from agents.worlds import Setting, rooms
-from mecp_env.errors import ConfigError, MecpError
+from mecp_env.errors import ConfigError
 from mecp_env.intervals import Figures
 
-FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
 MOST_JOBS, MOST_EPISODES = 256, 1_000_000
 BAR = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
 EXAMPLES = f"""policies: {", ".join(policies())}, or the folder of a training run
@@ -78,7 +77,7 @@ class Evaluation:
             self.episodes.append(result)
         else:
             self.failures.append(result)
-            print(f"evaluate: failed: {result}", file=sys.stderr)
+            complain("evaluate", f"failed: {result}")
 
     @property
     def exit_code(self) -> int:
@@ -87,18 +86,16 @@ class Evaluation:
 
 def main(args: Args) -> int:
     """Evaluate and write all there is. 0; 1 when an episode failed, 2 for wrong input, 130 after Ctrl-C."""
-    try:
-        check(args)
-        evaluation = evaluate(args)
-        if evaluation.episodes:
-            write(evaluation)
-        return evaluation.exit_code
-    except (MecpError, gym.error.Error) as error:
-        print(f"evaluate: {error}", file=sys.stderr)
-        return WRONG_INPUT
-    except KeyboardInterrupt:  # before the first episode, or while it is written
-        print("evaluate: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    return ended("evaluate", lambda: attempt(args))  # Ctrl-C: before the first episode, or while it is written
+
+
+def attempt(args: Args) -> int:
+    """As `main`. Raises `MecpError`, and `KeyboardInterrupt` outside the episodes themselves."""
+    check(args)
+    evaluation = evaluate(args)
+    if evaluation.episodes:
+        write(evaluation)
+    return evaluation.exit_code
 
 
 def check(args: Args) -> None:
@@ -111,10 +108,10 @@ def check(args: Args) -> None:
         raise ConfigError(
             f"reference: {args.reference!r:.80}, expected one of {', '.join((*args.policies, *EXPLORERS))}"
         )
-    if args.reference not in args.policies:
-        print(f"evaluate: {args.reference} is not among the policies, so nothing is compared to it", file=sys.stderr)
     for policy in args.policies:
         agent = make_agent(policy, args.trust)
+    if args.reference not in args.policies:
+        complain("evaluate", f"{args.reference} is not among the policies, so nothing is compared to it")
     within("episodes", args.episodes, 1, MOST_EPISODES)
     env = rooms(setting_of(args), agent)
     env.reset(seed=0, options={"building": args.episodes - 1})  # is there such a building?

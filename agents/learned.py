@@ -20,6 +20,7 @@ import tyro
 from stable_baselines3.common.policies import BasePolicy
 
 import mecp_env  # noqa: F401  (registers the environments)
+from agents.ending import ended
 from agents.learning import files
 from agents.learning.compact import compact
 from agents.learning.config import ALGORITHMS, TrainConfig, read_config
@@ -29,11 +30,10 @@ from agents.learning.models import make_policy, use_threads
 from agents.learning.player import Player
 from agents.learning.run_folder import CONFIG, POLICY
 from agents.registry import WEIGHTS, shipped
-from mecp_env.errors import ConfigError, MecpError
+from mecp_env.errors import ConfigError
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
-WRONG_INPUT, INTERRUPTED = 2, 130  # exit codes beside 0
 
 
 class LearnedAgent:
@@ -106,14 +106,7 @@ class Args:
 
 def main(args: Args) -> int:
     """Load, explore, print the figures. Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
-    try:
-        return explore(args)
-    except (MecpError, gym.error.Error) as error:
-        print(f"learned: {error}", file=sys.stderr)
-        return WRONG_INPUT
-    except KeyboardInterrupt:
-        print("learned: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    return ended("learned", lambda: explore(args))
 
 
 def explore(args: Args) -> int:

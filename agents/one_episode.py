@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,11 +11,10 @@ import tyro
 
 import mecp_env  # noqa: F401  (registers the environments)
 from agents.agent import KIND, KINDS, PATH, ROOM, Agent
+from agents.ending import ended
 from agents.registry import make_agent
 from agents.worlds import Env, Info, admit, below, masks
-from mecp_env.errors import ConfigError, MecpError
-
-WRONG_INPUT = 2
+from mecp_env.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -31,18 +29,13 @@ class Args:
 
 
 def main(policy: str, args: Args | None = None, line: Sequence[str] | None = None) -> int:
-    """Explore as the command line says. Exit code 0, or 2 for wrong input."""
+    """Explore as the command line says. Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
     chosen = args if args is not None else tyro.cli(Args, prog=f"python -m agents.{policy}", args=line)
-    try:
-        explore(make_agent(policy), chosen)
-    except (MecpError, gym.error.Error) as error:
-        print(f"{policy}: {error}", file=sys.stderr)
-        return WRONG_INPUT
-    return 0
+    return ended(policy, lambda: explore(make_agent(policy), chosen))
 
 
-def explore(agent: Agent, args: Args) -> None:
-    """One episode; prints a line a drive, and the figures at the end."""
+def explore(agent: Agent, args: Args) -> int:
+    """One episode; prints a line a drive, and the figures at the end. Exit code 0; raises `MecpError`."""
     if args.seed < 0:
         raise ConfigError(f"seed: {args.seed}, at least 0")
     env = admit(building(agent, args), agent, lambda observation, info: None)
@@ -60,6 +53,7 @@ def explore(agent: Agent, args: Args) -> None:
     for name, value in env.get_wrapper_attr("summary")().items():
         print(f"{name:26s}{value:10.4g}")
     env.close()
+    return 0
 
 
 def building(agent: Agent, args: Args) -> Env:

@@ -16,13 +16,13 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from agents.ending import ended
 from agents.learning.config import read_config
 from agents.registry import WEIGHTS
-from mecp_env.errors import ConfigError, MecpError
+from mecp_env.errors import ConfigError
 
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 MOST_BYTES = 1_900_000  # of weights in the repository
-WRONG_INPUT = 2
 Array = NDArray[np.float64]
 
 
@@ -49,17 +49,12 @@ class Run:
 
 
 def main(args: Args) -> int:
-    """Exit code 0, or 2 for wrong input."""
-    try:
-        publish(args)
-    except (MecpError, OSError) as error:
-        print(f"publish: {error}", file=sys.stderr)
-        return WRONG_INPUT
-    return 0
+    """Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
+    return ended("publish", lambda: publish(args))
 
 
-def publish(args: Args) -> None:
-    """Draw, and ship. Raises `ConfigError`."""
+def publish(args: Args) -> int:
+    """Draw, and ship. Exit code 0; raises `ConfigError`."""
     if not args.runs:
         raise ConfigError("runs: none given, expected folders of runs of one algorithm")
     runs = [read_run(folder) for folder in args.runs]
@@ -76,6 +71,7 @@ def publish(args: Args) -> None:
     picture.parent.mkdir(parents=True, exist_ok=True)
     draw(runs, picture)
     print(f"{picture}: {len(runs)} runs")
+    return 0
 
 
 def read_run(folder: Path) -> Run:

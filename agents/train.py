@@ -33,6 +33,7 @@ def main(words: list[str]) -> int:
 
 def attempt(words: list[str]) -> int:
     """As `main`; what is wrong is said on stderr. Raises `KeyboardInterrupt` outside the training itself."""
+    from agents.ending import complain
     from mecp_env.errors import MecpError
     from mecp_env.vector import WorkerDied
 
@@ -43,11 +44,11 @@ def attempt(words: list[str]) -> int:
         with enduring_output():
             return train(parse(words))
     except MecpError as error:
-        print(f"train: {error}", file=sys.stderr)
+        complain("train", error)
     except ModuleNotFoundError as error:
         print(f"train: needs {error.name}: {INSTALL}", file=sys.stderr)
     except WorkerDied as error:
-        print(f"train: {error}", file=sys.stderr)
+        complain("train", error)
         return FAILED
     except OSError as error:
         print(f"train: {error.filename or 'files'}: {error.strerror}", file=sys.stderr)

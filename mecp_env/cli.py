@@ -12,7 +12,7 @@ from typing import Any
 import mecp_env
 from mecp_env.commands.base import INTERRUPTED, WRONG_INPUT, Command
 from mecp_env.errors import MecpError
-from mecp_env.render.text import readable
+from mecp_env.readable import readable
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.commands, class, what the overview says

@@ -13,7 +13,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from mecp_env.demo import FILES, Run
-from mecp_env.render.text import readable
+from mecp_env.readable import readable
 from mecp_env.stopwatch import Stopwatch
 
 EVERY = 10  # periods between two updates

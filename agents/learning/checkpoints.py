@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import torch
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import Tensor
 
+from agents.ending import complain
 from agents.learning import files
 from agents.learning.files import WeightError
 
@@ -70,7 +70,7 @@ class Checkpoints:
                 return put(model, read(path), path)
             except WeightError as error:
                 problem = error
-                print(f"resume: passed over {error}", file=sys.stderr)
+                complain("resume", f"passed over {error}")
         if problem is not None:
             raise problem
         return None

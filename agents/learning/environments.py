@@ -23,6 +23,7 @@ from agents.learning.compact import Compact
 from agents.learning.config import TrainConfig
 from agents.learning.processes import Processes
 from agents.sb3_batch import SB3Batch
+from mecp_env.errors import LayoutError
 from mecp_env.rewards import TERMS
 from mecp_env.vector import BatchEnv
 from mecp_env.wrappers import GoalActions
@@ -147,18 +148,26 @@ def goal_wrapper(env: gym.Env[Any, Any]) -> GoalActions | None:
 def make_env(config: TrainConfig, index: int = 0, split: str | None = None) -> gym.Env[Any, Any]:
     """Environment `index` of a run, as an agent learns in it; `split` in place of the configured one.
 
-    Raises `ConfigError`.
+    Raises `ConfigError`, and `LayoutError` for a layout that there is not.
     """
     buildings, fields = config.buildings, config.env.to_dict()
     del fields["layout"], fields["actions"]
     if buildings.layout is not None:
-        env = gym.make("mecp_env/Layout-v0", **fields, layout=buildings.layout, actions=config.actions)
+        env = make_layout(buildings.layout, fields | {"actions": config.actions})
     else:
         difficulty = buildings.difficulty[index % len(buildings.difficulty)]
         where = {"difficulty": difficulty, "split": split or buildings.split, **buildings.spec}
         env = gym.make("mecp_env/Rooms-v0", **fields, **where, actions=config.actions)
     logged = EpisodeLog(env, config.ppo.discount, config.ppo.discount_m)
     return Compact(logged, goals=config.actions == "goal")
+
+
+def make_layout(layout: str, fields: dict[str, Any]) -> gym.Env[Any, Any]:
+    """The environment of one building. Raises `LayoutError`, with the field that it comes from."""
+    try:
+        return gym.make("mecp_env/Layout-v0", **fields, layout=layout)
+    except LayoutError as error:
+        raise LayoutError(f"buildings.layout: {error}") from None
 
 
 def make_visits(config: TrainConfig, index: int, buildings: Sequence[int]) -> gym.Env[Any, Any]:

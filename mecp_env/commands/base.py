@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from mecp_env.errors import ConfigError
-from mecp_env.render.text import readable
+from mecp_env.readable import readable
 from mecp_env.settings import guess
 
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0

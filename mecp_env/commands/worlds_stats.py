@@ -16,7 +16,7 @@ from rich.text import Text
 
 from mecp_env.commands.base import Command
 from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand, load
-from mecp_env.render.text import readable
+from mecp_env.readable import readable
 
 COLUMNS = {  # figure -> heading, format
     "rooms": ("rooms", "{:.0f}"),

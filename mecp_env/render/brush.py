@@ -10,8 +10,8 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from mecp_env.readable import readable
 from mecp_env.render.palette import INK, RGB
-from mecp_env.render.text import readable
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -14,9 +14,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
+from mecp_env.readable import readable
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
-from mecp_env.render.text import readable, summary
+from mecp_env.render.text import summary
 from mecp_env.render.view import View, loops, signed_area
 from mecp_env.slam.geometry import to_map
 

@@ -17,11 +17,11 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from mecp_env.errors import ConfigError
+from mecp_env.readable import readable
 from mecp_env.render import palette
 from mecp_env.render.figures import boxes_for_missing_glyphs
 from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
 from mecp_env.render.palette import unit
-from mecp_env.render.text import readable
 
 Array = NDArray[np.float64]
 

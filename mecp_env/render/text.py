@@ -1,4 +1,4 @@
-"""What is written in pictures: names as files give them, and the line of figures above."""
+"""The line of figures above a picture."""
 
 from __future__ import annotations
 
@@ -12,11 +12,6 @@ ITEMS = (
     ("pose error", "{:.1f} cm", ("pose_error_cm",)),
     ("landmarks", "{:.0f}", ("landmarks",)),
 )
-
-
-def readable(words: str) -> str:
-    """Names come from files of strangers: what cannot be printed becomes a question mark."""
-    return "".join(sign if sign.isprintable() else "?" for sign in words)
 
 
 def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:

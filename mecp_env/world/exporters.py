@@ -20,7 +20,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from mecp_env.errors import LayoutError
-from mecp_env.render.text import readable
+from mecp_env.readable import readable
 from mecp_env.slam.data import Cell, SemanticGrid
 from mecp_env.world.layout import Layout
 from mecp_env.world.outline import Outline, build_outline, door_ring, thin_walls_m

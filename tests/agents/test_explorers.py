@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from agents.agent import VALID
+from agents.ending import ended
 from agents.gain import Gain, Weights, unseen_area, well_known
 from agents.nearest import Nearest
 from agents.one_episode import Args
 from agents.one_episode import main as one_episode
 from agents.random_goal import RandomGoal
 from agents.registry import EXPLORERS, make_agent
+from mecp_env.errors import ConfigError
 from tests.agents.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 
 DOOR = 3
@@ -160,6 +162,41 @@ def test_a_generated_building_is_chosen_by_its_number(capsys: pytest.CaptureFixt
 def test_a_building_that_there_is_not_is_refused(layout: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert one_episode("nearest", Args(layout=layout)) == 2
     assert named.partition(":")[0] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (ConfigError("plan: a\x1b[31mb"), 2, "it: plan: a?[31mb\n"),
+        (FileNotFoundError(2, "No such file", "x\x07.json"), 2, "it: x?.json: No such file\n"),
+        (KeyboardInterrupt(), 130, "it: interrupted\n"),
+    ],
+)
+def test_a_command_ends_in_a_line_that_a_terminal_can_show(
+    error: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> int:
+        raise error
+
+    assert ended("it", fail) == code
+    assert capsys.readouterr().err == said
+
+
+def test_the_name_of_a_layout_does_not_colour_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert one_episode("nearest", Args(layout="a\x1b[31mb")) == 2
+    assert "a?[31mb: no such file" in capsys.readouterr().err
+
+
+def test_a_reader_who_has_seen_enough_gets_no_traceback() -> None:
+    command = [sys.executable, "-m", "agents.nearest", "--layout", "two_rooms", "--periods", "20"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=Path(__file__).parents[2]
+    ) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        assert b"Traceback" not in running.stderr.read()
+    assert running.returncode == 0
 
 
 def test_the_command_runs_from_the_clone() -> None:
