@@ -11,6 +11,7 @@ from typing import Any
 
 from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
 
+OPEN = ("association", "filters")  # where what a user registers is compared, too
 NAMES = ("speed", "features", "filters", "association", "explorers", "worlds", "vector")
 
 
@@ -18,10 +19,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0, or 1 where a gate failed, or 2 for a wrong command line."""
     given = parser().parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
-    if given.sets and not hasattr(module, "SETTINGS"):
+    if given.sets and not hasattr(module, "SETS"):
         parser().error(f"--sets: {given.name} is measured whole")
+    if given.modules and given.name not in OPEN:
+        parser().error(f"--with: {given.name} compares no associators and no filters; {' and '.join(OPEN)} do")
+    options = Options(given.jobs, given.quick, tuple(given.sets), tuple(given.modules))
     try:
-        content = measure(given.name, module, Options(jobs=given.jobs, quick=given.quick, sets=tuple(given.sets)))
+        content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
     report = getattr(module, "report", None)
@@ -29,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(page)
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
-    if given.json or not (given.quick or given.sets):
+    if given.json or not (given.quick or given.sets or given.modules):
         save(content, page, given.json or RESULTS / f"{given.name}.json")
     return 0
 
@@ -43,7 +47,19 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
     made.add_argument("--quick", action="store_true", help="a small sample; written only with --json")
     made.add_argument(
-        "--sets", nargs="+", default=[], metavar="NAME[:COUNT]", help="of worlds: only these; written only with --json"
+        "--sets",
+        nargs="+",
+        default=[],
+        metavar="NAME[:COUNT]",
+        help="of worlds and association: only these; written only with --json",
+    )
+    made.add_argument(
+        "--with",
+        nargs="+",
+        default=[],
+        metavar="MODULE",
+        dest="modules",
+        help="of association and filters: modules that register others to compare; written only with --json",
     )
     return made
 

@@ -6,6 +6,7 @@ It may have `GATES`, the figures that must not get worse, and `report(figures) -
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import multiprocessing
@@ -14,7 +15,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -43,10 +44,36 @@ class Options:
     jobs: int = 1  # processes at the same time
     quick: bool = False  # a small sample: does it run, roughly what does it say
     sets: tuple[str, ...] = ()  # a part of it, where a benchmark has parts
+    modules: tuple[str, ...] = ()  # of others, which register associators or filters
 
 
 class OptionError(ValueError):
     """The command line asks for what a benchmark does not have."""
+
+
+def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict[str, int]:
+    """How many runs of each part that the command line names, `NAME` or `NAME:COUNT`.
+
+    Raises `OptionError` for a name that there is not, or no count.
+    """
+    counts = {}
+    for given in sets:
+        name, _, count = given.partition(":")
+        if name not in there_are:
+            raise OptionError(f"--sets {given}: {name!r} is none of {', '.join(there_are)}")
+        if count and not (count.isdecimal() and 1 <= int(count) <= most):
+            raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {most}")
+        counts[name] = int(count or there_are[name])
+    return counts
+
+
+def load_modules(names: Iterable[str]) -> None:
+    """Import modules that register associators or filters of their own. Raises `OptionError` for one there is not."""
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            raise OptionError(f"--with {name}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,23 +6,20 @@ band of the mean of 60 runs is 2.41-3.65.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.ring import Variance, linear, make_course, monte_carlo, per_metre, per_step
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.data import Odometry
-from mecp_env.slam.filters import make_filter
+from mecp_env.slam.filters import FILTERS, make_filter
 
 Array = NDArray[np.float64]
 
-Kind = Literal["riekf", "ekf"]
-KINDS: tuple[Kind, ...] = ("riekf", "ekf")
 LANDMARKS = (25, 50, 100, 200)
 CORNERS = 12  # of a scan
 READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
@@ -40,18 +37,21 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """Times of both filters, and NEES and error of both under every reading of the paper's odometry noise."""
+    """Times of all filters, and NEES and error of each under every reading of the paper's odometry noise."""
+    load_modules(options.modules)
     runs = 8 if options.quick else 60
-    cases = [(reading, kind, runs) for reading in READINGS for kind in KINDS]
+    cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}
-    for (reading, kind, _), figures in zip(cases, in_parallel(consistency, cases, options.jobs), strict=True):
+    measured = in_parallel(partial(consistency, options.modules), cases, options.jobs)
+    for (reading, kind, _), figures in zip(cases, measured, strict=True):
         nees[reading][kind] = figures
-    times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in KINDS}
+    times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in FILTERS}
     return {"time_us": times, "nees": nees}
 
 
-def consistency(case: tuple[str, Kind, int]) -> Figures:
+def consistency(modules: Sequence[str], case: tuple[str, str, int]) -> Figures:
     """NEES by phase, at the closing scan with a one-shot and with an iterated update, and the position error."""
+    load_modules(modules)
     reading, kind, runs = case
     variance, step_m = READINGS[reading]
     config = FilterConfig(kind=kind)
@@ -67,13 +67,13 @@ def consistency(case: tuple[str, Kind, int]) -> Figures:
     }
 
 
-def times_us(kind: Kind, count: int) -> Figures:
+def times_us(kind: str, count: int) -> Figures:
     """Microseconds of each call with `count` landmarks and a scan of 12 corners, polygons of 5."""
     calls = prepared_calls(kind, count)
     return {name: 1e6 * best_of(call, repeats=15, calls=50) for name, call in calls.items()}
 
 
-def prepared_calls(kind: Kind, count: int) -> dict[str, Callable[[], object]]:
+def prepared_calls(kind: str, count: int) -> dict[str, Callable[[], object]]:
     """The calls of one period, ready to be timed."""
     rng = np.random.default_rng(0)
     belief = make_filter(FilterConfig(kind=kind))

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.common import Figures, Gate, OptionError, Options, commit, estimate, in_parallel, ratio, share, table
+from benchmarks.common import Figures, Gate, Options, chosen, commit, estimate, in_parallel, ratio, share, table
 from mecp_env.entry_points import make
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
@@ -48,6 +48,7 @@ SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further config
 }
 BUILDINGS = {preset + kind: (HUGE_COUNTS if preset == "huge" else COUNTS)[kind] for preset in PEOPLE for kind in COUNTS}
 PLANS = "plans"  # the setting of the real floor plans
+SETS = (*BUILDINGS, PLANS)
 PLAN_STARTS = 3
 MOST = 1000  # buildings of the test split
 PIXEL_M = 0.05  # of plans that are plain images
@@ -103,15 +104,7 @@ def counts(options: Options) -> dict[str, int]:
     Raises `OptionError` for a name that there is not, or no count.
     """
     there_are = BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
-    chosen = {}
-    for given in options.sets:
-        name, _, count = given.partition(":")
-        if name not in there_are:
-            raise OptionError(f"--sets {given}: {name!r} is none of {', '.join(there_are)}")
-        if count and not (count.isdecimal() and 1 <= int(count) <= MOST):
-            raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {MOST}")
-        chosen[name] = int(count or there_are[name])
-    return chosen or (QUICK if options.quick else there_are)
+    return chosen(options.sets, there_are, MOST) or (QUICK if options.quick else there_are)
 
 
 def plans_at_hand() -> list[Path]:

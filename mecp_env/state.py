@@ -2,7 +2,7 @@
 
 What comes out holds None, bools, ints, floats, strings, arrays, lists and dicts with string keys only. An object stands
 as a dict with the one key "@KIND"; arrays and objects that are reached twice stay one. Classes are looked up inside
-`mecp_env` only.
+`mecp_env` only, and among those that this process has admitted.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from mecp_env.settings import Settings
 
 PACKAGE = "mecp_env"
 PLAIN = (type(None), bool, int, float, str)
+ADMITTED: dict[str, type] = {}  # classes from elsewhere, by name
 
 
 class StateError(MecpError):
@@ -184,16 +185,24 @@ def fields_of(value: Any) -> dict[str, Any]:
     return fields | getattr(value, "__dict__", {})
 
 
+def admit(cls: type) -> None:
+    """Let states hold objects of a class from elsewhere: its attributes must be what a state can hold."""
+    ADMITTED[f"{cls.__module__}:{cls.__qualname__}"] = cls
+
+
 def name_of(cls: type) -> str:
-    """`module:Class` of a class of this package. Raises `TypeError` for a foreign one."""
-    if cls.__module__.split(".")[0] != PACKAGE:
+    """`module:Class` of a class of this package, or of one admitted. Raises `TypeError` for any other."""
+    name = f"{cls.__module__}:{cls.__qualname__}"
+    if cls.__module__.split(".")[0] != PACKAGE and name not in ADMITTED:
         raise TypeError(f"a state holds no {cls.__module__}.{cls.__qualname__}")
-    return f"{cls.__module__}:{cls.__qualname__}"
+    return name
 
 
 def class_of(name: str, base: type) -> Any:
-    """The class `module:Class` of this package below `base`. Raises `StateError`."""
+    """The class `module:Class` of this package, or the one admitted, below `base`. Raises `StateError`."""
     module, _, cls = str(name).partition(":")
+    if name in ADMITTED and issubclass(ADMITTED[name], base):
+        return ADMITTED[name]
     if module.split(".")[0] != PACKAGE:
         raise StateError(f"state: {name!r} is not a class of {PACKAGE}")
     try:

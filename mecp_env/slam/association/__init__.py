@@ -1,13 +1,15 @@
-"""Data association (III-B): a small interface and the associators that ship."""
+"""Data association (III-B): a small interface, the associators that ship, and a place for others."""
 
 from collections.abc import Callable
 
-from mecp_env.slam.association.base import Associator, ignored
+from mecp_env.slam.association.base import Associator, ignored, undecided
 from mecp_env.slam.association.known import KnownAssociator
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
-from mecp_env.slam.config import AssociationConfig
+from mecp_env.slam.association.singles import settle
+from mecp_env.slam.config import METHODS, AssociationConfig, add_name
+from mecp_env.state import admit
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
@@ -15,6 +17,20 @@ ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "nearest": NearestAssociator,
     "known": KnownAssociator,
 }
+SHIPPED = len(ASSOCIATORS)
+
+
+def register_associator(name: str, make: Callable[[AssociationConfig], Associator]) -> None:
+    """Let `association.method` name an associator of your own, in every configuration that this process reads.
+
+    `make(config.association)` is called for each pipeline. A name may be registered again, one of ours may not: raises
+    `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
+    an environment can hold it if `make` is its class.
+    """
+    add_name(METHODS, name, SHIPPED)
+    ASSOCIATORS[name] = make
+    if isinstance(make, type):
+        admit(make)
 
 
 def make_associator(config: AssociationConfig) -> Associator:
@@ -31,4 +47,7 @@ __all__ = [
     "NearestAssociator",
     "ignored",
     "make_associator",
+    "register_associator",
+    "settle",
+    "undecided",
 ]

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from mecp_env.slam.config import FilterConfig
+from collections.abc import Callable
+
+from mecp_env.slam.config import KINDS, FilterConfig, add_name
 from mecp_env.slam.filters.ekf import Ekf
 from mecp_env.slam.filters.riekf import RightInvariantEkf
 from mecp_env.slam.protocols import Filter, FilterError
+from mecp_env.state import admit
 
-__all__ = ["Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter"]
+__all__ = ["FILTERS", "Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter", "register_filter"]
 
-KINDS = {"riekf": RightInvariantEkf, "ekf": Ekf}
+FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {"riekf": RightInvariantEkf, "ekf": Ekf}
+SHIPPED = len(FILTERS)
+
+
+def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:
+    """Let `filter.kind` name a filter of your own, in every configuration that this process reads.
+
+    `make(config.filter)` is called for each pipeline. A name may be registered again, one of ours may not: raises
+    `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
+    an environment can hold it if `make` is its class.
+    """
+    add_name(KINDS, name, SHIPPED)
+    FILTERS[name] = make
+    if isinstance(make, type):
+        admit(make)
 
 
 def make_filter(config: FilterConfig) -> Filter:
     """A new filter of the kind config.kind: pose at the origin with the prior's sigmas, no landmarks."""
-    return KINDS[config.kind](config)
+    return FILTERS[config.kind](config)

@@ -1,0 +1,127 @@
+"""Associators and filters of others: a name makes them known wherever a configuration is read (docs/own-parts.md)."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mecp_env  # noqa: F401  (registers the environments)
+from benchmarks import __main__ as command
+from benchmarks import association as benchmark
+from mecp_env.errors import ConfigError
+from mecp_env.slam import association, config, filters
+from mecp_env.slam.association import register_associator
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
+from mecp_env.slam.pipeline import SlamPipeline
+
+PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
+OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "bold"}}
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
+    """The modules of the page, imported; what they register is taken back afterwards."""
+    code = re.findall(r'```python\n("""(\w+)\.py""".*?)```', PAGE.read_text(), re.DOTALL)
+    for text, name in code:
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield {name: importlib.import_module(name) for _, name in code}
+    for names, makers, shipped in (
+        (config.METHODS, association.ASSOCIATORS, association.SHIPPED),
+        (config.KINDS, filters.FILTERS, filters.SHIPPED),
+    ):
+        for name in names[shipped:]:
+            del makers[name]
+        del names[shipped:]
+    for _, name in code:
+        del sys.modules[name]
+
+
+def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[str, ModuleType]) -> None:
+    env = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped
+    env.reset(seed=1)
+    for _ in range(20):
+        env.step(np.array([0.5, 0.1]))
+    pipeline = env._episode.pipeline
+    assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
+    assert type(pipeline.filter) is RightInvariantEkf
+    assert len(env.report.belief.ids) > 5
+    state = env.get_state()
+    other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped
+    other.set_state(state)
+    first, second = (e.step(np.array([0.3, -0.2]))[0] for e in (env, other))
+    assert all(np.array_equal(first[key], second[key]) for key in first)
+
+
+def test_a_pipeline_that_forgets_everything_makes_them_anew(own: dict[str, ModuleType]) -> None:
+    pipeline = SlamPipeline(OWN)
+    before = pipeline.associator
+    pipeline.reset()
+    assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
+    assert pipeline.associator is not before
+
+
+def test_batches_of_environments_know_them(own: dict[str, ModuleType]) -> None:
+    envs = gym.make_vec("mecp_env/PaperMap-v0", num_envs=2, slam=OWN)
+    envs.reset(seed=3)
+    assert envs.step(np.zeros((2, 2), np.float32))[1].shape == (2,)
+    envs.close()
+
+
+def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
+    rows = benchmark.methods(["global_nearest"])
+    assert list(rows)[-2:] == ["global_nearest", "mecp, filter bold"]
+    assert command.main(["association", "--with", "global_nearest", "bold_filter", "--sets", "two_rooms:1"]) == 0
+    said = capsys.readouterr().out
+    assert "### two_rooms (1 seeds)" in said
+    assert "| global_nearest |" in said
+    assert "| mecp, filter bold |" in said
+    assert "### paper" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["association", "--with", "no_such_module"], "--with no_such_module: No module named 'no_such_module'"),
+        (
+            ["worlds", "--with", "json"],
+            "--with: worlds compares no associators and no filters; association and",
+        ),
+        (["association", "--sets", "papre"], "--sets papre: 'papre' is none of paper, two_rooms"),
+        (["association", "--sets", "paper:0"], "expected NAME or NAME:COUNT, a count from 1 to 1000"),
+    ],
+)
+def test_wrong_options_are_named(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        command.main(arguments)
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("register", "name", "said"),
+    [
+        (register_associator, "mecp", r"name: 'mecp' is one of ours \(mecp, mecp_paper, nearest, known\)"),
+        (register_associator, "two words", r"name: 'two words', letters, digits and _ expected"),
+        (register_associator, 7, r"name: 7, letters, digits and _ expected"),
+        (register_filter, "ekf", r"name: 'ekf' is one of ours \(riekf, ekf\)"),
+    ],
+)
+def test_names_that_cannot_be_registered(register, name, said) -> None:
+    with pytest.raises(ConfigError, match=said):
+        register(name, Ekf)
+
+
+def test_a_name_that_nobody_registered_is_told_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"association\.method: .*'nearest' or 'known'.*mean 'nearest'"):
+        SlamConfig(association={"method": "nearst"})
+    with pytest.raises(ConfigError, match=r"filter\.kind: .*'riekf' or 'ekf'.*mean 'ekf'"):
+        SlamConfig(filter={"kind": "ekff"})
