@@ -52,6 +52,7 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         "recurrent_ppo": "velocity",
     }
     assert configs["ppo"].ppo.discount < 1.0 == configs["maskable_ppo"].ppo.discount
+    assert configs["ppo"].env.reward.contact == configs["recurrent_ppo"].env.reward.contact == -0.01
     assert TrainConfig.build({"env": {"reward": {"time": -0.01}}}).env.reward.completion == 1.0
 
 
