@@ -37,4 +37,14 @@ def ended(name: str, command: Callable[[], int]) -> int:
 
 def complain(name: str, what: object) -> None:
     """Say on stderr what is wrong, after the name of the command; lines stay lines."""
-    print(f"{name}:", "\n".join(map(readable, str(what).split("\n"))), file=sys.stderr)
+    print(f"{name}:", lines(what), file=sys.stderr)
+
+
+def say(what: object) -> None:
+    """Print what may hold names from files of strangers; lines stay lines."""
+    print(lines(what))
+
+
+def lines(what: object) -> str:
+    """`what` as text without signs that a terminal would obey, but for the ends of its lines."""
+    return "\n".join(map(readable, str(what).split("\n")))

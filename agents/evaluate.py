@@ -20,9 +20,10 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from agents.agent import Agent
 from agents.comparison import Row, compare, rows_of, timing
 from agents.curve import BUDGET_M_PER_M2
-from agents.ending import FAILED, INTERRUPTED, complain, ended
+from agents.ending import FAILED, INTERRUPTED, complain, ended, say
 from agents.episode import Episode, Task
 from agents.page import page
 from agents.pool import Failure, finished
@@ -30,6 +31,7 @@ from agents.registry import EXPLORERS, make_agent, policies
 from agents.worlds import Setting, rooms
 from mecp_env.errors import ConfigError
 from mecp_env.intervals import Figures
+from mecp_env.settings import guess
 
 MOST_JOBS, MOST_EPISODES = 256, 1_000_000
 BAR = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -104,21 +106,34 @@ def check(args: Args) -> None:
         raise ConfigError(f"policies: none given; there are {', '.join(policies())}, and folders of training runs")
     within("jobs", args.jobs, 1, MOST_JOBS)
     within("max_periods", args.max_periods, 1, 10_000_000)
-    if args.reference not in (*EXPLORERS, *args.policies):
-        raise ConfigError(
-            f"reference: {args.reference!r:.80}, expected one of {', '.join((*args.policies, *EXPLORERS))}"
-        )
+    check_reference(args)
     for policy in args.policies:
         agent = make_agent(policy, args.trust)
     if args.reference not in args.policies:
         complain("evaluate", f"{args.reference} is not among the policies, so nothing is compared to it")
     within("episodes", args.episodes, 1, MOST_EPISODES)
-    env = rooms(setting_of(args), agent)
-    env.reset(seed=0, options={"building": args.episodes - 1})  # is there such a building?
-    env.close()
+    check_episodes(args, agent)
     if args.json is not None:
         check_json(args.json)
     check_writable(args.out)
+
+
+def check_reference(args: Args) -> None:
+    """Raise `ConfigError` unless the reference is one of the policies, or an explorer."""
+    known = list(dict.fromkeys((*args.policies, *EXPLORERS)))
+    if args.reference not in known:
+        near = guess(args.reference, known)
+        raise ConfigError(f"reference: {args.reference!r:.80}, expected one of {', '.join(known)}{near}")
+
+
+def check_episodes(args: Args, agent: Agent) -> None:
+    """Raise `ConfigError` where there are not so many buildings, or none of that kind."""
+    env = rooms(setting_of(args), agent)
+    try:
+        env.reset(seed=0, options={"building": args.episodes - 1})
+    except ConfigError as error:
+        raise ConfigError(f"episodes: {args.episodes}, each in a building of {args.split!r}; {error}") from None
+    env.close()
 
 
 def within(name: str, value: int, low: int, high: int) -> None:
@@ -200,8 +215,8 @@ def write(evaluation: Evaluation) -> None:
     if args.json is not None:
         write_result(result, text, args.json, args.json.with_suffix(".md"))
     draw(result, args)
-    print(text)
-    print(f"written to {args.out}")
+    say(text)
+    say(f"written to {args.out}")
 
 
 def draw(result: Figures, args: Args) -> None:

@@ -31,6 +31,7 @@ from agents.learning.player import Player
 from agents.learning.run_folder import CONFIG, POLICY
 from agents.registry import WEIGHTS, shipped
 from mecp_env.errors import ConfigError
+from mecp_env.settings import guess
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
@@ -71,7 +72,8 @@ def load(name_or_folder: str | Path, trust: bool = False) -> LearnedAgent | Fore
         return load_zip(path, trust)
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path
     if not folder.is_dir():
-        raise ConfigError(f"policy: {path} is none of {', '.join(shipped())}, and no folder of a run")
+        near = guess(path, shipped())
+        raise ConfigError(f"policy: {path} is none of {', '.join(shipped())}, and no folder of a run{near}")
     config = TrainConfig.build(read_config(folder / CONFIG))
     policy = make_policy(config)
     put_policy(policy, folder, config)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from agents.comparison import SHARES_OF_BUDGET
 from agents.curve import BUDGET_M_PER_M2
 from mecp_env.intervals import Figures
+from mecp_env.readable import readable
 
 COLOURS = ("#1f5ac8", "#e08c00", "#148c5a", "#b01830", "#784aa0", "#46afaa", "#96765a", "#5a6978")
 INK, FAINT = "#262c36", "#8c929c"
@@ -34,7 +35,7 @@ def draw_policy(axes: Axes, rows: list[Figures], colour: str) -> None:
     """The curves of one policy, the first with its band and the areas under both."""
     low, value, high = ([point[end] for point in rows[0]["curve"]] for end in ("low", "value", "high"))
     area, *known = (f"{row['figures']['auc']['value']:.3f}" for row in rows)
-    label = f"{rows[0]['policy']}  {area}" + "".join(f" ({other})" for other in known)
+    label = f"{readable(rows[0]['policy'])}  {area}" + "".join(f" ({other})" for other in known)
     axes.plot(SHARES_OF_BUDGET, value, color=colour, linewidth=2.0, label=label)
     axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
     for row in rows[1:]:

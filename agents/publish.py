@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,12 +76,16 @@ def publish(args: Args) -> int:
 def read_run(folder: Path) -> Run:
     """The figures of a run. Raises `ConfigError` for a folder without any."""
     try:
-        algorithm = json.loads((folder / "config.json").read_text())["algorithm"]
+        algorithm = read_config(folder / "config.json")["algorithm"]
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         decisions, area, error, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"runs: {folder} is no folder of a run: {error!r}") from None
+    except OSError as error:
+        raise ConfigError(f"runs: {folder} is no folder of a run: {error.filename}: {error.strerror}") from None
+    except KeyError as error:
+        raise ConfigError(f"runs: {folder} is no folder of a run: {error} is missing") from None
+    except ValueError as error:
+        raise ConfigError(f"runs: {folder} is no folder of a run: {error}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
     return Run(folder, str(algorithm), decisions, area, error, seconds[-1] / 3600.0)
@@ -90,7 +93,7 @@ def read_run(folder: Path) -> Run:
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
     """(n,) a column of a table. Raises `KeyError`, or `ValueError` for what is no number."""
-    values = np.array([float(row[name]) for row in rows])
+    values = np.array([float(row[name] or "") for row in rows])
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: not finite")
     return values

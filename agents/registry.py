@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from pathlib import Path
 
 from agents.agent import Agent
 from mecp_env.errors import ConfigError
+from mecp_env.settings import guess
 
 EXPLORERS = {  # name -> "module:Class", made without arguments
     "bfs": "agents.bfs:BreadthFirstAgent",
@@ -58,6 +58,4 @@ def policies() -> list[str]:
 def unknown_policy(name: str) -> str:
     """What to say about a name that is none: the nearest one, and all of them."""
     known = policies()
-    nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    guess = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return f"policy: {name!r:.80} is none of {', '.join(known)}, and no folder of a training run{guess}"
+    return f"policy: {name!r:.80} is none of {', '.join(known)}, and no folder of a training run{guess(name, known)}"

@@ -77,7 +77,7 @@ def train(order: Order) -> int:
     for index in range(len(order.config.buildings.difficulty)):  # what is wrong is said before anything is written
         make_env(order.config, index).close()
     with closing(RunFolder(order.folder, order.config)) as folder:
-        folder.hold() if order.resume else folder.begin()
+        folder.take_up() if order.resume else folder.begin()
         code = train_in(folder, order)
     print(f"{ENDS[code]}: {order.folder}")
     if code:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,14 @@ class Checkpoints:
     def paths(self) -> list[Path]:
         """The checkpoints, the oldest first."""
         return sorted(self.folder.glob(f"[0-9]*{ENDING}"))
+
+    def decisions(self) -> int:
+        """After so many decisions the newest sound checkpoint was written; 0 where there is none."""
+        for path in reversed(self.paths()):
+            with suppress(WeightError, ValueError):  # damaged; a file of somebody else, whose name is no number
+                read(path)
+                return int(path.stem)
+        return 0
 
     def load(self, model: OnPolicyAlgorithm) -> Progress | None:
         """Put the newest sound checkpoint into a model; None where there is no file.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
@@ -13,7 +14,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings, as_many, number, shown
+from mecp_env.settings import Settings, as_many, guess, number, shown
 
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
@@ -171,7 +172,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 def check_algorithm(name: Any) -> str:
     """`name` if it is an algorithm. Raises `ConfigError` with those there are."""
     if name not in ALGORITHMS:
-        raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}")
+        raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}{guess(name, ALGORITHMS)}")
     return str(name)
 
 
@@ -202,11 +203,21 @@ def read_config(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_CONFIG_BYTES:
             raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")
-        fields = json.loads(path.read_text())
+        fields = json.loads(path.read_text(), object_pairs_hook=once_each)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
     return fields
+
+
+def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a JSON file. Raises `ConfigError` for a key that is given twice: only the last would count."""
+    for name, times in Counter(name for name, _ in pairs).items():
+        if times > 1:
+            raise ConfigError(f"{name:.80}: given {times} times in one object, once expected")
+    return dict(pairs)

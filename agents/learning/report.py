@@ -82,9 +82,10 @@ class Report:
         self.evaluations.cut(counts.decisions - 1)
         self.evaluations.add(clock(counts) | values)
         self._draw("validation", counts.decisions, values)
-        error = f"area under the curve {values['auc']:.4f} +- {values['auc_error']:.4f}"
+        error = f" +- {values['auc_error']:.4f}" if values["n"] > 1 else ""  # one building says nothing of others
+        found = f"area under the curve {values['auc']:.4f}{error}"
         pose = f"pose error {100.0 * values['pose_error_final_m']:.1f} cm, coverage {values['coverage']:.1%}"
-        self.say(f"{counts.decisions:,} decisions: {error}, {pose}{' (best)' if best else ''}")
+        self.say(f"{counts.decisions:,} decisions: {found}, {pose}{' (best)' if best else ''}")
 
     def _draw(self, group: str, decisions: int, values: Mapping[str, float]) -> None:
         if self.curves is not None:

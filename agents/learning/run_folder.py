@@ -21,7 +21,7 @@ from torch import nn
 import mecp_env
 from agents.learning import files
 from agents.learning.checkpoints import Checkpoints
-from agents.learning.config import TrainConfig
+from agents.learning.config import TrainConfig, read_config
 from mecp_env.errors import ConfigError
 
 PACKAGES = ("gymnasium", "numpy", "numba", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "safetensors")
@@ -42,6 +42,17 @@ class RunFolder:
             self.held = files.lock(self.folder / LOCK)
         except BlockingIOError:
             raise ConfigError(f"out: {self.folder} is being trained by another process") from None
+
+    def take_up(self) -> None:
+        """Hold the folder of a run that goes on.
+
+        Raises `ConfigError`, with nothing written, when another process trains there, or for fewer steps than it has
+        made; a run that ended as it was configured may have made a few more, those of its last update.
+        """
+        self.hold()
+        made, steps = self.checkpoints.decisions(), self.config.steps
+        if steps < made and steps != TrainConfig.build(read_config(self.folder / CONFIG)).steps:
+            raise ConfigError(f"steps: {steps}, but the run in {self.folder} has made {made} decisions already")
 
     def close(self) -> None:
         """Let others train here."""

@@ -113,6 +113,8 @@ def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
         ({"estimator": "slm"}, "estimator"),
         ({"episodes": 0}, "episodes: 0"),
         ({"episodes": 1001}, "1000"),
+        ({"episodes": 5000}, "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
+        ({"reference": "gian"}, "one of nearest, bfs, gain, random_goal, random_walk; did you mean 'gain'"),
         ({"jobs": 0}, "jobs: 0"),
         ({"max_periods": 0}, "max_periods"),
         ({"reference": "nerest"}, "reference: 'nerest'"),
@@ -312,6 +314,18 @@ def test_the_page_has_a_line_a_row_and_readable_intervals(tmp_path: Path) -> Non
     assert "| nearest | 0.500 [0.500, 0.500] |" in text
     assert "| x, pose known | 0.600" in text
     assert "1 buildings of the validation split of `easy`" in text
+
+
+def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluation = evaluate.Evaluation(args_of(tmp_path), [("a\x1b[31mb", "slam")])
+    evaluation.args.out.mkdir()
+    evaluation.episodes = [toy("a\x1b[31mb", 0, 0.5)]
+    evaluate.write(evaluation)
+    said = capsys.readouterr().out
+    assert "| a?[31mb | 0.500" in said
+    assert "\x1b" not in said
 
 
 def test_failures_are_told_with_their_place() -> None:

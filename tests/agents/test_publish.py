@@ -56,7 +56,20 @@ def test_wrong_input_is_refused(wrong, tmp_path, capsys):
     more = {"missing": (tmp_path / "none",), "mixed": (make_run(tmp_path / "b", [0.5], "ppo"),)}
     runs = () if wrong == "none" else (first, *more.get(wrong, ()))
     assert main(Args(runs, tmp_path / "weights")) == 2
-    assert "publish: runs: " in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "publish: runs: " in said
+    assert "Error" not in said
+
+
+def test_what_is_missing_of_a_run_is_said_without_the_name_of_an_exception(tmp_path, capsys):
+    run = make_run(tmp_path / "a", [0.5])
+    (run / "config.json").unlink()
+    assert main(Args((run,), tmp_path / "weights")) == 2
+    said = f"publish: runs: {run} is no folder of a run: {run / 'config.json'}: No such file or directory\n"
+    assert capsys.readouterr().err == said
+    (run / "config.json").write_text("{}")
+    assert main(Args((run,), tmp_path / "weights")) == 2
+    assert capsys.readouterr().err == f"publish: runs: {run} is no folder of a run: 'algorithm' is missing\n"
 
 
 @pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])

@@ -27,6 +27,8 @@ def test_every_explorer_is_made_by_its_name(name: str) -> None:
 def test_an_unknown_policy_is_told_what_there_is_and_the_nearest_guess() -> None:
     with pytest.raises(ConfigError, match=r"none of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"):
         make_agent("nearst")
+    with pytest.raises(ConfigError, match=r"did you mean 'maskable_ppo'\?"):
+        make_agent("maskable_pp")
     with pytest.raises(ConfigError) as error:
         make_agent("qqqqqq")
     assert "did you mean" not in str(error.value)

@@ -25,7 +25,7 @@ from agents.learning.checkpoints import Checkpoints  # noqa: E402
 from agents.learning.processes import Processes  # noqa: E402
 from agents.learning.run_folder import RunFolder, Table  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
-from tests.agents.training import ROOT, quick, run  # noqa: E402
+from tests.agents.training import QUICK, ROOT, quick, run  # noqa: E402
 
 
 def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
@@ -150,11 +150,39 @@ def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(
     RunFolder(folder, quick()).hold()
 
 
+def test_an_evaluation_in_one_building_is_said_without_an_error(tmp_path, capsys):
+    """It was "+- 0.0000", as if it were known exactly."""
+    run(tmp_path, steps=6, log=QUICK["log"] | {"evaluate_buildings": 2})
+    assert "+-" in capsys.readouterr().out
+    run(tmp_path, "--out", str(tmp_path / "one"), steps=6)
+    assert "+-" not in capsys.readouterr().out
+
+
 def test_a_finished_run_that_is_resumed_is_not_evaluated_again(tmp_path):
     folder, _ = run(tmp_path, steps=12)
     before = (folder / "evaluation.csv").read_text()
     assert train.main(["--resume", str(folder)]) == 0
     assert (folder / "evaluation.csv").read_text() == before
+
+
+def test_a_run_that_is_resumed_for_less_than_it_has_made_is_refused_and_stays_as_it_is(tmp_path, capsys):
+    """It said "48/10 ... done", and kept the 10 in its configuration."""
+    folder, _ = run(tmp_path, steps=12)
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert train.main(["--resume", str(folder), "--steps", "10"]) == 2
+    assert capsys.readouterr().err == f"train: steps: 10, but the run in {folder} has made 12 decisions already\n"
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_path):
+    folder, _ = run(tmp_path, steps=10)
+    checkpoints = Checkpoints(folder / "checkpoints", 3)
+    assert checkpoints.decisions() == 12
+    assert train.main(["--resume", str(folder), "--steps", "10"]) == 0
+    (checkpoints.folder / "9x.safetensors").write_bytes(b"of somebody else")
+    for path in checkpoints.paths():
+        path.write_bytes(b"damaged")
+    assert checkpoints.decisions() == 0
 
 
 @pytest.mark.parametrize("tail", ["\0" * 40, "3,1", "3,1\0\0\n"], ids=["zeros", "cut", "both"])

@@ -66,6 +66,7 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
         ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
         ({"algorithm": "dqn"}, "none of ppo, maskable_ppo, recurrent_ppo"),
+        ({"algorithm": "maskable_pp"}, "none of ppo, .*did you mean 'maskable_ppo'"),
         ({"ppo": {"clip": float("nan")}}, "finite"),
         ({"env": {"layout": "paper"}}, r"env\.layout: .*buildings\.layout"),
         ({"env": {"actions": "goal"}}, r"env\.actions: follows from the algorithm"),
@@ -105,6 +106,13 @@ def test_a_file_that_is_no_configuration_is_refused(text, tmp_path):
     path = tmp_path / "config.json"
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"config\.json"):
+        read_config(path)
+
+
+def test_a_key_that_is_given_twice_in_a_file_is_refused_by_name(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text('{"seed": 1, "ppo": {"epochs": 3, "batch": 8, "epochs": 4}}')
+    with pytest.raises(ConfigError, match=r"config\.json: epochs: given 2 times in one object"):
         read_config(path)
 
 
