@@ -79,7 +79,7 @@ def read_run(folder: Path) -> Run:
         algorithm = read_config(folder / "config.json")["algorithm"]
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-        decisions, area, error, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
+        decisions, area, errors, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
     except OSError as error:
         raise ConfigError(f"runs: {folder} is no folder of a run: {error.filename}: {error.strerror}") from None
     except KeyError as error:
@@ -88,7 +88,7 @@ def read_run(folder: Path) -> Run:
         raise ConfigError(f"runs: {folder} is no folder of a run: {error}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
-    return Run(folder, str(algorithm), decisions, area, error, seconds[-1] / 3600.0)
+    return Run(folder, str(algorithm), decisions, area, errors, seconds[-1] / 3600.0)
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:

@@ -12,14 +12,15 @@ from typing import Annotated, Any, Literal, Self
 import tyro
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from agents.learning.building_fields import OPTION
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings, as_many, guess, number, shown
+from mecp_env.settings import Settings, as_many, guess, shown
+from mecp_env.specification import Value, check_fields
 
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 MOST_CONFIG_BYTES = 1_000_000
-ELSEWHERE = {"difficulty", "split", "config", *EnvConfig.model_fields}  # what `gymnasium.make` takes beside a spec
 DERIVED = {
     "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
     "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
@@ -41,18 +42,15 @@ class BuildingsConfig(Settings):
     # dealt out to the environments in turn
     difficulty: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_many)] = ("medium",)
     split: Literal["train", "validation", "test"] = "train"
-    spec: dict[str, float] = Field({})  # fields of `GeneratorSpec` over the difficulty's own: rooms 12 loops 2
+    # fields of `GeneratorSpec` over the difficulty's own: rooms 12 door_width_m 0.7 0.9 shapes L T
+    spec: Annotated[dict[str, Value], OPTION] = Field({})
     layout: str | None = None  # a shipped layout or a file, in place of generated buildings
 
     @field_validator("spec", mode="before")
     @classmethod
-    def _numbers_of_a_building(cls, spec: Any) -> Any:
-        """Refuse numbers in disguise, and what is set elsewhere; names that there are not the environment refuses."""
-        for name, value in spec.items() if isinstance(spec, dict) else ():
-            number(value)
-            if name in ELSEWHERE:
-                raise ValueError(f"{name} is no field of GeneratorSpec")
-        return spec
+    def _fields_of_a_building(cls, spec: Any) -> Any:
+        """Refuse what is no field, and values of another kind; those out of their bounds the environment refuses."""
+        return check_fields(spec) if isinstance(spec, dict) else spec
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:

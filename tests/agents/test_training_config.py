@@ -7,6 +7,7 @@ import pytest
 from agents.learning.config import ALGORITHMS, TrainConfig, read_config
 from agents.learning.line import parse
 from mecp_env.errors import ConfigError
+from mecp_env.world.generator.spec import GeneratorSpec
 
 
 def test_every_field_of_environment_and_algorithm_is_an_option():
@@ -35,6 +36,40 @@ def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
 def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
     assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
     assert parse(["ppo", "--env.max-periods", "90"]).config.env.max_periods == 90
+
+
+def test_a_building_may_be_specified_by_numbers_ranges_and_words(tmp_path):
+    spec = {"rooms": 12, "door_width_m": [0.7, 0.9], "shapes": ["L", "T"], "pieces": "box", "turned_deg": [-30, 30]}
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "ppo", "buildings": {"spec": spec}}))
+    config = parse(["--config", str(path)]).config
+    words = "rooms 12 door_width_m 0.7 0.9 shapes L T pieces box turned-deg -30 30"
+    assert parse(["ppo", "--buildings.spec", *words.split()]).config == config
+    assert TrainConfig.build(config.to_dict()) == config
+    above = parse(["--config", str(path), "--buildings.spec", "door_width_m", "0.8"]).config
+    assert above.buildings.spec == config.buildings.spec | {"door_width_m": 0.8}
+
+
+def test_the_words_of_a_specification_reach_the_buildings():
+    config = TrainConfig.build({"algorithm": "ppo", "buildings": {"spec": {"rooms": 5, "shapes": "U"}}})
+    made = GeneratorSpec.preset(config.buildings.difficulty[0], **config.buildings.spec)
+    assert (made.rooms, made.shapes, made.loops) == (5, ("U",), 1)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("12 rooms", "the name of a field comes first"), ("rooms 12 loops", "loops: a value is missing")],
+)
+def test_a_specification_that_cannot_be_read_from_the_line_ends_it(line, said, capsys):
+    with pytest.raises(SystemExit):
+        parse(["ppo", "--buildings.spec", *line.split()])
+    assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_a_word_of_the_line_that_a_building_does_not_know_is_told_with_a_guess():
+    config = parse(["ppo", "--buildings.spec", "rooms", "3", "pieces", "boxes", "loops", "0"]).config
+    with pytest.raises(ConfigError, match="did you mean 'box'"):
+        GeneratorSpec.preset("medium", **config.buildings.spec)
 
 
 def test_options_stand_above_the_file(tmp_path):
@@ -80,6 +115,17 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         ({"buildings": {"spec": {"estimator": 1}}}, "spec: estimator is no field of GeneratorSpec"),
         ({"buildings": {"spec": {"split": 1}}}, "spec: split is no field of GeneratorSpec"),
         ({"buildings": {"layout": "paper", "spec": {"rooms": 3}}}, "'paper' is one building"),
+        ({"buildings": {"spec": {"rooms": True}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"rooms": None}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"rooms": float("inf")}}}, "rooms: Input should be a finite number"),
+        ({"buildings": {"spec": {"rooms": 10**400}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"door_width_m": "0.8"}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"door_width_m": ["0.8", 0.9]}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"door_width_m": [0.7, 0.8, 0.9]}}}, "a number or a range of two"),
+        ({"buildings": {"spec": {"shapes": 3}}}, "shapes: one word or more expected"),
+        ({"buildings": {"spec": {"shapes": ["L", 3]}}}, "shapes: one word or more expected"),
+        ({"buildings": {"spec": {"shape": "L"}}}, "did you mean 'shapes'"),
+        ({"buildings": {"spec": 3}}, "spec: Input should be a valid dictionary"),
     ],
 )
 def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, tmp_path):
