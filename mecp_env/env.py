@@ -216,6 +216,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue bit for bit from what `get_state` gave, in an environment of the same configuration.
 
+        Gymnasium's wrapper `OrderEnforcing` does not know of it: an environment of `gymnasium.make` that was never
+        reset still refuses `step` (`ResetNeeded`). Call it after a `reset`, or step `env.unwrapped`.
+
         Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
         """
         check_state(state, self.config)

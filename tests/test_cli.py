@@ -23,7 +23,7 @@ from mecp_env.commands.demo import Demo
 from mecp_env.commands.fields import Fields, configuration
 from mecp_env.config import EnvConfig
 from mecp_env.demo import Run, tum
-from mecp_env.progress import Progress, status
+from mecp_env.progress import Progress, say_result, status
 from mecp_env.slam.config import SlamConfig
 from mecp_env.stopwatch import Stopwatch
 from mecp_env.world.importers import load_plan
@@ -88,6 +88,21 @@ def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:
     assert (metrics["rooms_found"], metrics["doors_found"]) == (2, 1)
     assert metrics["coverage"] > 0.95
     assert all(np.isfinite(value) for value in metrics["us_per_period"].values())
+
+
+def test_one_of_a_kind_is_told_as_one(kept: Path, capsys: Said) -> None:
+    say_result(json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
+    said = capsys.readouterr().out
+    assert "duplicates 1 " in said
+    assert "contacts 1 " in said
+
+
+def test_a_folder_of_a_run_is_told_as_that_with_the_map_in_it(kept: Path, capsys: Said) -> None:
+    for line in (["worlds", "draw", str(kept)], ["demo", "--layout", str(kept)]):
+        assert cli.main(line) == 2
+        said = capsys.readouterr().err
+        assert f"{kept} holds a run, not buildings; the believed map of it is {kept / 'belief.yaml'}" in said
+        assert said.count("\n") == 1
 
 
 def test_the_paths_are_read_as_tum_and_lie_close_together(kept: Path) -> None:

@@ -21,7 +21,9 @@ SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?
 NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
-Buildings = Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...")]
+Buildings = Annotated[
+    tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...", help_behavior_hint="")
+]
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ class Generate(Command):
         if self.seed < 0:
             raise ConfigError(f"seed: {self.seed}, at least 0")
         if self.split:
-            split_seed(self.split, self.seed + self.count - 1)
+            self._check_split(self.split)
         if self.out.suffix == ".json" and self.count > 1:
             raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
         (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
@@ -100,6 +100,13 @@ class Generate(Command):
 
             check_writable(check_format(self.sheet))
             check_count(self.count)
+
+    def _check_split(self, split: str) -> None:
+        """Raise `ConfigError` where a split has not so many buildings."""
+        try:
+            split_seed(split, self.seed + self.count - 1)
+        except ConfigError as error:
+            raise ConfigError(f"seed: {self.seed}, with count {self.count} up to {error}") from None
 
     def _buildings(self) -> Iterator[tuple[Path, Layout]]:
         """Path and layout of every building."""

@@ -18,14 +18,14 @@ from mecp_env.commands.base import Command
 from mecp_env.commands.buildings import Buildings, Reading, ReadingOptions, expand, load
 from mecp_env.readable import readable
 
-COLUMNS = {  # figure -> heading, format
-    "rooms": ("rooms", "{:.0f}"),
-    "doors": ("doors", "{:.0f}"),
-    "loops": ("loops", "{:.0f}"),
+COLUMNS = {  # figure -> heading, format; the median of an even number of counts may end in a half
+    "rooms": ("rooms", "{:g}"),
+    "doors": ("doors", "{:g}"),
+    "loops": ("loops", "{:g}"),
     "floor_m2": ("floor\nm²", "{:.0f}"),
-    "faces": ("faces", "{:.0f}"),
-    "corners": ("corners", "{:.0f}"),
-    "obstacles": ("obst.", "{:.0f}"),
+    "faces": ("faces", "{:g}"),
+    "corners": ("corners", "{:g}"),
+    "obstacles": ("obst.", "{:g}"),
     "longest_corridor_m": ("corridor\nm", "{:.1f}"),
 }
 MANY = 20  # buildings from which on a bar shows how far it is

@@ -16,7 +16,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mecp_env.vector.board import ALONE, INFO, OBSERVATION, Fields, below, lay_out, memory_bytes, plan_fields
-from mecp_env.vector.checks import Seeds, check_mode, check_options, check_seeds, check_workers
+from mecp_env.vector.checks import Seeds, check_copy, check_mode, check_options, check_seeds, check_workers
 from mecp_env.vector.crew import Crew, WorkerDied, shares, start_method
 from mecp_env.vector.worker import Infos, Makers, Task
 
@@ -50,7 +50,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         if not makers:
             raise ValueError("num_envs: 0, expected at least 1")
-        self.num_envs, self.copy, self._mode = len(makers), copy, check_mode(autoreset_mode)
+        self.num_envs, self.copy, self._mode = len(makers), check_copy(copy), check_mode(autoreset_mode)
         check_workers(workers)
         method = start_method(context)
         fields = self._describe(makers[0]())

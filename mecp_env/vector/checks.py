@@ -1,4 +1,4 @@
-"""What a user gives to a batch, checked: seeds, options of a reset, the autoreset mode."""
+"""What a user gives to a batch, checked: seeds, options of a reset, the autoreset mode, counts, copies."""
 
 from __future__ import annotations
 
@@ -27,6 +27,13 @@ def check_count(count: int) -> int:
     if not _is_integer(count) or count < 1:
         raise ValueError(f"num_envs: {count!r:.80}, expected an integer of at least 1")
     return int(count)
+
+
+def check_copy(copy: bool) -> bool:
+    """`copy` itself. Raises `ValueError` for what is no truth value, such as the text "no"."""
+    if not isinstance(copy, bool | np.bool_):
+        raise ValueError(f"copy: {copy!r:.80}, expected True or False")
+    return bool(copy)
 
 
 def check_workers(workers: int | None) -> None:

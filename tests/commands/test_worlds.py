@@ -12,6 +12,7 @@ from PIL import Image
 
 from mecp_env import cli
 from mecp_env.commands.buildings import Reading, expand
+from mecp_env.commands.worlds_stats import COLUMNS, _entry
 from mecp_env.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import load_layout
@@ -159,6 +160,18 @@ def test_figures_are_told_as_a_table(capsys: Said) -> None:
     assert "easy:0-4" in said
 
 
+def test_a_median_between_two_counts_is_told_as_such() -> None:
+    assert [_entry([count, count + 1], COLUMNS["loops"][1]) for count in (0, 1)] == ["0.5\n0-1", "1.5\n1-2"]
+    assert _entry([19999, 20000], COLUMNS["faces"][1]) == "19999.5\n19999-20000"
+
+
+@pytest.mark.parametrize("command", ["draw", "stats", "validate"])
+def test_the_help_tells_no_default_of_buildings_where_there_is_none(command: str, capsys: Said) -> None:
+    with pytest.raises(SystemExit):
+        run(command, "--help")
+    assert "(default: )" not in capsys.readouterr().out
+
+
 def test_a_long_path_leaves_space_for_the_figures(tmp_path: Path, capsys: Said) -> None:
     path = tmp_path / ("long-" * 20 + "name.json")
     path.write_text(load_layout("paper").to_json())
@@ -216,6 +229,7 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
         (["generate", "--count", "101", "--sheet", "sheet.png"], "101 buildings"),
         (["generate", "--rooms", "3", "--loops", "30", "--difficulty", "easy"], "30 loops"),
         (["generate", "--split", "test", "--seed", "1000"], "1000 buildings"),
+        (["generate", "--split", "test", "--seed", "998", "--count", "5"], "seed: 998, with count 5 up to index: 1002"),
         (["convert", "office", "office.txt"], ".json, .yaml, .svg"),
         (["convert", "office", "map.yaml", "--map-resolution-m", "2"], "mecp-env: map_resolution_m: from 0.005 to 1 m"),
         (["convert", "paper", "map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),

@@ -156,6 +156,22 @@ def test_a_running_environment_continues_bit_for_bit(method):
     assert same(drive(env, 40, seed=2), drive(other, 40, seed=2))
 
 
+def test_after_set_state_a_never_reset_environment_steps_without_its_wrappers_and_after_a_reset_with_them():
+    """As the docstring of `set_state` says."""
+    env = make()
+    env.reset(seed=4)
+    state = env.unwrapped.get_state()
+    expected = drive(env, 3)
+    other = make()
+    other.unwrapped.set_state(state)
+    with pytest.raises(ResetNeeded):
+        drive(other, 3)
+    assert same(drive(other.unwrapped, 3), expected)
+    other.reset(seed=1)
+    other.unwrapped.set_state(state)
+    assert same(drive(other, 3), expected)
+
+
 @pytest.mark.slow
 def test_continues_bit_for_bit_from_fifty_random_points():
     env, other = make(laser={"preset": "paper"}).unwrapped, make(laser={"preset": "paper"}).unwrapped

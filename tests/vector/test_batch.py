@@ -229,6 +229,8 @@ def test_steps_and_waits_come_in_pairs_and_in_order() -> None:
         ({"autoreset_mode": "sometimes"}, "autoreset_mode: 'sometimes'.*'NextStep'"),
         ({"context": "thread"}, "context: 'thread'.*spawn"),
         ({"count": 0}, "num_envs: 0"),
+        ({"copy": "no"}, "copy: 'no', expected True or False"),
+        ({"copy": 1}, "copy: 1, expected True or False"),
     ],
     ids=str,
 )

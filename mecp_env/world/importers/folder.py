@@ -11,6 +11,7 @@ from mecp_env.world.importers.map_server import image_of
 
 JSON, YAML, IMAGES = (".json",), (".yaml", ".yml"), (".png", ".pgm", ".ppm", ".pbm")
 ENDINGS = {"layout": JSON, "houseexpo": JSON, "map_server": YAML, "image": IMAGES, "labelled": IMAGES}  # of each kind
+OF_A_RUN = ("belief.yaml", "metrics.json", "trajectory.tum")  # in a folder of `mecp-env demo`
 MAX_FILES = 100_000  # in a folder and those in it, plans or not
 MAX_LEVELS = 16
 
@@ -19,8 +20,10 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
     """The plans in a folder and the folders in it, in the order of their paths; hidden ones are left out.
 
     With a `kind` only files that can be of it; without one JSON and yaml, and `images` that no yaml file names. Raises
-    ConfigError for a folder without plans, with too many files or levels, and LayoutError for a link that leaves it.
+    ConfigError for a folder of a run, without plans, with too many files or levels, and LayoutError for a link that
+    leaves it.
     """
+    _refuse_run(folder)
     endings = ENDINGS.get(kind or "", (*JSON, *YAML, *(IMAGES if images else ())))
     files = sorted(_files(folder, folder.resolve()), key=lambda path: path.relative_to(folder).parts)
     named = _named_images(files) if set(IMAGES) & set(endings) else set()
@@ -29,6 +32,14 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
         hint = "" if images else "; images are taken where resolution_m says their metres a pixel"
         raise ConfigError(f"plan: {folder}, no file in it ends in {', '.join(endings)}{hint}")
     return tuple(plans)
+
+
+def _refuse_run(folder: Path) -> None:
+    """Raises ConfigError for what `mecp-env demo` leaves: it has one plan, among JSON files that are none."""
+    if all((folder / name).is_file() for name in OF_A_RUN):
+        raise ConfigError(
+            f"plan: {folder} holds a run, not buildings; the believed map of it is {folder / OF_A_RUN[0]}"
+        )
 
 
 def _named_images(files: list[Path]) -> set[Path | None]:
