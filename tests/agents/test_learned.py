@@ -210,3 +210,8 @@ def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
     mask = env.get_wrapper_attr("action_masks")()
     assert mask[agent.act(observation, mask)]
     assert agent.actions == "goal"
+
+
+def test_a_trained_policy_that_there_is_not_gets_a_guess():
+    with pytest.raises(ConfigError, match=r"maskable_pp is none of maskable_ppo.*did you mean 'maskable_ppo'\?"):
+        load("maskable_pp")
