@@ -19,11 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0, or 1 where a gate failed, or 2 for a wrong command line."""
     given = parser().parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
-    if given.sets and not hasattr(module, "SETS"):
-        parser().error(f"--sets: {given.name} is measured whole")
-    if given.modules and given.name not in OPEN:
-        parser().error(f"--with: {given.name} compares no associators and no filters; {' and '.join(OPEN)} do")
-    options = Options(given.jobs, given.quick, tuple(given.sets), tuple(given.modules))
+    options = options_of(given, module)
     try:
         content = measure(given.name, module, options)
     except OptionError as error:
@@ -36,6 +32,15 @@ def main(arguments: list[str] | None = None) -> int:
     if given.json or not (given.quick or given.sets or given.modules):
         save(content, page, given.json or RESULTS / f"{given.name}.json")
     return 0
+
+
+def options_of(given: argparse.Namespace, module: Any) -> Options:
+    """The options of a benchmark; ends the process with 2 for one that it does not have."""
+    if given.sets and not hasattr(module, "SETS"):
+        parser().error(f"--sets: {given.name} is measured whole")
+    if given.modules and given.name not in OPEN:
+        parser().error(f"--with: {given.name} compares no associators and no filters; {' and '.join(OPEN)} do")
+    return Options(given.jobs, given.quick, tuple(given.sets), tuple(given.modules))
 
 
 def parser() -> argparse.ArgumentParser:

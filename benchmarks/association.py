@@ -6,8 +6,7 @@ modules of `--with` register has rows, too: an associator, or ours with another 
 The identity of a landmark is the true corner it was paired with most often. An *event* is the return to a room not
 visited for 30 scans or more in which at least two corners that are mapped can be seen; it succeeds when within five
 scans at least two pairings are right and none is wrong, and is a false closure when at least two are wrong. A pairing
-of a corner that the truth cannot name counts as wrong, too: in the three "false" closures of `mecp` on `furnished` all
-are such, and the pose is right to 7 mm.
+of a corner that the truth cannot name counts as wrong, too.
 """
 
 from __future__ import annotations
@@ -24,10 +23,8 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, in_paral
 from benchmarks.drives import Drive, Replay, record_drive, replay
 from mecp_env.config import merge
 from mecp_env.metrics import AssociationLog
-from mecp_env.slam import association, filters
-from mecp_env.slam.association import ASSOCIATORS
+from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.filters import FILTERS
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -81,8 +78,8 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
     """The rows of the table, and what each changes in the estimator; with those that `modules` register."""
     load_modules(modules)
     rows = {name: {"association": fields} for name, fields in METHODS.items()}
-    rows |= {name: {"association": {"method": name}} for name in list(ASSOCIATORS)[association.SHIPPED :]}
-    return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in list(FILTERS)[filters.SHIPPED :]}
+    rows |= {name: {"association": {"method": name}} for name in config.METHODS.others}
+    return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
 
 
 def compare(layout: str, modules: Sequence[str], seed: int) -> dict[str, Figures]:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field
 
-from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings, guess, shown
+from mecp_env.settings import Settings
+from mecp_env.slam.parts import Names
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -20,30 +20,8 @@ def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
 
 Limits = Annotated[tuple[float, float], AfterValidator(_ordered)]  # least and most
 
-METHODS = ["mecp", "mecp_paper", "nearest", "known"]  # and what `register_associator` adds
-KINDS = ["riekf", "ekf"]  # and what `register_filter` adds
-
-
-def _among(names: list[str]) -> AfterValidator:
-    """One of names that may still become more."""
-
-    def check(name: str) -> str:
-        if name not in names:
-            known = f"{', '.join(map(repr, names[:-1]))} or {names[-1]!r}"
-            raise ValueError(f"Input should be {known}{guess(name, names)}")
-        return name
-
-    return AfterValidator(check)
-
-
-def add_name(names: list[str], name: object, shipped: int) -> None:
-    """Make `name` one of `names`, of which the first `shipped` are ours. Raises `ConfigError` for one of these."""
-    if not isinstance(name, str) or not name.isidentifier():
-        raise ConfigError(f"name: {shown(name)}, letters, digits and _ expected")
-    if name in names[:shipped]:
-        raise ConfigError(f"name: {name!r} is one of ours ({', '.join(names[:shipped])}); choose another")
-    if name not in names:
-        names.append(name)
+METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associator` adds others
+KINDS = Names("riekf", "ekf")  # `register_filter` does
 
 
 class SensorModel(Settings):
@@ -135,7 +113,7 @@ class TrackConfig(Settings):
 class AssociationConfig(Settings):
     """III-B, data association."""
 
-    method: Annotated[str, _among(METHODS)] = "mecp"  # mecp, mecp_paper, nearest, known, or one registered
+    method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # mecp_paper, nearest, known, or one registered
     use_polygons: bool = True
     use_rooms: bool = True
     use_signature: bool = True  # paper: none
@@ -154,7 +132,7 @@ class AssociationConfig(Settings):
 class FilterConfig(Settings):
     """The filter (paper: EKF-SLAM, "ekf")."""
 
-    kind: Annotated[str, _among(KINDS)] = "riekf"  # riekf, ekf, or one registered
+    kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf"  # riekf, ekf, or one registered
     prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)

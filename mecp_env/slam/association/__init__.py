@@ -8,8 +8,8 @@ from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.association.singles import settle
-from mecp_env.slam.config import METHODS, AssociationConfig, add_name
-from mecp_env.state import admit
+from mecp_env.slam.config import METHODS, AssociationConfig
+from mecp_env.slam.parts import register
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
@@ -17,7 +17,6 @@ ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "nearest": NearestAssociator,
     "known": KnownAssociator,
 }
-SHIPPED = len(ASSOCIATORS)
 
 
 def register_associator(name: str, make: Callable[[AssociationConfig], Associator]) -> None:
@@ -27,10 +26,7 @@ def register_associator(name: str, make: Callable[[AssociationConfig], Associato
     `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
     an environment can hold it if `make` is its class.
     """
-    add_name(METHODS, name, SHIPPED)
-    ASSOCIATORS[name] = make
-    if isinstance(make, type):
-        admit(make)
+    register(METHODS, ASSOCIATORS, name, make)
 
 
 def make_associator(config: AssociationConfig) -> Associator:

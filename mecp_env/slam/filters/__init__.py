@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mecp_env.slam.config import KINDS, FilterConfig, add_name
+from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters.ekf import Ekf
 from mecp_env.slam.filters.riekf import RightInvariantEkf
+from mecp_env.slam.parts import register
 from mecp_env.slam.protocols import Filter, FilterError
-from mecp_env.state import admit
 
 __all__ = ["FILTERS", "Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter", "register_filter"]
 
 FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {"riekf": RightInvariantEkf, "ekf": Ekf}
-SHIPPED = len(FILTERS)
 
 
 def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:
@@ -23,10 +22,7 @@ def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:
     `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
     an environment can hold it if `make` is its class.
     """
-    add_name(KINDS, name, SHIPPED)
-    FILTERS[name] = make
-    if isinstance(make, type):
-        admit(make)
+    register(KINDS, FILTERS, name, make)
 
 
 def make_filter(config: FilterConfig) -> Filter:
