@@ -1,30 +1,198 @@
-"""Golden hashes of whole runs: `python -m tests.golden` prints them, `--write` stores them for this machine type.
+"""Golden hashes of whole runs: `python -m tests.golden [CASE ...]` prints them, `--write` stores them.
 
 The promise is "the same bits for one version on one machine type": sin, cos and atan2 of the C library differ between
-processors with and without fused multiply-add, so the hashes are keyed on a probe of them.
+processors with and without fused multiply-add, so the hashes are stored by a probe of these functions.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import math
-import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import EnvConfig
+from mecp_env.planning.breadth_first import BreadthFirst
+from tests.world.plans import map_pair, two_rooms_picture
 
 STORE = Path(__file__).parent / "data" / "golden.json"
+SEED = 7
+PAPER_MAP, ROOMS = "mecp_env/PaperMap-v0", "mecp_env/Rooms-v0"
+LAYOUT, FLOOR_PLAN = "mecp_env/Layout-v0", "mecp_env/FloorPlan-v0"
+
+Step = tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]
+Hashes = dict[str, str]
+
+
+class Recorder:
+    """Hashes a run: "run" is what the agent gets and the true pose, "metrics" is `info` and the summary."""
+
+    def __init__(self) -> None:
+        self._run, self._metrics = hashlib.sha256(), hashlib.sha256()
+
+    def reset(self, env: gymnasium.Env, seed: int | None = None) -> dict[str, Any]:
+        """The first observation of an episode, recorded."""
+        observation, info = env.reset(seed=seed)
+        _feed(self._run, observation)
+        _feed(self._metrics, _figures(info))
+        return observation
+
+    def step(self, env: gymnasium.Env, action: Any) -> Step:
+        """The result of a step, recorded."""
+        result = env.step(action)
+        observation, reward, _, _, info = result
+        _feed(self._run, observation | {"reward": np.float64(reward), "truth": info["truth_pose"]})
+        _feed(self._metrics, _figures(info))
+        return result
+
+    def hashes(self, env: gymnasium.Env) -> Hashes:
+        """The hashes of the run so far, with the summary of the last episode."""
+        metrics = self._metrics.copy()
+        _feed(metrics, _figures(env.unwrapped.summary()))
+        return {"run": self._run.hexdigest(), "metrics": metrics.hexdigest()}
+
+
+MakeEnv = Callable[[], gymnasium.Env]
+Drive = Callable[[MakeEnv], Hashes]
+
+
+def _scripted_action(step: int) -> np.ndarray:
+    return np.array([0.6, 0.4 * math.sin(0.05 * step)], np.float32)
+
+
+def _continue(env: gymnasium.Env, recorder: Recorder, steps: range) -> None:
+    for step in steps:
+        _, _, terminated, truncated, _ = recorder.step(env, _scripted_action(step))
+        if terminated or truncated:
+            recorder.reset(env)
+
+
+def scripted(make: MakeEnv, steps: int = 150) -> Hashes:
+    """Slow turns to the left and right, whatever is ahead."""
+    env, recorder = make(), Recorder()
+    recorder.reset(env, SEED)
+    _continue(env, recorder, range(steps))
+    return recorder.hashes(env)
+
+
+def random_walk(make: MakeEnv, steps: int) -> Hashes:
+    """Random velocities, each held for eight steps, so that the robot runs into walls."""
+    env, recorder, rng = make(), Recorder(), np.random.default_rng(SEED)
+    recorder.reset(env, SEED)
+    for step in range(steps):
+        if step % 8 == 0:
+            action = rng.uniform((-0.4, -0.6), (1.0, 0.6)).astype(np.float32)
+        recorder.step(env, action)
+    assert env.unwrapped.summary()["contacts"] > 0
+    return recorder.hashes(env)
+
+
+def discrete(make: MakeEnv, steps: int = 150) -> Hashes:
+    """Each of the five discrete actions in turn, held for three steps, forward most often."""
+    env, recorder = make(), Recorder()
+    recorder.reset(env, SEED)
+    for step in range(steps):
+        recorder.step(env, (1, 3, 1, 1, 4, 1, 0, 2)[step // 3 % 8])
+    return recorder.hashes(env)
+
+
+def breadth_first(make: MakeEnv, decisions: int | None = None) -> Hashes:
+    """Goals in the order of `BreadthFirst`, until no goal is left or for so many decisions."""
+    env, recorder, policy = make(), Recorder(), BreadthFirst()
+    observation, terminated, truncated = recorder.reset(env, SEED), False, False
+    for decision in count():
+        if terminated or truncated or decision == decisions:
+            break
+        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
+        observation, _, terminated, truncated, _ = recorder.step(env, action)
+    assert terminated or decisions is not None
+    return recorder.hashes(env)
+
+
+def first_goals(make: MakeEnv, decisions: int) -> Hashes:
+    """The first valid goal, `decisions` times."""
+    env, recorder = make(), Recorder()
+    recorder.reset(env, SEED)
+    for _ in range(decisions):
+        action = int(np.argmax(env.get_wrapper_attr("action_masks")()))
+        _, _, terminated, truncated, _ = recorder.step(env, action)
+        assert not terminated
+        assert not truncated
+    return recorder.hashes(env)
+
+
+def snapshot(make: MakeEnv, steps: int) -> Hashes:
+    """A scripted drive continued from a snapshot in a new environment, which gives what the first one gives."""
+    env, again = make(), make()
+    before, here, there = Recorder(), Recorder(), Recorder()
+    before.reset(env, SEED)
+    _continue(env, before, range(steps))
+    again.reset(seed=SEED + 1)
+    again.unwrapped.set_state(env.unwrapped.get_state())
+    _continue(env, here, range(steps, 2 * steps))
+    _continue(again, there, range(steps, 2 * steps))
+    assert there.hashes(again) == here.hashes(env)
+    return there.hashes(again)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An environment, its keywords, and how it is driven."""
+
+    env_id: str
+    keywords: dict[str, Any] = field(default_factory=dict)
+    drive: Drive = scripted
+
+    def make(self, folder: Path) -> gymnasium.Env:
+        """A new environment; the plan of `FloorPlan-v0` is written to `folder`."""
+        plan = {"plan": map_pair(folder, two_rooms_picture())} if self.env_id == FLOOR_PLAN else {}
+        return gymnasium.make(self.env_id, **self.keywords, **plan)
+
+
+TWO_ROOMS = {"layout": "two_rooms"}
+QUICK = {"laser": {"preset": "lms200", "sweeps": 1}}
+MOVERS = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.2}}
+
+
+GOALS = {"actions": "goal"}
+
+
+def _explored(**keywords: Any) -> Case:
+    """The first rooms of the paper's building, breadth first."""
+    return Case(PAPER_MAP, GOALS | keywords, partial(breadth_first, decisions=15))
+
+
 CASES = {
-    "paper_map": ("mecp_env/PaperMap-v0", {}),
-    "two_rooms_lms200": ("mecp_env/Layout-v0", {"layout": "two_rooms", "laser": {"preset": "lms200", "sweeps": 1}}),
-    "paper_to_the_letter": ("mecp_env/Layout-v0", {"config": EnvConfig.paper().to_dict(), "layout": "two_rooms"}),
+    "paper_map": Case(PAPER_MAP),
+    "two_rooms_lms200": Case(LAYOUT, TWO_ROOMS | QUICK),
+    "paper_to_the_letter": Case(LAYOUT, {"config": EnvConfig.paper().to_dict()} | TWO_ROOMS),
+    "breadth_first": Case(LAYOUT, TWO_ROOMS | GOALS, breadth_first),
+    "breadth_first_paper_map": Case(PAPER_MAP, GOALS, breadth_first),
+    "first_goals": Case(PAPER_MAP, GOALS, partial(first_goals, decisions=12)),
+    "people_and_clutter": Case(ROOMS, {"difficulty": "medium", "split": "test"} | MOVERS),
+    "people_and_goals": Case(ROOMS, {"difficulty": "hard"} | GOALS | MOVERS, partial(first_goals, decisions=12)),
+    "floor_plan": Case(FLOOR_PLAN, {"start": "random", "observation": {"map": True, "scan": True}}),
+    "ekf": _explored(slam={"filter": {"kind": "ekf"}}),
+    "one_sweep": _explored(laser={"sweeps": 1}),
+    "nearest": _explored(slam={"association": {"method": "nearest"}}),
+    "mecp_paper": _explored(slam={"association": {"method": "mecp_paper"}}),
+    "known": _explored(estimator="known"),
+    "truth": _explored(estimator="truth"),
+    "random_walk": Case(PAPER_MAP, drive=partial(random_walk, steps=300)),
+    "discrete": Case(LAYOUT, TWO_ROOMS | {"actions": "discrete"}, discrete),
+    "snapshot": Case(ROOMS, {"difficulty": "medium"} | MOVERS, partial(snapshot, steps=60)),
 }
-PERIODS = 150
 
 
 def probe() -> str:
@@ -35,38 +203,41 @@ def probe() -> str:
     return hashlib.sha256(np.array(values).tobytes() + np.array(vector).tobytes()).hexdigest()[:16]
 
 
-def run_hash(case: str) -> str:
-    """sha256 over belief, observation and reward of every period of a scripted drive."""
-    env_id, keywords = CASES[case]
-    env = gymnasium.make(env_id, **keywords)
-    digest = hashlib.sha256()
-    _feed(digest, env.reset(seed=7)[0])
-    for period in range(PERIODS):
-        turn = 0.4 * math.sin(0.05 * period)
-        observation, reward, terminated, truncated, info = env.step(np.array([0.6, turn], np.float32))
-        _feed(digest, observation | {"reward": np.float64(reward), "truth": info["truth_pose"]})
-        if terminated or truncated:
-            _feed(digest, env.reset()[0])
-    return digest.hexdigest()
+def run_hashes(case: str) -> Hashes:
+    """The sha256 hashes "run" and "metrics" of a case."""
+    with tempfile.TemporaryDirectory() as folder:
+        return CASES[case].drive(partial(CASES[case].make, Path(folder)))
 
 
-def _feed(digest: hashlib._Hash, arrays: dict[str, np.ndarray]) -> None:
+def _feed(digest: hashlib._Hash, arrays: dict[str, Any]) -> None:
     for name in sorted(arrays):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
 
 
-def stored() -> dict[str, dict[str, str]]:
+def _figures(values: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The finite numbers of `values`."""
+    numbers = {name: value for name, value in values.items() if isinstance(value, int | float | np.number)}
+    return {name: np.float64(value) for name, value in numbers.items() if math.isfinite(value)}
+
+
+def stored() -> dict[str, dict[str, Hashes]]:
     """Hashes by probe, then case."""
     return json.loads(STORE.read_text()) if STORE.is_file() else {}
 
 
 def main() -> None:
     """Print the hashes of this machine; store them with `--write`."""
-    hashes = {case: run_hash(case) for case in CASES}
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=main.__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"all by default: {', '.join(CASES)}")
+    parser.add_argument("--write", action="store_true")
+    args = parser.parse_args()
+    hashes = {case: run_hashes(case) for case in args.cases or CASES}
     print(json.dumps({probe(): hashes}, indent=1))
-    if "--write" in sys.argv:
-        STORE.write_text(json.dumps(stored() | {probe(): hashes}, indent=1, sort_keys=True) + "\n")
+    if args.write:
+        every = stored()
+        every[probe()] = every.get(probe(), {}) | hashes
+        STORE.write_text(json.dumps(every, indent=1, sort_keys=True) + "\n")
 
 
 if __name__ == "__main__":
