@@ -12,7 +12,7 @@ import pytest
 import mecp_env
 
 ROOT = Path(__file__).parent.parent
-DOCUMENTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]
+DOCUMENTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
 PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_text().splitlines() if line[:1] == "|"][
     2:
 ]
@@ -32,11 +32,22 @@ def resolve(name: str) -> object:
     raise ModuleNotFoundError(name)
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(document: Path) -> None:
     targets = re.findall(r"\]\(([^)#\s]+)\)", document.read_text())
     local = [target for target in targets if not target.startswith("http")]
     assert not [target for target in local if not (document.parent / target).exists()]
+
+
+def test_decisions_have_their_parts_and_a_row_in_the_index() -> None:
+    index = (ROOT / "docs/decisions/README.md").read_text()
+    records = sorted((ROOT / "docs/decisions").glob("0*.md"))
+    assert [int(path.name[:4]) for path in records] == list(range(1, len(records) + 1))
+    for path in records:
+        text = path.read_text()
+        title, date = re.match(r"# (.+)\n\nDate: (\d{4}-\d{2}-\d{2})", text).groups()
+        assert f"[{title}]({path.name}) | {date} |" in index, path.name
+        assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE) == ["Context", "Decision", "Evidence", "Consequence"]
 
 
 def test_the_readme_has_the_commands_that_ci_runs() -> None:
