@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, in_parallel, load_modules, ratio, share
 from benchmarks.drives import Drive, Replay, record_drive, replay
 from mecp_env.config import merge
-from mecp_env.metrics import AssociationLog
+from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 

@@ -26,13 +26,13 @@ from typing import Any, Literal, TypeVar
 import numba
 import numpy as np
 
-from mecp_env.intervals import Figures, estimate, ratio, share
-from mecp_env.kernel import kernel
+from mecp_env.core.intervals import Figures, estimate, ratio, share
+from mecp_env.core.jit import compiled
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-__all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.intervals
+__all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -107,7 +107,7 @@ def _timed(call: Callable[[], object], calls: int) -> float:
     return time.perf_counter() - start
 
 
-@kernel
+@compiled
 def _calibration(n: int) -> float:
     """A fixed piece of work of the kind that the kernels do: trigonometry, divisions, branches, a small array."""
     table = np.zeros(512)

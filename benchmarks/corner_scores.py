@@ -10,14 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.clustering import cluster_beams
+from mecp_env.core.linalg import mahalanobis
+from mecp_env.core.messages import Scan
+from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle
 from mecp_env.slam.config import SensorModel, SlamConfig
-from mecp_env.slam.corners import extract_corners
-from mecp_env.slam.data import Corners, Scan
-from mecp_env.slam.geometry import polar_to_points, to_robot, wrap_angle
-from mecp_env.slam.linalg import mahalanobis
-from mecp_env.slam.segments import extract_segments
-from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, estimate, table
+from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.stopwatch import Stopwatch, timed_stages
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout

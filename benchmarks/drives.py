@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.env import MecpEnv
-from mecp_env.metrics import AssociationLog
+from mecp_env.evaluation.ground_truth import Truth
+from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.data import Odometry, Scan
-from mecp_env.slam.geometry import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.truth import Truth
 from mecp_env.world.simulation import Motion
 from mecp_env.wrappers import GoalActions
 

@@ -14,10 +14,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
-from mecp_env.entry_points import make
+from mecp_env.registration import make
 from mecp_env.wrappers import GoalActions
 
-EXPLORERS = {"breadth first": "agents.bfs:BreadthFirstAgent", "random walk": "agents.random_walk:RandomWalk"}
+EXPLORERS = {
+    "breadth first": "mecp_env.policies.bfs:BreadthFirstAgent",
+    "random walk": "mecp_env.policies.random_walk:RandomWalk",
+}
 SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
 QUICK = {"paper": 2, "two_rooms": 3}
 LEVELS = (0.90, 0.99)

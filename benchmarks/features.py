@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, readable, table
 from benchmarks.corner_scores import Score, make_places, score_places
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
-from mecp_env.slam.data import CornerKind
+from mecp_env.slam.messages import CornerKind
 from mecp_env.world.layout import shipped_layouts
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.ring import Variance, linear, make_course, monte_carlo, per_metre, per_step
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.data import Odometry
 from mecp_env.slam.filters import FILTERS, make_filter
 
 Array = NDArray[np.float64]

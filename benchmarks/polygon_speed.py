@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures
-from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import PolygonConfig, SlamConfig
-from mecp_env.slam.corners import extract_corners
-from mecp_env.slam.data import Beams, Corners
-from mecp_env.slam.polygon import beams_on_walls, find_polygons
-from mecp_env.slam.polygon_guard import best_free_cycles
-from mecp_env.slam.polygon_kernels import order_by_bearing
-from mecp_env.slam.segments import extract_segments
-from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.mecp.cycles import order_by_bearing
+from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.mecp.wall_crossing import best_free_cycles
+from mecp_env.slam.messages import Corners, MergedScan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -31,7 +31,7 @@ from mecp_env.world.outline import build_outline, random_free_pose
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
-SeenScan = tuple[Corners, Beams, NDArray[np.bool_]]
+SeenScan = tuple[Corners, MergedScan, NDArray[np.bool_]]
 
 SITES = (5, 10, 15, 20, 30, 40)
 SIGMAS = np.full(max(SITES), 0.02)  # m

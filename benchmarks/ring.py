@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.data import Belief, Odometry
 from mecp_env.slam.filters import Filter, make_filter
+from mecp_env.slam.messages import Belief
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

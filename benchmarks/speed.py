@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from benchmarks import crowd_speed, polygon_speed
 from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.polygon_speed import SITES
+from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser, _cast, cast_rays
 from mecp_env.world.layout import load_layout

@@ -21,11 +21,11 @@ from typing import Any
 
 import mecp_env
 from benchmarks.common import Figures, Gate, Options, chosen, commit, estimate, in_parallel, ratio, share, table
-from mecp_env.entry_points import make
+from mecp_env.floorplans import load_plan
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.registration import make
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
-from mecp_env.world.importers import load_plan
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 

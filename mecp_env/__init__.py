@@ -11,10 +11,10 @@ from gymnasium.envs.registration import register, registry
 __version__ = "0.1.0"
 
 ENVIRONMENTS = {  # id -> entry point
-    "mecp_env/PaperMap-v0": "mecp_env.entry_points:make_paper_map",
-    "mecp_env/Layout-v0": "mecp_env.entry_points:make",
-    "mecp_env/Rooms-v0": "mecp_env.entry_points:make_rooms",
-    "mecp_env/FloorPlan-v0": "mecp_env.entry_points:make_floor_plan",
+    "mecp_env/PaperMap-v0": "mecp_env.registration:make_paper_map",
+    "mecp_env/Layout-v0": "mecp_env.registration:make",
+    "mecp_env/Rooms-v0": "mecp_env.registration:make_rooms",
+    "mecp_env/FloorPlan-v0": "mecp_env.registration:make_floor_plan",
 }
 
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import Settings, guess, number
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.settings import Settings, guess, number
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 

@@ -16,9 +16,12 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from mecp_env.actions import make_actions
 from mecp_env.config import EnvConfig, plain_value
-from mecp_env.episode import (
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
+from mecp_env.episode.actions import make_actions
+from mecp_env.episode.episode import (
     PARTS,
     STATE_FORMAT,
     STATE_VERSION,
@@ -28,18 +31,16 @@ from mecp_env.episode import (
     goals_key,
     nearest_goal,
 )
-from mecp_env.errors import ConfigError
-from mecp_env.metrics import EpisodeMetrics, figures
-from mecp_env.observations import Observer
+from mecp_env.episode.observations import Observer
+from mecp_env.episode.rewards import TERMS, Moment, events, quantities, remember, weigh
+from mecp_env.episode.start import parse_options
+from mecp_env.episode.true_world import TrueWorld
+from mecp_env.evaluation.ground_truth import CELL_M
+from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.render.view import View
-from mecp_env.rewards import TERMS, Moment, events, quantities, remember, weigh
-from mecp_env.site import Site
-from mecp_env.slam.data import Corners, Odometry, Scan, StepReport
+from mecp_env.slam.messages import Corners, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.start import parse_options
-from mecp_env.state import decode, encode, generator_data, make_generator
-from mecp_env.truth import CELL_M
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 
@@ -132,7 +133,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
         self.config = EnvConfig.build(config, **keywords)
         self.render_mode = render_mode
-        self._site = Site(self.config)
+        self._site = TrueWorld(self.config)
         self._start = self._site.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
@@ -250,7 +251,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         )
 
     @property
-    def report(self) -> StepReport:
+    def report(self) -> SlamOutput:
         """What the estimator saw and decided in the last period."""
         return self._started().report
 
@@ -275,7 +276,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._observe(self._started())
 
     def summary(self) -> dict[str, float]:
-        """The figures of the episode so far, measured on the truth (see `EpisodeMetrics.summary`, `Site.counts`)."""
+        """The figures of the episode so far, from ground truth (see `EpisodeMetrics.summary`, `TrueWorld.counts`)."""
         episode = self._started()
         return episode.metrics.summary(self._site.truth, episode.report) | self._site.counts()
 
@@ -332,7 +333,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._follow(episode, pose)
         return episode
 
-    def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> StepReport:
+    def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> SlamOutput:
         """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
         odometry, scan = self._sense(motion, T_world_robot)
         exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
@@ -396,7 +397,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _nothing_left(self, episode: Episode) -> bool:
         """True when no goal is left: at once, or for a while where people walk, who may hide a door or bar a way."""
-        empty = not len(episode.goals) and len(episode.report.known_polygons) > 0
+        empty = not len(episode.goals) and len(episode.report.map_polygons) > 0
         episode.quiet = episode.quiet + 1 if empty else 0
         if not self.config.crowd.people:
             return empty
@@ -460,5 +461,5 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 def __getattr__(name: str) -> Any:
     """The entry points of the ids, by the name that older specifications hold: `mecp_env.env:make`."""
     if name in ENTRY_POINTS:
-        return getattr(importlib.import_module("mecp_env.entry_points"), name)
+        return getattr(importlib.import_module("mecp_env.registration"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

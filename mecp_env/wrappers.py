@@ -11,10 +11,10 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from mecp_env.actions import check_choice, to_shares
+from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv, Observation
-from mecp_env.errors import ConfigError
-from mecp_env.observations import GOALS
+from mecp_env.episode.actions import check_choice, to_shares
+from mecp_env.episode.observations import GOALS
 from mecp_env.planning.goal_list import Outcome
 from mecp_env.planning.navigator import Navigator, Target
 

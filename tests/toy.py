@@ -7,21 +7,21 @@ from typing import Any, cast
 
 import numpy as np
 
+from mecp_env.core.se2 import compose, to_map, to_robot
 from mecp_env.slam.config import GridConfig
-from mecp_env.slam.data import (
-    Beams,
+from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.messages import (
     Belief,
     Candidate,
     Door,
     EdgeLabel,
-    KnownPolygon,
+    MapPolygon,
+    MergedScan,
     RoomGraph,
     Segments,
     SemanticGrid,
-    StepReport,
+    SlamOutput,
 )
-from mecp_env.slam.geometry import compose, to_map, to_robot
-from mecp_env.slam.grid import GridPainter
 
 WALL_M = 0.12
 ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1
@@ -82,12 +82,12 @@ def cast_rays(T_world_robot: np.ndarray, faces: np.ndarray = FACES) -> tuple[np.
 
 def look(
     T_world_robot: np.ndarray, rng: np.random.Generator | None = None, sigma: float = 0.0
-) -> tuple[Beams, Segments]:
-    """Beams, with noise, and the segments a perfect front end would fit to them."""
+) -> tuple[MergedScan, Segments]:
+    """MergedScan, with noise, and the segments a perfect front end would fit to them."""
     ranges, face = cast_rays(T_world_robot)
     noisy = ranges + (0.0 if rng is None else sigma * rng.standard_normal(720))
     ones = np.ones(720, np.int64)
-    beams = Beams(noisy, BEARINGS, np.ones(720, np.bool_), ones, 30.0, noisy, BEARINGS)
+    beams = MergedScan(noisy, BEARINGS, np.ones(720, np.bool_), ones, 30.0, noisy, BEARINGS)
     starts = np.flatnonzero(face != np.roll(face, 1))
     roll = int(starts[0])
     rows: list[Any] = []
@@ -126,7 +126,7 @@ class Toy:
         self.painter = GridPainter(GridConfig())
         self.p_map = to_map(self.T_map_world, LANDMARKS)
         self.rooms: tuple[int, ...] = (0,)
-        self.polygons: list[KnownPolygon] = []
+        self.polygons: list[MapPolygon] = []
         self.period = 0
         self.contact = False
         self.command = (0.0, 0.0)
@@ -154,9 +154,9 @@ class Toy:
         """A known polygon with whole edges of wall or open space."""
         labels = [EdgeLabel.OPEN if edge in open_edges else EdgeLabel.WALL for edge in range(len(ids))]
         intervals = np.array([[edge, 0.0, 1.0, label] for edge, label in enumerate(labels)], np.float64)
-        self.polygons.append(KnownPolygon(np.array(ids), intervals, room))
+        self.polygons.append(MapPolygon(np.array(ids), intervals, room))
 
-    def report(self, completed: tuple[int, ...] = ()) -> StepReport:
+    def report(self, completed: tuple[int, ...] = ()) -> SlamOutput:
         """What the estimator would report of this period."""
         self.period += 1
         beams, segments = look(self.T_world_robot, self.rng, self.sigma)
@@ -165,7 +165,7 @@ class Toy:
         self.painter.complete(completed)
         grid = self.painter.paint(belief, beams, segments, ids, known, graph)
         none = cast("Any", None)
-        return StepReport(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
+        return SlamOutput(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
 
     def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
         """A period of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""

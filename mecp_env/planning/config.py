@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from mecp_env.settings import Settings
+from mecp_env.core.settings import Settings
 
 
 class GoalsConfig(Settings):

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
 from mecp_env.planning.config import ControlConfig, PathsConfig
-from mecp_env.slam.data import Array, Beams
+from mecp_env.slam.messages import Array, MergedScan
 
 NEAR_M = 2.0  # what is farther away does not slow the robot
 SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # of the wanted speed, tried from the fastest
@@ -33,7 +33,7 @@ def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
 
 
 def follow(
-    path: Array, T_map_robot: Array, beams: Beams, control: ControlConfig, body: PathsConfig
+    path: Array, T_map_robot: Array, beams: MergedScan, control: ControlConfig, body: PathsConfig
 ) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) of the next period along a path (n,2) m, map frame.
 
@@ -44,7 +44,7 @@ def follow(
     return v, w
 
 
-@kernel
+@compiled
 def follow_path(
     path: Array, T_map_robot: Array, beams: tuple[Array, Array, NDArray[np.bool_]], limits: Limits
 ) -> tuple[float, float]:
@@ -62,7 +62,11 @@ def follow_path(
 
 
 def coast(
-    command: tuple[float, float], before: tuple[float, float], beams: Beams, control: ControlConfig, body: PathsConfig
+    command: tuple[float, float],
+    before: tuple[float, float],
+    beams: MergedScan,
+    control: ControlConfig,
+    body: PathsConfig,
 ) -> tuple[float, float]:
     """The command, or, where the way to a stop would bend into something seen, braking on the arc driven before.
 
@@ -76,13 +80,13 @@ def coast(
     return command if safe else (0.0, 0.5 * w)
 
 
-@kernel
+@compiled
 def turn_rate(bearing: float, period: float, top_turn: float) -> float:
     """Turn rate that turns the robot to a bearing within about a period."""
     return min(max(bearing / period, -top_turn), top_turn)
 
 
-@kernel
+@compiled
 def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits) -> tuple[float, float]:
     """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
     _, _, _, acceleration, period, top_turn, keep_off = limits
@@ -96,18 +100,18 @@ def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits)
     return 0.0, 0.0
 
 
-@kernel
+@compiled
 def stop_path(v: float, period: float, acceleration: float) -> float:
     """Length of the way driven in a period at speed v, and to stop after it, m."""
     return abs(v) * period + v * v / (2.0 * acceleration)
 
 
-def seen_points(beams: Beams) -> Array:
+def seen_points(beams: MergedScan) -> Array:
     """Hits (n,2) m, robot frame, within `NEAR_M`; each the median of five neighbouring beams, against noise."""
     return near_points(beams.ranges, beams.bearings, beams.hit, NEAR_M)
 
 
-@kernel
+@compiled
 def near_points(ranges: Array, bearings: Array, hit: NDArray[np.bool_], reach: float) -> Array:
     """Hits (n,2) m, robot frame, nearer than `reach`, each range the median of five neighbours."""
     count, n = ranges.shape[0], 0
@@ -128,7 +132,7 @@ def near_points(ranges: Array, bearings: Array, hit: NDArray[np.bool_], reach: f
     return points[:n].copy()
 
 
-@kernel
+@compiled
 def nearest_point(p_robot: Array, x: float, y: float) -> float:
     """Distance (m) from (x, y) to the nearest of the points (n,2)."""
     best = math.inf
@@ -138,7 +142,7 @@ def nearest_point(p_robot: Array, x: float, y: float) -> float:
     return math.sqrt(best)
 
 
-@kernel
+@compiled
 def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length: float) -> bool:
     """True when an arc of some length stays `keep_off` from the points (n,2), or, begun nearer, leads no nearer."""
     least = min(keep_off, nearest_point(p_robot, 0.0, 0.0) - 1e-3)
@@ -155,7 +159,7 @@ def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length:
     return True
 
 
-@kernel
+@compiled
 def look_ahead(path: Array, T_map_robot: Array, ahead: float) -> tuple[float, float, float]:
     """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the way left there."""
     best, best_leg, best_share = math.inf, 0, 0.0
@@ -183,7 +187,7 @@ def look_ahead(path: Array, T_map_robot: Array, ahead: float) -> tuple[float, fl
     return c * dx + s * dy, -s * dx + c * dy, left
 
 
-@kernel
+@compiled
 def off_path(path: Array, x: float, y: float) -> float:
     """Distance (m) from (x, y) to the nearest place of a path (n,2)."""
     best = math.hypot(path[0, 0] - x, path[0, 1] - y)

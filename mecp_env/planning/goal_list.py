@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from mecp_env.slam.data import NO_ID, Array, Ints
+from mecp_env.slam.messages import NO_ID, Array, Ints
 
 
 class GoalKind(IntEnum):

@@ -12,18 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.planning import goal_kernels as kernels
+from mecp_env.planning import goal_search as kernels
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
-from mecp_env.slam.data import (
+from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Array,
     Belief,
     Door,
     EdgeLabel,
     Ints,
-    KnownPolygon,
-    StepReport,
+    MapPolygon,
+    SlamOutput,
 )
 
 Point = tuple[float, float]
@@ -52,12 +52,12 @@ class DoorPlace(NamedTuple):
 class Survey:
     """What the search for goals needs again and again."""
 
-    report: StepReport
+    report: SlamOutput
     places: Places  # of the landmarks
     doors: list[DoorPlace]  # of the graph's doors
 
     @classmethod
-    def of(cls, report: StepReport) -> Survey:
+    def of(cls, report: SlamOutput) -> Survey:
         """The survey of a step."""
         places = landmark_places(report.belief)
         return cls(report, places, [door_place(door, places) for door in report.graph.doors])
@@ -127,7 +127,7 @@ def strips_beyond(survey: Survey, limits: tuple[int, float, float]) -> list[Stri
     `limits`: their EdgeLabel, the least width and how far beyond the edge is looked, m.
     """
     report, grid = survey.report, survey.report.grid
-    polygons = [polygon for polygon in report.known_polygons if len(polygon.intervals)]
+    polygons = [polygon for polygon in report.map_polygons if len(polygon.intervals)]
     if not polygons:
         return []
     strips = kernels.uncovered_strips(
@@ -140,7 +140,7 @@ def strips_beyond(survey: Survey, limits: tuple[int, float, float]) -> list[Stri
     return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in strips.tolist()]
 
 
-def rings_of(polygons: list[KnownPolygon], places: Places) -> tuple[Array, Ints]:
+def rings_of(polygons: list[MapPolygon], places: Places) -> tuple[Array, Ints]:
     """The vertices (V,2) m, map frame, of all polygons, and where those of each begin (P+1,)."""
     p_map = [places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
     return np.array(p_map, np.float64), starts([len(polygon.ids) for polygon in polygons])
@@ -194,7 +194,7 @@ def empty_room_goals(survey: Survey, entry: dict[int, Array], config: GoalsConfi
     Its floor may be covered all the same: when it is a known room, entered by another door, which a polygon will tell.
     """
     graph = survey.report.graph
-    known = {graph.resolve(polygon.room) for polygon in survey.report.known_polygons}
+    known = {graph.resolve(polygon.room) for polygon in survey.report.map_polygons}
     empty = sorted({room for room in entry if graph.resolve(room) == room} - known)
     places = [(room, further_in(entry[room], survey.doors, config.further_m)) for room in empty]
     return [Goal(OPEN, x, y, config.bare_m, room) for room, (x, y) in places]

@@ -1,7 +1,7 @@
 """Where there is something left to see: open edges, door candidates, frontiers, unexplored doors.
 
 A goal lies in a room and has a level, so that a policy can explore breadth first. What cannot be reached, or is not
-settled by going there, is given up: closed in the `GoalBook`. Without a goal the exploration is complete, only then.
+settled by going there, is given up: closed in the `GoalHistory`. Without a goal the exploration is complete, only then.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, 
 from mecp_env.planning.goal_sources import Survey, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
+from mecp_env.slam.messages import UNKNOWN_ROOM, Array, RoomGraph, SlamOutput
 
 CHANCES = 2
 
-__all__ = ["Goal", "GoalBook", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
+__all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 
 
 @dataclass(slots=True, eq=False)
@@ -35,7 +35,7 @@ class Remembered:
 
 
 @dataclass(slots=True, eq=False)
-class GoalBook:
+class GoalHistory:
     """Memory over the periods of an episode: drives, and where each room was entered."""
 
     drives: list[Remembered] = field(default_factory=list)
@@ -43,7 +43,7 @@ class GoalBook:
     first_room: int = UNKNOWN_ROOM
     forgiven: int = 0  # how often goals that were refused were given another chance
 
-    def notice(self, report: StepReport) -> None:
+    def notice(self, report: SlamOutput) -> None:
         """Remember where a room was entered."""
         room = report.graph.resolve(report.graph.current)
         if room not in self.entry:
@@ -92,7 +92,7 @@ class GoalBook:
         return nearest if far <= apart_m else None
 
 
-def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Goals:
+def find_goals(report: SlamOutput, book: GoalHistory, config: PlanningConfig) -> Goals:
     """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
 
     Where none can be reached, the gaps that nothing explains; then the candidates and doors out of reach: no episode
@@ -111,14 +111,14 @@ def find_goals(report: StepReport, book: GoalBook, config: PlanningConfig) -> Go
     return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
 
 
-def complete_rooms(goals: Goals, book: GoalBook, graph: RoomGraph) -> tuple[int, ...]:
+def complete_rooms(goals: Goals, book: GoalHistory, graph: RoomGraph) -> tuple[int, ...]:
     """Rooms entered that hold no goal of the first three kinds any more."""
     busy = {room for room, kind in zip(goals.room.tolist(), goals.kind.tolist(), strict=True) if kind in LOCAL}
     entered = {graph.resolve(room) for room in book.entry}
     return tuple(sorted(entered - busy - {UNKNOWN_ROOM}))
 
 
-def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> list[Goal]:
+def without_closed(goals: list[Goal], book: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals that are not closed, with their visits."""
     still = []
     for goal in goals:
@@ -130,14 +130,14 @@ def without_closed(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> li
     return still
 
 
-def not_visited(goals: list[Goal], book: GoalBook, config: GoalsConfig) -> list[Goal]:
+def not_visited(goals: list[Goal], book: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals where no drive ended and that are not closed; a door is confirmed in the time of one visit."""
     memories = [book.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m) for goal in goals]
     seen = [memory is not None and (memory.closed or memory.visits > 0) for memory in memories]
     return [goal for goal, done in zip(goals, seen, strict=True) if not done]
 
 
-def reachable(goals: list[Goal], report: StepReport, config: PlanningConfig) -> list[Goal]:
+def reachable(goals: list[Goal], report: SlamOutput, config: PlanningConfig) -> list[Goal]:
     """The goals that can be reached; over tight ways only where there is no other: a narrow door leads on."""
     if not goals:
         return []
@@ -173,7 +173,7 @@ def out_of_reach(goals: list[Goal], T_map_robot: Array) -> list[Goal]:
     return kept
 
 
-def with_levels(goals: list[Goal], report: StepReport, book: GoalBook) -> list[Goal]:
+def with_levels(goals: list[Goal], report: SlamOutput, book: GoalHistory) -> list[Goal]:
     """The goals with their level: of the polygon nearest to them, or of the room for a door."""
     doors = [goal for goal in goals if goal.kind == DOOR]
     rooms = door_levels(report.graph, book.first_room) if doors else {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mecp_env.slam.data import UNKNOWN_ROOM, Array, RoomGraph, StepReport
+from mecp_env.slam.messages import UNKNOWN_ROOM, Array, RoomGraph, SlamOutput
 
 Point = tuple[float, float]
 
@@ -30,7 +30,7 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(report: StepReport, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
+def polygon_levels(report: SlamOutput, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
     """Centres (m, map frame) and levels of the known polygons of a room; neighbours share a vertex.
 
     Level 0 is the polygon nearest to where the room was entered.
@@ -63,8 +63,8 @@ def neighbours_of(rings: list[list[int]]) -> dict[int, set[int]]:
     return {i: set().union(*(owners[row] for row in ring)) for i, ring in enumerate(rings)}
 
 
-def rings_of_room(report: StepReport, room: int) -> list[list[int]]:
+def rings_of_room(report: SlamOutput, room: int) -> list[list[int]]:
     """Of the known polygons of a room: the rows of their vertices in the belief, where all are landmarks."""
     row = {landmark: i for i, landmark in enumerate(report.belief.ids.tolist())}
-    rings = [p.ids.tolist() for p in report.known_polygons if report.graph.resolve(p.room) == room]
+    rings = [p.ids.tolist() for p in report.map_polygons if report.graph.resolve(p.room) == room]
     return [[row[i] for i in ids] for ids in rings if row.keys() >= set(ids)]

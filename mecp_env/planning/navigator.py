@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.planning import path_kernels as kernels
+from mecp_env.core import grid_paths as kernels
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
 from mecp_env.planning.goal_sources import Strip, Survey, door_place, landmark_places, unexplained_gaps
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import NO_ID, Array, Cell, Door, SemanticGrid, StepReport
+from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamOutput
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
 BACK_M_S = 0.2
@@ -67,7 +67,7 @@ class Navigator:
         self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = self.dwelt = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
-    def step(self, report: StepReport) -> tuple[float, float]:
+    def step(self, report: SlamOutput) -> tuple[float, float]:
         """Speed (m/s) and turn rate (rad/s) for the next period; `outcome` tells whether the drive goes on."""
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
@@ -80,7 +80,7 @@ class Navigator:
             return STOP
         return self._back_off(report) if self.backing else self._drive(self.target, report)
 
-    def _judge(self, target: Target, report: StepReport) -> Outcome:
+    def _judge(self, target: Target, report: SlamOutput) -> Outcome:
         """How the drive stands before this period."""
         limits = self.config.navigator
         if settled(target, report):
@@ -90,13 +90,13 @@ class Navigator:
             return Outcome.REACHED
         return Outcome.REFUSED if self.periods > limits.limit_periods else Outcome.RUNNING
 
-    def _there(self, target: Target, report: StepReport) -> bool:
+    def _there(self, target: Target, report: SlamOutput) -> bool:
         """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
         here, goal = report.belief.T_map_robot.tolist()[:2], target.p_map.tolist()
         end = self.path[-1].tolist() if len(self.path) and target.kind != DOOR else goal
         return min(math.dist(here, end), math.dist(here, goal)) < self.config.navigator.reached_m
 
-    def _must_plan(self, report: StepReport) -> bool:
+    def _must_plan(self, report: SlamOutput) -> bool:
         """True without a path, off it, when it is old, or when a wall appeared on it."""
         pose = report.belief.T_map_robot
         if not len(self.path) or off_path(self.path, pose[0], pose[1]) > OFF_PATH_M:
@@ -106,7 +106,7 @@ class Navigator:
         old = self.periods - self.planned >= self.config.navigator.replan_periods
         return old or blocked(self.path, report, self.config)
 
-    def _plan(self, target: Target, report: StepReport) -> None:
+    def _plan(self, target: Target, report: SlamOutput) -> None:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
         self.planned, self.planned_version = self.periods, report.grid.version
         before = len(self.path)
@@ -117,7 +117,7 @@ class Navigator:
         if self.tries >= TRIES:
             self.outcome = Outcome.REFUSED
 
-    def _drive(self, target: Target, report: StepReport) -> tuple[float, float]:
+    def _drive(self, target: Target, report: SlamOutput) -> tuple[float, float]:
         """Follow the path, and notice when that leads nowhere."""
         if self._must_plan(report):
             self._plan(target, report)
@@ -133,7 +133,7 @@ class Navigator:
         self.command = coast(command, self.command, report.beams, config.control, config.paths)
         return self.command
 
-    def _recover(self, report: StepReport) -> tuple[float, float]:
+    def _recover(self, report: SlamOutput) -> tuple[float, float]:
         """Back off and plan anew; too often: refuse the goal."""
         self.recoveries += 1
         self.path = np.empty((0, 2))
@@ -143,7 +143,7 @@ class Navigator:
         self.backing = BACK_PERIODS
         return self._back_off(report)
 
-    def _back_off(self, report: StepReport) -> tuple[float, float]:
+    def _back_off(self, report: SlamOutput) -> tuple[float, float]:
         """One period backwards, bending to one side and the other in turn; on the spot where that is barred."""
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
@@ -154,7 +154,7 @@ class Navigator:
         return (-BACK_M_S, -side * BACK_M_S) if safe else (0.0, side * self.config.control.turn_rad_s / 2)
 
 
-def settled(target: Target, report: StepReport) -> bool:
+def settled(target: Target, report: SlamOutput) -> bool:
     """True when a goal has nothing more to show: covered, confirmed, known, or gone."""
     if target.kind == OPEN:
         return covered(target, report)
@@ -165,7 +165,7 @@ def settled(target: Target, report: StepReport) -> bool:
     return door_of(target, report) is None
 
 
-def gap_left(target: Target, report: StepReport) -> bool:
+def gap_left(target: Target, report: SlamOutput) -> bool:
     """True while there is a candidate near the target, or the gap in an edge that is looked at from there."""
     goal = target.p_map.tolist()
     gaps = (candidate.ends.mean(axis=0).tolist() for candidate in report.graph.candidates)
@@ -181,7 +181,7 @@ def faces(place: list[float], gap: Strip) -> bool:
     return 0.0 < ahead < GAP_NEAR_M and abs(aside) < ASIDE_M
 
 
-def covered(target: Target, report: StepReport) -> bool:
+def covered(target: Target, report: SlamOutput) -> bool:
     """True when a polygon of the target's room covers it."""
     grid = report.grid
     row, column = cell_of(target.p_map, grid)
@@ -190,7 +190,7 @@ def covered(target: Target, report: StepReport) -> bool:
     return bool(grid.polygon[row, column] and grid.room[row, column] == report.graph.resolve(target.room))
 
 
-def unknown_near(p_map: Array, report: StepReport) -> bool:
+def unknown_near(p_map: Array, report: SlamOutput) -> bool:
     """True when a cell beside the one at `p_map` (2,) is unknown."""
     row, column = cell_of(p_map, report.grid)
     around = report.grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
@@ -203,19 +203,19 @@ def cell_of(p_map: Array, grid: SemanticGrid) -> tuple[int, int]:
     return math.floor((y - low) / grid.resolution_m), math.floor((x - left) / grid.resolution_m)
 
 
-def door_of(target: Target, report: StepReport) -> Door | None:
+def door_of(target: Target, report: SlamOutput) -> Door | None:
     """The door of a target as it is known now."""
     doors = [door for door in report.graph.doors if door.id == target.door]
     return doors[0] if doors else None
 
 
-def blocked(path: Array, report: StepReport, config: PlanningConfig) -> bool:
+def blocked(path: Array, report: SlamOutput, config: PlanningConfig) -> bool:
     """True when a wall lies nearer to the path (n,2) than the robot's radius."""
     grid = report.grid
     return bool(kernels.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 
 
-def plan(target: Target, report: StepReport, config: PlanningConfig) -> Array:
+def plan(target: Target, report: SlamOutput, config: PlanningConfig) -> Array:
     """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no way."""
     for tight in (False, True):
         ways = way_field(report.grid, report.belief.T_map_robot, config.paths, tight)
@@ -225,7 +225,7 @@ def plan(target: Target, report: StepReport, config: PlanningConfig) -> Array:
     return path
 
 
-def plan_over(ways: WayField, target: Target, report: StepReport, config: PlanningConfig) -> Array:
+def plan_over(ways: WayField, target: Target, report: SlamOutput, config: PlanningConfig) -> Array:
     """A path (n,2) m, map frame, to a target; empty when there is no way."""
     door = door_of(target, report)
     if target.kind == DOOR and door is not None:
@@ -234,7 +234,7 @@ def plan_over(ways: WayField, target: Target, report: StepReport, config: Planni
     return np.empty((0, 2)) if cell is None else ways.path(cell)
 
 
-def plan_through(door: Door, report: StepReport, ways: WayField, config: PlanningConfig) -> Array:
+def plan_through(door: Door, report: SlamOutput, ways: WayField, config: PlanningConfig) -> Array:
     """A path through the middle of a door along its normal; beyond it the floor need not be known.
 
     A robot that stands in the door, or just before or behind it, goes straight on.

@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.planning import path_kernels as kernels
+from mecp_env.core import grid_paths as kernels
 from mecp_env.planning.config import PathsConfig
-from mecp_env.slam.data import SemanticGrid
+from mecp_env.slam.messages import SemanticGrid
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

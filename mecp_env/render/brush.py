@@ -10,7 +10,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from mecp_env.readable import readable
+from mecp_env.core.text import readable
 from mecp_env.render.palette import INK, RGB
 
 Array = NDArray[np.float64]

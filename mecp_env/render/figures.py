@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
-from mecp_env.readable import readable
+from mecp_env.core.se2 import to_map
+from mecp_env.core.text import readable
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.text import summary
 from mecp_env.render.view import View, loops, signed_area
-from mecp_env.slam.geometry import to_map
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]  # value, lower and upper end of its 95 % interval

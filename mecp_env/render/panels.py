@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
 from mecp_env.render.view import View, loops, signed_area
-from mecp_env.slam.data import Cell, SemanticGrid
-from mecp_env.slam.geometry import compose, inverse, to_map
+from mecp_env.slam.messages import Cell, SemanticGrid
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

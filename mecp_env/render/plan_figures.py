@@ -16,8 +16,8 @@ from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
-from mecp_env.errors import ConfigError
-from mecp_env.readable import readable
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.text import readable
 from mecp_env.render import palette
 from mecp_env.render.figures import boxes_for_missing_glyphs
 from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape

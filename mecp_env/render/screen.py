@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from mecp_env.core.settings import Settings
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush, Image
 from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_nothing, draw_world
 from mecp_env.render.text import summary
 from mecp_env.render.view import View
-from mecp_env.settings import Settings
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
 Legend = tuple[tuple[str, palette.RGB, str], ...]

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
-from mecp_env.slam.data import Clusters, CornerKind, Decision, EdgeLabel, Reason, Segments, StepReport
-from mecp_env.slam.geometry import polar_to_points, to_robot
+from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason, Segments, SlamOutput
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ DECISIONS = {
 }
 
 
-def stage_figures(report: StepReport, clusters: Clusters) -> dict[str, Figure]:
+def stage_figures(report: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
     """Figures by name, in the order of the stages: scan, clusters, segments, corners, polygon, association."""
     drawers: dict[str, Callable[[Axes], None]] = {
         "scan": lambda axes: _draw_scan(axes, report),
@@ -56,17 +56,17 @@ def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
     return figure
 
 
-def _points(report: StepReport) -> Array:
+def _points(report: SlamOutput) -> Array:
     """(B,2) m: the merged beams' ends."""
     return polar_to_points(np.column_stack([report.beams.ranges, report.beams.bearings]))
 
 
-def _hits(report: StepReport) -> Array:
+def _hits(report: SlamOutput) -> Array:
     hits: Array = _points(report)[report.beams.hit]
     return hits
 
 
-def _draw_scan(axes: Axes, report: StepReport) -> None:
+def _draw_scan(axes: Axes, report: SlamOutput) -> None:
     beams = report.beams
     raw = polar_to_points(np.column_stack([beams.raw_ranges, beams.raw_bearings]))
     label = f"{len(raw)} raw beams (dense scan)"
@@ -74,7 +74,7 @@ def _draw_scan(axes: Axes, report: StepReport) -> None:
     axes.plot(*_hits(report).T, ".", color=unit(palette.HIT), markersize=2.5, label="merged beams")
 
 
-def _draw_clusters(axes: Axes, report: StepReport, clusters: Clusters) -> None:
+def _draw_clusters(axes: Axes, report: SlamOutput, clusters: Clusters) -> None:
     points = _points(report)
     for row, (first, last) in enumerate(zip(clusters.first, clusters.last, strict=True)):
         index = (clusters.roll + np.arange(first, last + 1)) % len(points)
@@ -82,7 +82,7 @@ def _draw_clusters(axes: Axes, report: StepReport, clusters: Clusters) -> None:
     axes.plot([], [], " ", label=f"{len(clusters.first)} clusters, one colour each")
 
 
-def _draw_segments(axes: Axes, report: StepReport) -> None:
+def _draw_segments(axes: Axes, report: SlamOutput) -> None:
     segments: Segments = report.segments
     axes.plot(*_hits(report).T, ".", color=unit(palette.UNSEEN), markersize=3)
     for row, ends in enumerate(segments.points):
@@ -90,12 +90,12 @@ def _draw_segments(axes: Axes, report: StepReport) -> None:
     axes.plot([], [], " ", label=f"{len(segments.points)} lines fitted")
 
 
-def _draw_walls(axes: Axes, report: StepReport) -> None:
+def _draw_walls(axes: Axes, report: SlamOutput) -> None:
     for ends in report.segments.points:
         axes.plot(*ends.T, color=unit(palette.mix(palette.SOLID, palette.FREE, 0.6)), linewidth=1.5)
 
 
-def _draw_corners(axes: Axes, report: StepReport) -> None:
+def _draw_corners(axes: Axes, report: SlamOutput) -> None:
     _draw_walls(axes, report)
     corners = report.corners
     points = polar_to_points(corners.z)
@@ -119,7 +119,7 @@ def _ring(point: Array, z: Array, cov: Array) -> Array:
     return np.vstack([ring, ring[:1]])
 
 
-def _draw_polygon(axes: Axes, report: StepReport) -> None:
+def _draw_polygon(axes: Axes, report: SlamOutput) -> None:
     _draw_walls(axes, report)
     points = polar_to_points(report.corners.z)
     sites = report.corners.sites
@@ -140,7 +140,7 @@ def _draw_intervals(axes: Axes, ring: Array, intervals: Array) -> None:
         axes.plot(*ends.T, color=unit(EDGES[EdgeLabel(int(label))]), linewidth=3, solid_capstyle="butt")
 
 
-def _draw_association(axes: Axes, report: StepReport) -> None:
+def _draw_association(axes: Axes, report: SlamOutput) -> None:
     _draw_walls(axes, report)
     belief, match = report.belief, report.match
     known = to_robot(belief.T_map_robot, np.ascontiguousarray(belief.p_map))

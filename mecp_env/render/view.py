@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.data import StepReport
+from mecp_env.slam.messages import SlamOutput
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,7 +23,7 @@ class View:
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     path_world: Array  # (n,2) m, world frame: where the robot has been
     path_map: Array  # (n,2) m, map frame: where it believed to be
-    report: StepReport
+    report: SlamOutput
     moving: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (m,2,2) m, world: faces of people and boxes
     robot_radius_m: float = 0.22
     p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame

@@ -8,7 +8,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 
 UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; nobody sees their windows
 FIX = "start it on a desktop or with DISPLAY set (ssh -X, xvfb-run), or do without the window"

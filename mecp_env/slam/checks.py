@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.errors import MecpError
-from mecp_env.kernel import kernel
-from mecp_env.slam.data import Array, Decision, Match, Odometry, Scan
+from mecp_env.core.errors import MecpError
+from mecp_env.core.jit import compiled
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.slam.messages import Array, Decision, Match
 
 SOUND, NOT_FINITE, OUT_OF_RANGE, OUT_OF_ORDER = 0, 1, 2, 3
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
@@ -52,7 +53,7 @@ def check_scan(scan: Scan) -> None:
         raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
 
 
-@kernel
+@compiled
 def find_fault(ranges: Array, bearings: Array, max_range: float) -> int:
     """What is wrong with ranges and bearings (K,B), or SOUND."""
     unsound = 0
@@ -62,7 +63,7 @@ def find_fault(ranges: Array, bearings: Array, max_range: float) -> int:
     return SOUND if unsound == 0 and max_range < math.inf else name_fault(ranges, bearings, max_range)
 
 
-@kernel
+@compiled
 def count_unsound(ranges: Array, bearings: Array, next_bearings: Array, max_range: float) -> int:
     """How many ranges (B,) are out of range, and bearings (B-1,) not below the next; nan is.
 
@@ -76,7 +77,7 @@ def count_unsound(ranges: Array, bearings: Array, next_bearings: Array, max_rang
     return unsound
 
 
-@kernel
+@compiled
 def name_fault(ranges: Array, bearings: Array, max_range: float) -> int:
     """The first fault in the order of the beams, or SOUND."""
     for k in range(ranges.shape[0]):
@@ -107,7 +108,7 @@ def check_odometry(odometry: Odometry) -> None:
         raise SensorError(f"odometry.cov: variance {least:g} is below 0")
 
 
-@kernel
+@compiled
 def look_over(increments: Array, cov: Array) -> tuple[bool, float]:
     """Whether increments (M,2) and covariances (M,2,2) are finite, and the least variance, at most 0."""
     finite, least = True, 0.0

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field
 
-from mecp_env.settings import Settings
-from mecp_env.slam.parts import Names
+from mecp_env.core.registry import Names
+from mecp_env.core.settings import Settings
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:

@@ -8,14 +8,32 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.slam.association import Associator, KnownAssociator, ignored, make_associator
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.se2 import inside_polygon
+from mecp_env.slam.association import Associator, OracleAssociator, ignored, make_associator
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
-from mecp_env.slam.clustering import cluster_beams
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.corners import extract_corners
-from mecp_env.slam.data import (
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.landmark_map.dynamic_objects import find_transient, passing, shun_transients, without_transients
+from mecp_env.slam.landmark_map.map_polygons import PolygonStore
+from mecp_env.slam.landmark_map.merging import find_duplicate
+from mecp_env.slam.landmark_map.pruning import refuted
+from mecp_env.slam.landmark_map.tracks import (
+    ends_of_bodies,
+    forget,
+    mark_seen,
+    record_sightings,
+    room_unseen_since,
+    with_closure,
+)
+from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.messages import (
     NO_ID,
-    Beams,
     Belief,
     Corners,
     Decision,
@@ -23,28 +41,16 @@ from mecp_env.slam.data import (
     FeatureTable,
     MapView,
     Match,
-    Odometry,
+    MergedScan,
     Polygon,
     Reason,
-    Scan,
     Segments,
     Sighting,
-    StepReport,
+    SlamOutput,
 )
-from mecp_env.slam.doors import forget_jambs, rename_jambs
-from mecp_env.slam.duplicates import find_duplicate
-from mecp_env.slam.filters import make_filter
-from mecp_env.slam.geometry import inside_polygon
-from mecp_env.slam.grid import GridPainter
-from mecp_env.slam.polygon import beams_on_walls, find_polygons
-from mecp_env.slam.polygon_store import PolygonStore
 from mecp_env.slam.protocols import Filter, FilterError
-from mecp_env.slam.refutation import refuted
-from mecp_env.slam.rooms import RoomKeeper
-from mecp_env.slam.segments import extract_segments
-from mecp_env.slam.sweeps import merge_sweeps
-from mecp_env.slam.tracks import ends_of_bodies, forget, mark_seen, record_sightings, room_unseen_since, with_closure
-from mecp_env.slam.transients import find_transient, passing, shun_transients, without_transients
+from mecp_env.slam.rooms.doors import forget_jambs, rename_jambs
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,7 +71,7 @@ class SlamPipeline:
     associator: Associator = field(init=False)
     features: FeatureTable = field(init=False)
     polygons: PolygonStore = field(init=False)
-    rooms: RoomKeeper = field(init=False)
+    rooms: RoomGraphEstimator = field(init=False)
     grid: GridPainter = field(init=False)
     period: int = field(init=False, default=0)
     diverged: bool = field(init=False, default=False)
@@ -80,12 +86,12 @@ class SlamPipeline:
         self.associator = make_associator(self.config.association)
         self.features = FeatureTable()
         self.polygons = PolygonStore(self.config.association.polygons_per_room)
-        self.rooms = RoomKeeper(self.config.rooms)
+        self.rooms = RoomGraphEstimator(self.config.rooms)
         self.grid = GridPainter(self.config.grid)
         self.period = 0
         self.diverged = False
 
-    def start(self, scan: Scan, *, identities: Identities | None = None) -> StepReport:
+    def start(self, scan: Scan, *, identities: Identities | None = None) -> SlamOutput:
         """The report of a scan taken at rest: the first ones belong to the start pose, before any motion."""
         check_scan(scan)
         self.period += 1
@@ -98,7 +104,7 @@ class SlamPipeline:
         *,
         identities: Identities | None = None,
         T_map_robot: Array | None = None,
-    ) -> StepReport:
+    ) -> SlamOutput:
         """The report of one control period: the motion, then the scan at its end.
 
         `identities` (true corner of each corner) serves `method="known"` alone; `T_map_robot`, the true pose, replaces
@@ -124,7 +130,7 @@ class SlamPipeline:
                 visible.update(ids if inside_polygon(float(p_map[0]), float(p_map[1]), ring) else ())
         return np.array(sorted(visible), np.int64)
 
-    def _observe(self, scan: Scan, identities: Identities | None) -> StepReport:
+    def _observe(self, scan: Scan, identities: Identities | None) -> SlamOutput:
         config = self.config
         beams = merge_sweeps(scan, config.sensor)  # III-A.1, dense scan
         clusters = cluster_beams(beams, config.clustering, config.sensor)  # III-A.1
@@ -146,7 +152,7 @@ class SlamPipeline:
         matched = match.ids[match.recognised()]
         standing, walls = passing(beams, transient), without_transients(segments, transient)
         grid = self.grid.paint(belief, standing, walls, matched, self.polygons.polygons, graph)
-        return StepReport(
+        return SlamOutput(
             self.period,
             beams,
             segments,
@@ -160,7 +166,7 @@ class SlamPipeline:
             self.diverged,
         )
 
-    def _without_refuted(self, beams: Beams, segments: Segments, belief: Belief) -> Belief:
+    def _without_refuted(self, beams: MergedScan, segments: Segments, belief: Belief) -> Belief:
         """The belief without the landmarks that this scan refutes for good; what hung on them is forgotten."""
         gone = refuted(beams, segments, belief, self.features, self.period, self.config.transients)
         if not len(gone):
@@ -172,7 +178,7 @@ class SlamPipeline:
         return self.filter.belief()
 
     def _tell_identities(self, corners: Corners, identities: Identities | None) -> None:
-        if isinstance(self.associator, KnownAssociator):
+        if isinstance(self.associator, OracleAssociator):
             self.associator.identities = np.full(len(corners), -1) if identities is None else identities(corners)
 
     def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
@@ -252,7 +258,7 @@ class SlamPipeline:
         return belief
 
     def _remember_births(self, match: Match) -> None:
-        if isinstance(self.associator, KnownAssociator):
+        if isinstance(self.associator, OracleAssociator):
             for i in np.flatnonzero(match.decision == int(Decision.NEW)):
                 self.associator.born(int(i), int(match.ids[i]))
 

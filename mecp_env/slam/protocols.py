@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, Self
 
-from mecp_env.errors import MecpError
-from mecp_env.slam.data import Array, Belief, Ints, Odometry
+from mecp_env.core.errors import MecpError
+from mecp_env.core.messages import Odometry
+from mecp_env.slam.messages import Array, Belief, Ints
 
 
 class FilterError(MecpError):

@@ -6,9 +6,9 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from mecp_env.world import crowd_kernels as crowd
-from mecp_env.world.box_kernels import drag, settle_boxes
-from mecp_env.world.movers import Moving
+from mecp_env.world import pedestrians as crowd
+from mecp_env.world.boxes import drag, settle_boxes
+from mecp_env.world.moving_obstacles import Moving
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, Point, Polygon
 
-from mecp_env.errors import LayoutError
-from mecp_env.settings import guess
+from mecp_env.core.errors import LayoutError
+from mecp_env.core.settings import guess
 from mecp_env.world.outline import (
     GAP_POST_M,
     ROBOT_RADIUS_M,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mecp_env.settings import Settings
+from mecp_env.core.settings import Settings
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:

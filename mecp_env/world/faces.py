@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
 
 Array = NDArray[np.float64]
 
 SIDES = 16  # of the polygon that stands for a person before the laser
 
 
-@kernel
+@compiled
 def from_face(segments: Array, k: int, x: float, y: float) -> tuple[float, float]:
     """Vector to (x, y) from the nearest point of face k."""
     ax, ay = segments[k, 0, 0], segments[k, 0, 1]
@@ -23,7 +23,7 @@ def from_face(segments: Array, k: int, x: float, y: float) -> tuple[float, float
     return x - ax - share * ux, y - ay - share * uy
 
 
-@kernel
+@compiled
 def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
     """Faces (m,2,2) of discs (n,3), as polygons of 16 sides, and of boxes (b,>=3) of sizes (b,2); free to the left.
 
@@ -50,7 +50,7 @@ def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
     return faces
 
 
-@kernel
+@compiled
 def box_corner(box: Array, size: Array, k: int) -> tuple[float, float]:
     """Corner k, counter-clockwise, of a box (>=3,) of a size (2,)."""
     along = 0.5 * size[0] if k in (1, 2) else -0.5 * size[0]
@@ -59,7 +59,7 @@ def box_corner(box: Array, size: Array, k: int) -> tuple[float, float]:
     return box[0] + c * along - s * aside, box[1] + s * along + c * aside
 
 
-@kernel
+@compiled
 def box_corners(boxes: Array, sizes: Array) -> Array:
     """(4b,2) m: the corners of boxes (b,>=3) of sizes (b,2)."""
     corners = np.empty((4 * boxes.shape[0], 2))

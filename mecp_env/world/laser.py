@@ -10,9 +10,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.errors import MecpError
-from mecp_env.kernel import kernel
-from mecp_env.slam.data import Scan
+from mecp_env.core.errors import MecpError
+from mecp_env.core.jit import compiled
+from mecp_env.core.messages import Scan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.outline import Outline
 
@@ -102,7 +102,7 @@ def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
     return ranges
 
 
-@kernel
+@compiled
 def _burst(
     segments: Array, T_world_robot: Array, table: Array, draws: Draws, normals: Normals, optics: Array
 ) -> tuple[Array, Bools]:
@@ -117,7 +117,7 @@ def _burst(
     return _measure(inverse, draws[1], normals, range_sigma, max_range, sweeps)
 
 
-@kernel
+@compiled
 def _turn_rays(table: Array, draws: Draws, normals: Normals, sigma: float) -> Array:
     """Directions (2,N) of the rays: the nominal ones (2,N) turned by the noise drawn (N,)."""
     if sigma == 0.0:
@@ -136,7 +136,7 @@ def _turn_rays(table: Array, draws: Draws, normals: Normals, sigma: float) -> Ar
     return directions
 
 
-@kernel
+@compiled
 def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: float, margin: float) -> Array:
     """Inverse range (N,) along each ray, 0 where no face is met.
 
@@ -172,7 +172,7 @@ def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: flo
     return inverse
 
 
-@kernel
+@compiled
 def _meet(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
     """Let the rays first..last (counted on around the ring), which surely meet the face, see it."""
     n = inverse.shape[0]
@@ -183,7 +183,7 @@ def _meet(inverse: Array, directions: Array, face: Array, first: int, last: int)
         _look(inverse[: stop - n], directions[0], directions[1], face[4], face[5])
 
 
-@kernel
+@compiled
 def _look(inverse: Array, dx: Array, dy: Array, u: float, v: float) -> None:
     """Raise the inverse ranges (n,) to those of the face u, v along the first of the directions dx, dy.
 
@@ -193,7 +193,7 @@ def _look(inverse: Array, dx: Array, dy: Array, u: float, v: float) -> None:
         inverse[i] = max(inverse[i], u * dx[i] + v * dy[i])
 
 
-@kernel
+@compiled
 def _meet_end(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
     """Let those of the rays first..last (counted on around the ring) that pass between the face's ends see it."""
     n = inverse.shape[0]
@@ -204,7 +204,7 @@ def _meet_end(inverse: Array, directions: Array, face: Array, first: int, last: 
             inverse[i] = max(inverse[i], face[4] * dx + face[5] * dy)
 
 
-@kernel
+@compiled
 def _measure(
     inverse: Array, draws: Draws, normals: Normals, sigma: float, max_range: float, sweeps: int
 ) -> tuple[Array, Bools]:
@@ -222,7 +222,7 @@ def _measure(
     return ranges, hit
 
 
-@kernel
+@compiled
 def line_of_sight(segments: Array, x: float, y: float, points: Array) -> Bools:
     """Which points (n,2) are seen from (x, y): no face (S,2,2) lies more than 1 mm in front of them."""
     seen = np.empty(points.shape[0], np.bool_)
@@ -231,7 +231,7 @@ def line_of_sight(segments: Array, x: float, y: float, points: Array) -> Bools:
     return seen
 
 
-@kernel
+@compiled
 def in_sight(segments: Array, x: float, y: float, to_x: float, to_y: float) -> bool:
     """Whether (to_x, to_y) is seen from (x, y): as in `line_of_sight`."""
     px, py = to_x - x, to_y - y

@@ -8,8 +8,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from mecp_env.errors import LayoutError
-from mecp_env.settings import guess
+from mecp_env.core.errors import LayoutError
+from mecp_env.core.settings import guess
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.schema import Layout
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
-from mecp_env.slam.data import Odometry
+from mecp_env.core.jit import compiled
+from mecp_env.core.messages import Odometry
 from mecp_env.world.config import OdometryConfig
 from mecp_env.world.simulation import Motion
 
@@ -44,7 +44,7 @@ def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
     return READINGS.index(config.reading), distance, turn, config.turn_m / QUARTER_TURN
 
 
-@kernel
+@compiled
 def _measure(
     increments: Array, noise: Array, reading: int, distance: float, turn: float, turn_m: float
 ) -> tuple[Array, Array]:
@@ -56,7 +56,7 @@ def _measure(
     return measured, _covariances(measured, reading, distance, turn, turn_m)
 
 
-@kernel
+@compiled
 def _covariances(measured: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
     """(M,2,2) what the increments (M,2) say of their own noise: that of the whole period, in equal parts."""
     arcs = measured.shape[0]
@@ -74,7 +74,7 @@ def _covariances(measured: Array, reading: int, distance: float, turn: float, tu
     return cov
 
 
-@kernel
+@compiled
 def _variances(increments: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
     arcs = increments.shape[0]
     variance = np.empty((arcs, 2))

@@ -19,8 +19,8 @@ from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from mecp_env.errors import LayoutError
-from mecp_env.slam.geometry import wrap_angle
+from mecp_env.core.errors import LayoutError
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.schema import ROUND_FACES, Box, Layout, Obstacle, Pillar, Solid
 
 Array = NDArray[np.float64]

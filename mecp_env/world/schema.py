@@ -16,8 +16,8 @@ from pydantic import (
     model_validator,
 )
 
-from mecp_env.errors import LayoutError
-from mecp_env.settings import describe
+from mecp_env.core.errors import LayoutError
+from mecp_env.core.settings import describe
 
 EXTENT_M = 1000.0
 MAX_WALLS = 10_000

@@ -19,11 +19,11 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from mecp_env.errors import ActionError, MecpError
-from mecp_env.slam.geometry import wrap_angle
+from mecp_env.core.errors import ActionError, MecpError
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.bodies import Bodies
 from mecp_env.world.config import RobotConfig
-from mecp_env.world.drive_kernels import (
+from mecp_env.world.drive import (
     FELT_X,
     FORCE_X,
     SPEED,
@@ -36,7 +36,7 @@ from mecp_env.world.drive_kernels import (
     wall_distance,
     who_is_near,
 )
-from mecp_env.world.movers import Movers, no_movers, robot_row
+from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
 
 Array = NDArray[np.float64]

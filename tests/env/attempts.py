@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.env import MecpEnv
-from mecp_env.observations import GOALS
+from mecp_env.episode.observations import GOALS
+from mecp_env.episode.rewards import TERMS
+from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.rewards import TERMS
-from mecp_env.truth import CELL_M
 from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from mecp_env.actions import COMMANDS, DISCRETE, check_choice, check_velocity, to_shares
-from mecp_env.errors import ActionError
+from mecp_env.core.errors import ActionError
+from mecp_env.episode.actions import COMMANDS, DISCRETE, check_choice, check_velocity, to_shares
 from tests.env.helpers import make, same
 
 GOOD_VELOCITIES = [

@@ -8,8 +8,8 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from mecp_env.config import EnvConfig
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.env import MecpEnv
-from mecp_env.errors import ConfigError, MecpError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.layout import load_layout

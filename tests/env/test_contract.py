@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 
 import mecp_env
 from mecp_env.config import EnvConfig
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.world.layout import load_layout
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, NEEDED, SMALL, make

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401
-from mecp_env.errors import ConfigError, LayoutError
-from mecp_env.world import source
-from mecp_env.world.exporters import save_map_server
-from mecp_env.world.importers import folder as folders
-from mecp_env.world.importers import plan_files
+from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.episode import buildings as source
+from mecp_env.floorplans import folder as folders
+from mecp_env.floorplans import plan_files
+from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.world.layout import LIBRARY, load_layout
 
 PLAN = "mecp_env/FloorPlan-v0"

@@ -5,12 +5,12 @@ import copy
 import numpy as np
 import pytest
 
-from mecp_env.errors import ConfigError
-from mecp_env.map_scores import labels_at
-from mecp_env.observations import GOALS
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.se2 import inverse, to_map
+from mecp_env.episode.observations import GOALS
+from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.slam.data import Cell
-from mecp_env.slam.geometry import inverse, to_map
+from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import make, same
 from tests.env.test_contract import below

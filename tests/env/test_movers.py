@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mecp_env.state import StateError
+from mecp_env.core.snapshot import StateError
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from tests.env.helpers import drive, make, same
 

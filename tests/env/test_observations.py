@@ -5,9 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env import observation_kernels as kernels
-from mecp_env.observations import COV_MAX, EXTENT_M, GOALS, GRID, LANDMARKS, Trail, make_space, rooms_after_merges
-from mecp_env.slam.data import Belief, Cell, FeatureTable, RoomGraph
+from mecp_env.episode import observation_arrays as kernels
+from mecp_env.episode.observations import (
+    COV_MAX,
+    EXTENT_M,
+    GOALS,
+    GRID,
+    LANDMARKS,
+    Trail,
+    make_space,
+    rooms_after_merges,
+)
+from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
 from tests.env.helpers import drive, make
 
 LAYER = {name: index for index, name in enumerate(kernels.LAYERS)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from tests.env.helpers import drive, make, same
 from tests.env.test_goal_actions import explore
 
@@ -107,7 +107,7 @@ def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
     env.reset(seed=1)
     rows = drive(env, 30)
     assert [row[2:4] for row in rows[:30]] == [(False, False)] * 29 + [(False, True)]
-    assert not env.report.known_polygons
+    assert not env.report.map_polygons
 
 
 def test_info_counts_the_landmarks_that_found_no_room():

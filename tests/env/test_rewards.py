@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.config import RewardConfig
-from mecp_env.rewards import (
+from mecp_env.episode.rewards import (
     TERMS,
     Moment,
     RewardMemory,
@@ -18,7 +18,7 @@ from mecp_env.rewards import (
     remember,
     weigh,
 )
-from mecp_env.slam.data import Belief, SemanticGrid
+from mecp_env.slam.messages import Belief, SemanticGrid
 from tests.env.helpers import drive, make
 
 CONFIG = RewardConfig()

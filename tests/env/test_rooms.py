@@ -10,8 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 import mecp_env  # noqa: F401
-from mecp_env.errors import ConfigError
-from mecp_env.state import StateError
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.snapshot import StateError
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.outline import build_outline
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from mecp_env.errors import MecpError
-from mecp_env.observations import Trail
-from mecp_env.slam.data import Cell, CornerKind, FeatureTable
-from mecp_env.state import StateError, decode, encode
+from mecp_env.core.errors import MecpError
+from mecp_env.core.snapshot import StateError, decode, encode
+from mecp_env.episode.observations import Trail
+from mecp_env.slam.messages import Cell, CornerKind, FeatureTable
 from mecp_env.world.config import LaserConfig
 from tests.env.helpers import drive, make, same
 
@@ -119,9 +119,9 @@ def test_what_no_state_may_hold_is_refused(value):
         {"@same": -1},
         {"@object": ["os:system", {}]},
         {"@object": ["mecp_env.nowhere:X", {}]},
-        {"@object": ["mecp_env.state:encode", {}]},
-        {"@enum": ["mecp_env.slam.data:FeatureTable", 1]},
-        {"@settings": ["mecp_env.slam.data:FeatureTable", {}]},
+        {"@object": ["mecp_env.core.snapshot:encode", {}]},
+        {"@enum": ["mecp_env.slam.messages:FeatureTable", 1]},
+        {"@settings": ["mecp_env.slam.messages:FeatureTable", {}]},
         {"@generator": {"bit_generator": "PCG64"}},
         {"@generator": None},
         {"@array": None},
@@ -131,8 +131,8 @@ def test_what_no_state_may_hold_is_refused(value):
         {"@dict": [[{"@list": []}, 1]]},
         {"@list": 3},
         {"@scalar": 3},
-        {"@enum": ["mecp_env.slam.data:Cell", 99]},
-        {"@object": ["mecp_env.observations:Trail", {"nothing_such": 1}]},
+        {"@enum": ["mecp_env.slam.messages:Cell", 99]},
+        {"@object": ["mecp_env.episode.observations:Trail", {"nothing_such": 1}]},
         {"@object": 3},
         {"@same": "x"},
     ],
@@ -268,7 +268,7 @@ def damaged_inside(data, cls, name, value):
         ("RightInvariantEkf", "mean", None),
         ("RightInvariantEkf", "gone", 1),
         ("Belief", "pose_cov", {"@list": []}),
-        ("KnownPolygon", "ids", {"@array": [np.zeros(3), True]}),
+        ("MapPolygon", "ids", {"@array": [np.zeros(3), True]}),
         ("RoomGraph", "merged", {"@dict": [["a", 1]]}),
     ],
 )

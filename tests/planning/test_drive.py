@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import (
     coast,
@@ -23,11 +24,10 @@ from mecp_env.planning.controller import (
     stop_path,
 )
 from mecp_env.planning.goal_sources import door_place, landmark_places
-from mecp_env.planning.goals import GoalBook, GoalKind, find_goals
+from mecp_env.planning.goals import GoalHistory, GoalKind, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
 from mecp_env.planning.paths import way_field
-from mecp_env.slam.data import Door
-from mecp_env.slam.geometry import to_map
+from mecp_env.slam.messages import Door
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
 CONTROL, BODY = ControlConfig(), PathsConfig()
@@ -68,7 +68,7 @@ def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
     pose = np.array([rng.uniform(0.5, 5.2), rng.uniform(0.5, 3.5), rng.uniform(-3, 3)])
     toy = Toy(pose, rng.uniform(-3, 3, 3), 0.03, 0.01, seed=seed)
     report = toy.report()
-    goals = find_goals(report, GoalBook(), PlanningConfig())
+    goals = find_goals(report, GoalHistory(), PlanningConfig())
     row = goals.kind.tolist().index(GoalKind.DOOR)
     navigator = drive(toy, Target.of(goals, row))
     assert navigator.outcome == Outcome.REACHED
@@ -96,7 +96,7 @@ def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_bet
 def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
     toy = Toy(np.array([2.0, 2.0, 0.0]))
     toy.add_polygon([0, 1, 2, 3], 0)
-    config, book = PlanningConfig(), GoalBook()
+    config, book = PlanningConfig(), GoalHistory()
     goals = find_goals(toy.report(), book, config)
     assert goals.kind.tolist() == [GoalKind.DOOR]
     for _ in range(config.goals.refusals):
@@ -110,7 +110,7 @@ def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
 def test_a_frontier_that_recedes_is_not_visited_in_vain() -> None:
     """Seen in a long corridor: two frontiers settled from afar, half a metre apart, closed the one at its end."""
     toy = Toy(np.array([14.0, 2.0, np.pi]))
-    frontier = find_goals(toy.report(), GoalBook(), PlanningConfig())
+    frontier = find_goals(toy.report(), GoalHistory(), PlanningConfig())
     row = frontier.kind.tolist().index(GoalKind.FRONTIER)
     navigator = drive(toy, Target.of(frontier, row))
     assert navigator.outcome == Outcome.SETTLED

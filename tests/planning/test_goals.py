@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_kernels import adopt_rooms
+from mecp_env.planning.goal_search import adopt_rooms
 from mecp_env.planning.goal_sources import (
     BARRIER_CELLS,
     Survey,
@@ -17,11 +18,10 @@ from mecp_env.planning.goal_sources import (
     gap_goals,
     open_goals,
 )
-from mecp_env.planning.goals import GoalBook, GoalKind, Goals, Outcome, complete_rooms, find_goals
+from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.data import Door, EdgeLabel, KnownPolygon, RoomGraph, StepReport
-from mecp_env.slam.geometry import to_map
+from mecp_env.slam.messages import Door, EdgeLabel, MapPolygon, RoomGraph, SlamOutput
 from tests.toy import Toy, candidate, layer_at
 
 CONFIG = PlanningConfig()
@@ -31,19 +31,19 @@ def frontiers(toy: Toy) -> Goals:
     return Goals.of(floor_goals(Survey.of(toy.report()), GoalsConfig())[1])
 
 
-def rooms_of_floor(report: StepReport) -> np.ndarray:
+def rooms_of_floor(report: SlamOutput) -> np.ndarray:
     return adopt_rooms(report.grid.label, report.grid.room, barriers(Survey.of(report)), BARRIER_CELLS)
 
 
-def open_edges(report: StepReport, config: GoalsConfig) -> Goals:
+def open_edges(report: SlamOutput, config: GoalsConfig) -> Goals:
     return Goals.of(open_goals(Survey.of(report), config))
 
 
-def candidates(report: StepReport) -> Goals:
+def candidates(report: SlamOutput) -> Goals:
     return Goals.of(candidate_goals(Survey.of(report), GoalsConfig()))
 
 
-def unexplored_doors(report: StepReport) -> Goals:
+def unexplored_doors(report: SlamOutput) -> Goals:
     return Goals.of(door_goals(Survey.of(report), GoalsConfig()))
 
 
@@ -97,12 +97,12 @@ def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     assert settled(target, toy.report())
 
 
-def with_gap(toy: Toy, edge: int) -> StepReport:
+def with_gap(toy: Toy, edge: int) -> SlamOutput:
     """What is reported when the polygon of room A has a gap in an edge, and neither door nor candidate is known."""
     gap = np.array(
         [[edge, 0.0, 0.4, EdgeLabel.WALL], [edge, 0.4, 0.6, EdgeLabel.GAP], [edge, 0.6, 1.0, EdgeLabel.WALL]]
     )
-    toy.polygons[:] = [KnownPolygon(np.array([0, 1, 2, 3]), gap, 0)]
+    toy.polygons[:] = [MapPolygon(np.array([0, 1, 2, 3]), gap, 0)]
     report = toy.report()
     object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (), {}))
     return report
@@ -113,10 +113,10 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     toy.T_world_robot = np.array([3.0, 2.0, 0.0])
     toy.report()
     report = with_gap(toy, edge=1)  # the door's
-    goals = find_goals(report, GoalBook(), CONFIG)
+    goals = find_goals(report, GoalHistory(), CONFIG)
     assert goals.kind.tolist() == [GoalKind.CANDIDATE]
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 2.0]]), abs=0.01)
-    target, book = Target.of(goals, 0), GoalBook()
+    target, book = Target.of(goals, 0), GoalHistory()
     assert not settled(target, report)
     book.record(goals, 0, Outcome.REFUSED, CONFIG.goals)
     assert len(find_goals(report, book, CONFIG)) == 1
@@ -124,7 +124,7 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     assert len(find_goals(report, book, CONFIG)) == 0  # one look is enough
     known = toy.report()  # of the door
     assert gap_goals(Survey.of(known), CONFIG.goals) == []
-    assert find_goals(known, GoalBook(), CONFIG).kind.tolist() == [GoalKind.DOOR]
+    assert find_goals(known, GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
     assert settled(target, known)
 
 
@@ -133,7 +133,7 @@ def test_a_gap_before_a_wall_is_none(toy: Toy) -> None:
 
 
 def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy) -> None:
-    book = GoalBook()
+    book = GoalHistory()
     goals = find_goals(toy.report(), book, CONFIG)
     for _ in range(CONFIG.goals.visits):
         book.record(goals, 0, Outcome.REACHED, CONFIG.goals)
@@ -184,7 +184,7 @@ def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) 
 
 
 def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
-    book = GoalBook()
+    book = GoalHistory()
     toy.add_polygon([0, 1, 2, 3], 0)
     goals = find_goals(toy.report(), book, CONFIG)
     assert goals.kind.tolist() == [GoalKind.DOOR]
@@ -202,17 +202,17 @@ def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
 
 
 def test_a_room_without_a_polygon_is_a_goal(toy: Toy) -> None:
-    goals = find_goals(toy.report(), GoalBook(), CONFIG)
+    goals = find_goals(toy.report(), GoalHistory(), CONFIG)
     assert set(goals.kind.tolist()) == {GoalKind.OPEN, GoalKind.DOOR}
     assert in_world(toy, goals.p_map)[0] == pytest.approx([3.0, 2.0], abs=0.3)  # the middle of the bare floor
     toy.add_polygon([0, 1, 2, 3], 0)
-    assert find_goals(toy.report(), GoalBook(), CONFIG).kind.tolist() == [GoalKind.DOOR]
+    assert find_goals(toy.report(), GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
 
 
 def test_a_known_room_entered_by_another_door_is_a_goal_until_a_polygon_tells(toy: Toy) -> None:
     toy.add_polygon([8, 9, 10, 11], 3)  # room B, known from elsewhere as room 3; the robot comes to it as room 1
     toy.T_world_robot = np.array([6.6, 1.95, 0.0])
-    report, book = toy.report(), GoalBook()
+    report, book = toy.report(), GoalHistory()
     goals = find_goals(report, book, CONFIG)
     row = goals.room.tolist().index(1)
     assert goals.kind[row] == GoalKind.OPEN
@@ -228,7 +228,7 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
     limits = CONFIG.goals
     often = {Outcome.REFUSED: limits.refusals, Outcome.REACHED: limits.visits, Outcome.SETTLED: limits.settled}
     for ended, times in often.items():
-        book = GoalBook()
+        book = GoalHistory()
         goals = find_goals(toy.report(), book, CONFIG)
         for drive in range(times):
             found = find_goals(toy.report(), book, CONFIG)
@@ -240,7 +240,7 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
 
 
 def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_others() -> None:
-    toy, book = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalBook()
+    toy, book = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalHistory()
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
     assert find_goals(toy.report(), book, narrow).kind.tolist() == [GoalKind.OPEN]  # the bare floor, which is in reach
     toy.add_polygon([0, 1, 2, 3], 0)
@@ -254,7 +254,7 @@ def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all
 
 def test_a_door_out_of_reach_is_a_goal_until_it_is_closed() -> None:
     """Seen in a home: behind a narrow door the way back was barred, and the exploration called itself complete."""
-    toy, book = Toy(np.array([3.0, 2.0, 0.0])), GoalBook()
+    toy, book = Toy(np.array([3.0, 2.0, 0.0])), GoalHistory()
     toy.add_polygon([0, 1, 2, 3], 0)
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
     for drive in range(narrow.goals.refusals):
@@ -266,7 +266,7 @@ def test_a_door_out_of_reach_is_a_goal_until_it_is_closed() -> None:
 
 def test_paths_are_as_long_as_the_way(toy: Toy) -> None:
     toy.add_polygon([0, 1, 2, 3], 0)
-    (length,) = find_goals(toy.report(), GoalBook(), CONFIG).path_m
+    (length,) = find_goals(toy.report(), GoalHistory(), CONFIG).path_m
     assert length == pytest.approx(5.8, abs=1.2)  # to the near side of what can be reached of a place 5.76 m away
 
 
@@ -301,7 +301,7 @@ def test_goals_of_other_rooms_come_last() -> None:
     toy.report()
     toy.T_world_robot = np.array([3.0, 2.0, 0.0])
     report = toy.report()
-    book = GoalBook()
+    book = GoalHistory()
     goals = find_goals(report, book, CONFIG)
     assert goals.room.tolist()[0] == 0
     assert set(goals.room.tolist()) == {0, 1}
@@ -316,7 +316,7 @@ def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) ->
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:
-    goals, limits, book = find_goals(toy.report(), GoalBook(), CONFIG), CONFIG.goals, GoalBook()
+    goals, limits, book = find_goals(toy.report(), GoalHistory(), CONFIG), CONFIG.goals, GoalHistory()
     assert len(goals) > 1
     for _ in range(limits.visits):
         book.record(goals, 1, Outcome.REACHED, limits)

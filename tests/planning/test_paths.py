@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mecp_env.planning import path_kernels as kernels
+from mecp_env.core import grid_paths as kernels
 from mecp_env.planning.config import PathsConfig
 from mecp_env.planning.paths import WayField, way_field
-from mecp_env.slam.data import Cell, SemanticGrid
+from mecp_env.slam.messages import Cell, SemanticGrid
 from tests.toy import Toy
 
 CONFIG = PathsConfig()

@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.se2 import to_robot
 from mecp_env.render.view import View
-from mecp_env.slam.data import (
-    Beams,
+from mecp_env.slam.messages import (
     Belief,
     Candidate,
     Cell,
     Corners,
     Door,
     Doorways,
-    KnownPolygon,
+    MapPolygon,
     Match,
+    MergedScan,
     RoomGraph,
     Segments,
     SemanticGrid,
-    StepReport,
+    SlamOutput,
 )
-from mecp_env.slam.geometry import to_robot
 
 Array = NDArray[np.float64]
 
@@ -91,11 +91,11 @@ def corners() -> Corners:
     )
 
 
-def report() -> StepReport:
+def report() -> SlamOutput:
     """What a pipeline could have said at that moment."""
     bearings = np.radians(np.arange(-179.75, 180.0, 0.5))
     ranges = cast(faces(), T_WORLD_ROBOT, bearings)
-    beams = Beams(ranges, bearings, ranges < 30.0, np.ones(720, np.int64), 30.0, ranges, bearings)
+    beams = MergedScan(ranges, bearings, ranges < 30.0, np.ones(720, np.int64), 30.0, ranges, bearings)
     p_map = to_robot(T_WORLD_MAP, LANDMARKS)
     covs = np.array([[[0.004, 0.001], [0.001, 0.002]]]) * np.linspace(0.1, 1.0, len(p_map))[:, None, None]
     T_map_robot = np.append(to_robot(T_WORLD_MAP, T_WORLD_ROBOT[None, :2])[0], T_WORLD_ROBOT[2] - T_WORLD_MAP[2])
@@ -103,11 +103,11 @@ def report() -> StepReport:
     door = Door(id=0, jambs=(4, 5), other_face=None, rooms=(0, 1), sightings=5)
     gap = to_robot(T_WORLD_MAP, np.array([[9.1, 1.0], [9.1, 1.9]]))
     candidate = Candidate(ends=gap, ids=(-1, -1), room=1, sightings=1, last_period=3)
-    known = KnownPolygon(np.arange(4), np.empty((0, 4)), room=0)
-    right = KnownPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
+    known = MapPolygon(np.arange(4), np.empty((0, 4)), room=0)
+    right = MapPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
     none = np.full(4, -1)
     nothing = np.empty(0, np.int64)
-    return StepReport(
+    return SlamOutput(
         period=12,
         beams=beams,
         segments=Segments(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing, nothing, 0),
@@ -116,7 +116,7 @@ def report() -> StepReport:
         match=Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1, False),
         belief=belief,
         graph=RoomGraph(0, False, (0, 1), (door,), (candidate,), {}),
-        known_polygons=(known, right),
+        map_polygons=(known, right),
         grid=grid(T_WORLD_MAP),
         diverged=False,
     )

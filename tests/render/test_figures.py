@@ -14,7 +14,7 @@ from mecp_env.render import shapes
 from mecp_env.render.figures import comparison_figure, map_figure, save
 from mecp_env.render.stages import stage_figures
 from mecp_env.render.text import summary
-from mecp_env.slam.data import Clusters, EdgeLabel, Polygon
+from mecp_env.slam.messages import Clusters, EdgeLabel, Polygon
 from tests.render import scene
 
 

@@ -9,13 +9,13 @@ import pytest
 from PIL import Image
 from shapely.geometry import Point, Polygon
 
-from mecp_env.errors import ConfigError
-from mecp_env.floor_plan import floor_plan
+from mecp_env.core.errors import ConfigError
+from mecp_env.floorplans import load_plan
+from mecp_env.floorplans.exporters import save_map_server
+from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.plan_figures import plans_figure, save_plans
-from mecp_env.world.exporters import save_map_server
 from mecp_env.world.generator import GeneratorSpec, generate
-from mecp_env.world.importers import load_plan
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, obstacle_shape
 

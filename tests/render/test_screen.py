@@ -10,7 +10,7 @@ import numpy as np
 import pygame
 import pytest
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Camera
 from mecp_env.render.panels import grid_picture
@@ -18,7 +18,7 @@ from mecp_env.render.screen import Screen, ScreenConfig
 from mecp_env.render.thumbnail import HEADER, thumbnail
 from mecp_env.render.view import loops, signed_area
 from mecp_env.render.window import Window
-from mecp_env.slam.data import Cell
+from mecp_env.slam.messages import Cell
 from tests.render import scene
 
 
@@ -49,7 +49,7 @@ def test_the_same_moment_gives_the_same_frame_and_another_one_does_not() -> None
 def test_a_frame_of_an_empty_belief_can_be_drawn() -> None:
     report = scene.report()
     belief = replace(report.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
-    view = scene.view(report=replace(report, belief=belief, known_polygons=()), p_goals=np.empty((0, 2)), metrics={})
+    view = scene.view(report=replace(report, belief=belief, map_polygons=()), p_goals=np.empty((0, 2)), metrics={})
     assert Screen().frame(view).any()
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.evaluation.ground_truth import identify
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.geometry import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.truth import identify
 from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from mecp_env.slam.clustering import cluster_beams
+from mecp_env.core.messages import Scan
+from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import SensorModel, SlamConfig
-from mecp_env.slam.corners import extract_corners
-from mecp_env.slam.data import Scan
-from mecp_env.slam.geometry import polar_to_points
-from mecp_env.slam.segments import extract_segments
-from mecp_env.slam.sweeps import merge_sweeps
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.segments import extract_segments
 
 MAX_RANGE_M = 30.0
 PAPER = SensorModel()
@@ -71,7 +71,7 @@ def blank_scan(sweeps=4, beams=720):
 
 
 def front_end(scan, sensor=PAPER, config=None):
-    """Beams, clusters, segments and corners of a scan."""
+    """MergedScan, clusters, segments and corners of a scan."""
     config = config or SlamConfig()
     beams = merge_sweeps(scan, sensor)
     clusters = cluster_beams(beams, config.clustering, sensor)

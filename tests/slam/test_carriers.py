@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.core.arrays import find_equal, find_rows
+from mecp_env.core.linalg import downdate
+from mecp_env.core.se2 import place, polar_to_points, to_map, wrap_angle
 from mecp_env.slam.association.mecp import accept
-from mecp_env.slam.data import Corners, Decision, Doorways, Match, Reason
-from mecp_env.slam.geometry import place, polar_to_points, to_map, wrap_angle
-from mecp_env.slam.linalg import downdate
-from mecp_env.slam.lookup import find_equal, find_rows
-from mecp_env.slam.polygon_store import find_whole, is_whole, link
+from mecp_env.slam.landmark_map.map_polygons import find_whole, is_whole, link
+from mecp_env.slam.messages import Corners, Decision, Doorways, Match, Reason
 
 
 def corners_of(rng, n):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mecp_env.core.messages import Scan
 from mecp_env.slam.association.base import undecided
 from mecp_env.slam.checks import (
     NOT_FINITE,
@@ -21,7 +22,7 @@ from mecp_env.slam.checks import (
     find_fault,
     look_over,
 )
-from mecp_env.slam.data import Decision, Scan
+from mecp_env.slam.messages import Decision
 
 MAX_RANGE_M = 30.0
 DAMAGE = (math.nan, math.inf, -math.inf, -1e-9, 0.0, MAX_RANGE_M, 30.1, -math.pi, math.pi, 3.2, -3.2)

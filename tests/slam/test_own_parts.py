@@ -16,7 +16,7 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.slam import association, config, filters
 from mecp_env.slam.association import register_associator
 from mecp_env.slam.config import SlamConfig

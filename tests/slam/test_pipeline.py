@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
 from mecp_env.slam.association.base import undecided
 from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
-from mecp_env.slam.data import CornerKind, Decision, FeatureState, Reason
+from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
 
@@ -75,7 +75,7 @@ def test_polygons_of_different_rooms_share_no_vertex(steps):
     """Fig. 6, after every scan."""
     for _, report, _, _ in steps:
         owner = {}
-        for polygon in report.known_polygons:
+        for polygon in report.map_polygons:
             room = report.graph.resolve(polygon.room)
             for vertex in polygon.ids.tolist():
                 assert owner.setdefault(vertex, room) == room
@@ -153,7 +153,7 @@ def test_each_switch_of_the_default_associator_can_be_turned_off(drive, switch):
 
 
 def test_true_identities_are_the_upper_bound(drive):
-    from mecp_env.truth import identify
+    from mecp_env.evaluation.ground_truth import identify
 
     pipeline = SlamPipeline(SlamConfig(association=AssociationConfig(method="known")))
     owners = defaultdict(set)
@@ -171,7 +171,7 @@ def test_true_identities_are_the_upper_bound(drive):
 
 
 def test_the_true_pose_can_be_given(drive):
-    from mecp_env.slam.geometry import compose, inverse
+    from mecp_env.core.se2 import compose, inverse
 
     pipeline = SlamPipeline(SlamConfig())
     T_map_world = inverse(drive.T_world_robot[0])

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.vector import BatchEnv
 from mecp_env.vector.crew import cores, shares, start_method
 from tests.env.helpers import IDS, NEEDED, SMALL, same

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
-from mecp_env.errors import ActionError
+from mecp_env.core.errors import ActionError
 from mecp_env.vector import BatchEnv, WorkerDied, WorkerError
 from mecp_env.vector.crew import STOP_S
 from tests.env.helpers import make

@@ -18,7 +18,7 @@ from tests.vector.helpers import LAYOUT, N, choose, equal, gone_within, make_sma
 
 vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
 utils = pytest.importorskip("sb3_contrib.common.maskable.utils")
-sb3_batch = pytest.importorskip("agents.sb3_batch")
+sb3_batch = pytest.importorskip("mecp_env.learning.sb3_batch")
 
 STEPS = 12
 KINDS = {"velocity": {"max_periods": 5}, "goal": {"actions": "goal", "max_periods": 30}}

@@ -13,7 +13,7 @@ import pytest
 import shapely
 from shapely.geometry import Polygon
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.generator.furniture import Room, _is_clear, _is_off, _is_off_walls, _shelf, _standing
 from mecp_env.world.layout import check_geometry, load_layout

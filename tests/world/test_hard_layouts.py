@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mecp_env.errors import LayoutError
+from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import load_layout, shipped_layouts
+from tests.floorplans.strangers import MEGABYTES, SECONDS, costs, layout
 from tests.world.hard_layouts import HARD, as_file
-from tests.world.strangers import MEGABYTES, SECONDS, costs, layout
 from tests.world.test_layout import BAD_DOCUMENTS, BAD_FILES, DOCUMENTS
 
 LETTERS = 800

@@ -11,7 +11,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.errors import ConfigError, MecpError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.world import laser as module
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser, cast_rays

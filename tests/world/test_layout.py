@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from mecp_env.errors import LayoutError, MecpError
+from mecp_env.core.errors import LayoutError, MecpError
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Box, Pillar

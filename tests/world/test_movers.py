@@ -10,22 +10,22 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.errors import ConfigError
-from mecp_env.truth import CELL_M, Truth
-from mecp_env.world import crowd_kernels as crowd
-from mecp_env.world import drive_kernels
+from mecp_env.core.errors import ConfigError
+from mecp_env.evaluation.ground_truth import CELL_M, Truth
+from mecp_env.world import drive as drive_kernels
+from mecp_env.world import pedestrians as crowd
 from mecp_env.world import simulation as module
-from mecp_env.world.closing import close_doors, draw_closed
+from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
-from mecp_env.world.crowd_kernels import clear_leg
-from mecp_env.world.drive_kernels import wall_distance
+from mecp_env.world.drive import wall_distance
 from mecp_env.world.faces import box_corner, moving_faces
 from mecp_env.world.laser import Laser, cast_rays
 from mecp_env.world.layout import load_layout
-from mecp_env.world.movers import Movers, Moving, is_whole
+from mecp_env.world.moving_obstacles import Movers, Moving, is_whole
 from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.pedestrians import clear_leg
 from mecp_env.world.simulation import Simulation
-from mecp_env.world.ways import Ways
+from mecp_env.world.walkways import Ways
 from tests.world.conftest import OUTLINES
 
 Array = NDArray[np.float64]

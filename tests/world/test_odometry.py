@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mecp_env.errors import ConfigError
+from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import OdometryConfig
 from mecp_env.world.odometry import measure, variances
 from mecp_env.world.simulation import Motion

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from shapely.geometry import Point
 
-from mecp_env.errors import LayoutError
+from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import Layout, load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
 

@@ -15,10 +15,10 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.errors import ActionError, ConfigError, MecpError
-from mecp_env.slam.geometry import compose
+from mecp_env.core.errors import ActionError, ConfigError, MecpError
+from mecp_env.core.se2 import compose
 from mecp_env.world.config import RobotConfig
-from mecp_env.world.drive_kernels import REACH, wall_distance
+from mecp_env.world.drive import REACH, wall_distance
 from mecp_env.world.outline import Outline
 from mecp_env.world.simulation import Motion, Simulation
 from tests.world.conftest import OUTLINES

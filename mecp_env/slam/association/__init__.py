@@ -2,20 +2,20 @@
 
 from collections.abc import Callable
 
+from mecp_env.core.registry import register
 from mecp_env.slam.association.base import Associator, ignored, undecided
-from mecp_env.slam.association.known import KnownAssociator
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
-from mecp_env.slam.association.singles import settle
+from mecp_env.slam.association.oracle import OracleAssociator
+from mecp_env.slam.association.single_corners import settle
 from mecp_env.slam.config import METHODS, AssociationConfig
-from mecp_env.slam.parts import register
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
     "mecp_paper": MecpPaperAssociator,
     "nearest": NearestAssociator,
-    "known": KnownAssociator,
+    "known": OracleAssociator,
 }
 
 
@@ -37,10 +37,10 @@ def make_associator(config: AssociationConfig) -> Associator:
 __all__ = [
     "ASSOCIATORS",
     "Associator",
-    "KnownAssociator",
     "MecpAssociator",
     "MecpPaperAssociator",
     "NearestAssociator",
+    "OracleAssociator",
     "ignored",
     "make_associator",
     "register_associator",

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from mecp_env.kernel import kernel
-from mecp_env.slam.data import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def chi2_gate(dof: int, probability: float) -> float:
     return float(chdtri(dof, 1.0 - probability))
 
 
-@kernel
+@compiled
 def one_to_one(cost: Array, gate: float) -> Ints:
     """(n,) column paired with each row, or -1: smallest cost (n,N) first, each column once, none above `gate`."""
     n, m = cost.shape
@@ -73,7 +73,7 @@ def _match(n: int, decision: int, reason: int) -> Match:
     return Match(*columns, -1, -1, False)
 
 
-@kernel
+@compiled
 def _fill(ids: Ints, decision: Ints, reason: Ints, nis: Array, one_decision: int, one_reason: int) -> None:
     for i in range(ids.shape[0]):
         ids[i], decision[i], reason[i], nis[i] = NO_ID, one_decision, one_reason, math.nan

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
 from mecp_env.slam.association.base import chi2_gate, undecided
-from mecp_env.slam.association.joint import best_growth, grow, likeliest
-from mecp_env.slam.association.rings import RingMatch, match_rings
-from mecp_env.slam.association.singles import pairing_table, pairs_beside_ring, settle
+from mecp_env.slam.association.joint_compatibility import best_growth, grow, likeliest
+from mecp_env.slam.association.polygon_matching import RingMatch, match_rings
+from mecp_env.slam.association.single_corners import pairing_table, pairs_beside_ring, settle
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Belief, Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class MecpAssociator:
         return known and heading < math.radians(self.config.sharp_sigma_deg) ** 2
 
 
-@kernel
+@compiled
 def accept(
     nu: Array,
     S: Array,
@@ -112,7 +112,7 @@ def accept(
     write_pairs(match_ids, decision, reason, match_nis, corner, ids, nis, ambiguous, fixed)
 
 
-@kernel
+@compiled
 def fixed_pairs(corner: Ints, row: Ints, fixed: Ints) -> Ints:
     """The pairings (of P) that the polygon has `fixed` (n,)."""
     pairs = np.empty(corner.shape[0], np.int64)
@@ -124,7 +124,7 @@ def fixed_pairs(corner: Ints, row: Ints, fixed: Ints) -> Ints:
     return pairs[:count]
 
 
-@kernel
+@compiled
 def write_pairs(
     match_ids: Ints,
     decision: Ints,

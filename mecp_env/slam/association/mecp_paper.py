@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from mecp_env.slam.association.base import chi2_gate, undecided
 from mecp_env.slam.association.nearest import pair_off
-from mecp_env.slam.association.rings import known_rings
-from mecp_env.slam.association.singles import pairing_table
+from mecp_env.slam.association.polygon_matching import known_rings
+from mecp_env.slam.association.single_corners import pairing_table
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]

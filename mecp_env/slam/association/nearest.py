@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mecp_env.slam.association.base import chi2_gate, one_to_one, undecided
-from mecp_env.slam.association.singles import settle
+from mecp_env.slam.association.single_corners import settle
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.data import Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Filter
 
 

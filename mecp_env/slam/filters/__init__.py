@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from mecp_env.core.registry import register
 from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters.ekf import Ekf
 from mecp_env.slam.filters.riekf import RightInvariantEkf
-from mecp_env.slam.parts import register
 from mecp_env.slam.protocols import Filter, FilterError
 
 __all__ = ["FILTERS", "Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter", "register_filter"]

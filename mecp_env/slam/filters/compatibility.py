@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import factor_lower, solve_lower
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise, world_jacobian
 from mecp_env.slam.filters.landmarks import find_slots, take
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
-from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.linalg import factor_lower, solve_lower
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,7 +21,7 @@ FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurd
 CONVERGED = 1e-6  # m and rad
 
 
-@kernel
+@compiled
 def pairwise_nis(
     mean: Array,
     cov: Array,
@@ -50,7 +50,7 @@ def pairwise_nis(
     return True
 
 
-@kernel
+@compiled
 def predicted_cov(cov: Array, i: int, A: Array, a_heading: Array) -> tuple[float, float, float]:
     """H P H^T of one landmark at rows i and i + 1: its range-range, range-bearing and bearing-bearing entries."""
     tt, tx, ty = cov[0, 0], cov[0, i] - cov[0, 1], cov[0, i + 1] - cov[0, 2]  # of the heading and l - p
@@ -64,7 +64,7 @@ def predicted_cov(cov: Array, i: int, A: Array, a_heading: Array) -> tuple[float
     return gx * rx + gy * ry + gt * rt, gx * bx + gy * by + gt * bt, kx * bx + ky * by + kt * bt
 
 
-@kernel
+@compiled
 def nis_2x2(u: float, v: float, s_uu: float, s_uv: float, s_vv: float) -> float:
     """NIS of (u, v) under [[s_uu, s_uv], [s_uv, s_vv]]; inf where far, or where S is not positive."""
     det = s_uu * s_vv - s_uv * s_uv
@@ -73,7 +73,7 @@ def nis_2x2(u: float, v: float, s_uu: float, s_uv: float, s_vv: float) -> float:
     return (s_vv * u * u - 2.0 * s_uv * u * v + s_uu * v * v) / det
 
 
-@kernel
+@compiled
 def joint_cost(
     mean: Array,
     cov: Array,
@@ -115,7 +115,7 @@ def joint_cost(
     return cost
 
 
-@kernel
+@compiled
 def procrustes(part: Array, z: Array, invariant: bool, xi: Array) -> None:
     """Write to xi the error of the pose that lays the measured points best (least squares) on the landmarks."""
     m = z.shape[0]
@@ -137,7 +137,7 @@ def procrustes(part: Array, z: Array, invariant: bool, xi: Array) -> None:
     set_positions(part, lx - c * mx + s * my, ly - s * mx - c * my, invariant, xi)
 
 
-@kernel
+@compiled
 def set_positions(part: Array, x: float, y: float, invariant: bool, xi: Array) -> None:
     """Complete xi, whose turn is set, so that the robot is at (x, y) and every landmark stays where it is."""
     if not invariant:
@@ -153,7 +153,7 @@ def set_positions(part: Array, x: float, y: float, invariant: bool, xi: Array) -
         xi[i], xi[i + 1] = (a * ux + b * uy) / det, (a * uy - b * ux) / det
 
 
-@kernel
+@compiled
 def dot(a: Array, b: Array) -> float:
     """a . b"""
     total = 0.0
@@ -162,7 +162,7 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
-@kernel
+@compiled
 def solve_upper(L: Array, y: Array) -> None:
     """Replace y (n,) by x of L^T x = y."""
     for i in range(y.shape[0] - 1, -1, -1):
@@ -171,7 +171,7 @@ def solve_upper(L: Array, y: Array) -> None:
         y[i] /= L[i, i]
 
 
-@kernel
+@compiled
 def blend(HP: Array, weights: Array, xi: Array) -> float:
     """Replace xi (n,) by HP^T weights; returns the largest change."""
     step = 0.0
@@ -184,7 +184,7 @@ def blend(HP: Array, weights: Array, xi: Array) -> float:
     return step
 
 
-@kernel
+@compiled
 def centre_nis(
     mean: Array,
     cov: Array,
@@ -233,7 +233,7 @@ def centre_nis(
     return dot(y, y)
 
 
-@kernel
+@compiled
 def observed_centre(part: Array, z: Array, R: Array) -> tuple[Array, Array]:
     """Sensor noise (2,2) of the centre of the points z (k,2) in the map, R (2k,2k), and the centre (2,) itself."""
     k = z.shape[0]
@@ -251,7 +251,7 @@ def observed_centre(part: Array, z: Array, R: Array) -> tuple[Array, Array]:
     return noise, centre
 
 
-@kernel
+@compiled
 def quadratic(M: Array, a: Array, b: Array) -> float:
     """a^T M b"""
     total = 0.0

@@ -8,11 +8,12 @@ from typing import Self
 
 import numpy as np
 
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.data import Array, Belief, Ints, Odometry
 from mecp_env.slam.filters import compatibility, landmarks, motion
 from mecp_env.slam.filters.measurement import joint_innovation
 from mecp_env.slam.filters.update import batch_update, fuse_pair
+from mecp_env.slam.messages import Array, Belief, Ints
 from mecp_env.slam.protocols import FilterError
 
 FIRST_CAPACITY = 32  # landmarks; grows by doubling

@@ -13,15 +13,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
-from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.linalg import mirror_lower
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import mirror_lower
+from mecp_env.core.se2 import wrap_angle
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@kernel
+@compiled
 def left_jacobian(t: float) -> tuple[float, float, float, float]:
     """a, b of V(t) = [[a, -b], [b, a]], a = sin t / t, b = (1 - cos t) / t, and their derivatives by t."""
     if abs(t) < 1e-2:
@@ -38,7 +38,7 @@ def left_jacobian(t: float) -> tuple[float, float, float, float]:
     return a, b, da, db
 
 
-@kernel
+@compiled
 def retract(mean: Array, n: int, xi: Array, invariant: bool) -> None:
     """Replace the leading n numbers of `mean` by the state whose error was xi (n,)."""
     heading = wrap_angle(mean[0] + xi[0])
@@ -55,7 +55,7 @@ def retract(mean: Array, n: int, xi: Array, invariant: bool) -> None:
     mean[0] = heading
 
 
-@kernel
+@compiled
 def linearise(mean: Array, xi: Array, slots: Ints, invariant: bool, h: Array, A: Array, a_heading: Array) -> None:
     """Predict range and bearing of the landmarks at `slots` (m,) for the state with error xi, and the Jacobian by xi.
 
@@ -90,7 +90,7 @@ def linearise(mean: Array, xi: Array, slots: Ints, invariant: bool, h: Array, A:
             A[k, 0, 0], A[k, 0, 1], A[k, 1, 0], A[k, 1, 1] = rx, ry, bx, by
 
 
-@kernel
+@compiled
 def birth_column(mean: Array, x: float, y: float, invariant: bool) -> tuple[float, float]:
     """Derivative of a new landmark at (x, y) by the heading: J (l - p), or zero for the invariant error."""
     if invariant:
@@ -98,7 +98,7 @@ def birth_column(mean: Array, x: float, y: float, invariant: bool) -> tuple[floa
     return mean[2] - y, x - mean[1]
 
 
-@kernel
+@compiled
 def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
     """P += G N G^T for pose noise N (3,3) (heading, x, y in the world, at the new pose `mean`); F is the identity.
 
@@ -124,7 +124,7 @@ def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
     add_outer(cov, n, turn, N[0, 0])
 
 
-@kernel
+@compiled
 def add_outer(cov: Array, n: int, v: Array, q: float) -> None:
     """P += q v v^T on the landmarks' block, the same bits on both sides of the diagonal."""
     tail = v[3:n]
@@ -134,7 +134,7 @@ def add_outer(cov: Array, n: int, v: Array, q: float) -> None:
             row[j] += q * (v_i * tail[j])
 
 
-@kernel
+@compiled
 def propagate_plain(mean: Array, cov: Array, n: int, moved: Array, N: Array) -> None:
     """P_rr = F P_rr F^T + N, P_rl = F P_rl with F = [[1, 0], [J (p' - p), I]]; `moved` (2,) is p' - p, N (3,3)."""
     fx, fy = -moved[1], moved[0]
@@ -152,7 +152,7 @@ def propagate_plain(mean: Array, cov: Array, n: int, moved: Array, N: Array) -> 
             cov[j, i] = cov[i, j]
 
 
-@kernel
+@compiled
 def world_jacobian(mean: Array, n: int, invariant: bool) -> Array:
     """The heading column of T (n,) in d(heading, p, l_1, ...) = T xi: J p, J l_i under the identity; zero if plain."""
     column = np.zeros(n)
@@ -162,7 +162,7 @@ def world_jacobian(mean: Array, n: int, invariant: bool) -> Array:
     return column
 
 
-@kernel
+@compiled
 def change_chart(cov: Array, n: int, column: Array) -> None:
     """P := T P T^T on the leading n x n block, T the identity with `column` (n,) added to the heading's column."""
     top = cov[0, :n].copy()

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
 from mecp_env.slam.filters.error_state import birth_column, change_chart, world_jacobian
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@kernel
+@compiled
 def find_slots(slot_ids: Ints, count: int, ids: Ints, slots: Ints) -> bool:
     """Write the slot of each id (m,), -1 where the filter has no such landmark; says whether it has all of them."""
     complete = True
@@ -24,7 +24,7 @@ def find_slots(slot_ids: Ints, count: int, ids: Ints, slots: Ints) -> bool:
     return complete
 
 
-@kernel
+@compiled
 def slot_of(slot_ids: Ints, count: int, landmark: int, likely: int) -> int:
     """Slot of one landmark or -1; the slot `likely` is looked at first."""
     if likely < count and slot_ids[likely] == landmark:
@@ -35,7 +35,7 @@ def slot_of(slot_ids: Ints, count: int, landmark: int, likely: int) -> int:
     return -1
 
 
-@kernel
+@compiled
 def append(mean: Array, cov: Array, n: int, z: Array, R: Array, invariant: bool) -> None:
     """Add the landmarks seen at z (m,2) with joint covariance R (2m,2m) behind the n numbers of the state."""
     m = z.shape[0]
@@ -57,7 +57,7 @@ def append(mean: Array, cov: Array, n: int, z: Array, R: Array, invariant: bool)
     add_sensor_noise(cov, n, B, R)
 
 
-@kernel
+@compiled
 def add_sensor_noise(cov: Array, n: int, B: Array, R: Array) -> None:
     """P += B R B^T on the block behind the first n numbers, B (m,2,2) block diagonal, R (2m,2m)."""
     size = 2 * B.shape[0]
@@ -71,7 +71,7 @@ def add_sensor_noise(cov: Array, n: int, B: Array, R: Array) -> None:
             cov[n + j, n + i] = cov[n + i, n + j]
 
 
-@kernel
+@compiled
 def compact(mean: Array, cov: Array, slot_ids: Ints, kept: Ints) -> None:
     """Keep only the landmarks at the ascending slots `kept` (m,), in their order."""
     m = kept.shape[0]
@@ -87,7 +87,7 @@ def compact(mean: Array, cov: Array, slot_ids: Ints, kept: Ints) -> None:
             cov[i, j] = cov[rows[i], rows[j]]
 
 
-@kernel
+@compiled
 def take(mean: Array, cov: Array, slots: Ints) -> tuple[Array, Array]:
     """Mean (3+2m,) and covariance of the pose and the landmarks at `slots` (m,), in the filter's own order."""
     size = 3 + 2 * slots.shape[0]
@@ -102,7 +102,7 @@ def take(mean: Array, cov: Array, slots: Ints) -> tuple[Array, Array]:
     return part, block
 
 
-@kernel
+@compiled
 def world_marginal(mean: Array, cov: Array, slots: Ints, invariant: bool) -> tuple[Array, Array]:
     """As `take`, but x, y, heading, then the landmarks, and the covariance of world coordinates: T P T^T."""
     part, block = take(mean, cov, slots)
@@ -118,7 +118,7 @@ def world_marginal(mean: Array, cov: Array, slots: Ints, invariant: bool) -> tup
     return world_mean, world_cov
 
 
-@kernel
+@compiled
 def world_belief(
     mean: Array, cov: Array, invariant: bool, pose: Array, pose_cov: Array, p_map: Array, covs: Array
 ) -> None:
@@ -134,7 +134,7 @@ def world_belief(
         covs[k, 0, 1] = covs[k, 1, 0]
 
 
-@kernel
+@compiled
 def world_pose(mean: Array, cov: Array, invariant: bool, pose: Array, pose_cov: Array) -> None:
     """Write x, y, heading (3,) and their covariance (3,3)."""
     block = np.empty((3, 3))
@@ -148,7 +148,7 @@ def world_pose(mean: Array, cov: Array, invariant: bool, pose: Array, pose_cov: 
             pose_cov[i, j] = block[(i + 1) % 3, (j + 1) % 3]
 
 
-@kernel
+@compiled
 def pin_pose(mean: Array, cov: Array, n: int, pose: Array, var: float, invariant: bool) -> None:
     """Set the pose (x, y, heading) with variance `var`, independent of the map, whose world covariance stays."""
     change_chart(cov, n, world_jacobian(mean, n, invariant))

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import wide
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import linearise
 from mecp_env.slam.filters.landmarks import find_slots
-from mecp_env.slam.geometry import wrap_angle
-from mecp_env.slam.linalg import wide
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@kernel
+@compiled
 def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Array, nu: Array) -> None:
     """Write nu (2m,) = z - h(xi) + H xi, bearings wrapped: the innovation, referred to xi = 0."""
     for k in range(slots.shape[0]):
@@ -26,7 +26,7 @@ def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Ar
         nu[2 * k + 1] = bearing + A[k, 1, 0] * ex + A[k, 1, 1] * ey + a_heading[k, 1] * xi[0]
 
 
-@kernel
+@compiled
 def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Array:
     """H P (2m,w) from rows of the symmetric P: n columns, and zeros up to the width that `downdate` likes."""
     m = slots.shape[0]
@@ -41,7 +41,7 @@ def project(cov: Array, n: int, A: Array, a_heading: Array, slots: Ints) -> Arra
     return HP
 
 
-@kernel
+@compiled
 def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array, S: Array) -> None:
     """Write S (2m,2m) = H P H^T + R, symmetric to the bit."""
     m = slots.shape[0]
@@ -55,7 +55,7 @@ def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array,
                 S[2 * b + s, a] = S[a, 2 * b + s]
 
 
-@kernel
+@compiled
 def joint_innovation(
     mean: Array,
     cov: Array,

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import propagate_invariant, propagate_plain
-from mecp_env.slam.geometry import wrap_angle
 
 Array = NDArray[np.float64]
 
 
-@kernel
+@compiled
 def predict(
     mean: Array,
     cov: Array,
@@ -36,7 +36,7 @@ def predict(
         propagate_plain(mean, cov, n, moved, noise)
 
 
-@kernel
+@compiled
 def integrate(mean: Array, increments: Array, covs: Array, lateral_var: float, heading_var: float) -> Array:
     """Move the pose in `mean` along the arcs; returns the noise N (3,3) of (heading, x, y) in the world at the end.
 
@@ -65,7 +65,7 @@ def integrate(mean: Array, increments: Array, covs: Array, lateral_var: float, h
     return N
 
 
-@kernel
+@compiled
 def carry_noise(N: Array, fx: float, fy: float) -> None:
     """N := F N F^T with F = [[1, 0, 0], [fx, 1, 0], [fy, 0, 1]], where (fx, fy) = J (p' - p) of the arc."""
     N[1, 1] += 2.0 * fx * N[1, 0] + fx * fx * N[0, 0]
@@ -76,7 +76,7 @@ def carry_noise(N: Array, fx: float, fy: float) -> None:
     N[0, 1], N[0, 2], N[1, 2] = N[1, 0], N[2, 0], N[2, 1]
 
 
-@kernel
+@compiled
 def add_noise(N: Array, G: Array, q_dd: float, q_dw: float, q_ww: float) -> None:
     """N += G Q G^T for G (3,2) and Q = [[q_dd, q_dw], [q_dw, q_ww]]."""
     for i in range(3):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.kernel import kernel
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower
 from mecp_env.slam.filters.error_state import linearise, retract
 from mecp_env.slam.filters.landmarks import find_slots
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
-from mecp_env.slam.linalg import downdate, factor_lower, forward_rows, solve_lower
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 CONVERGED = 1e-7  # m and rad: an iterated update stops when no number of the state moves by more
 
 
-@kernel
+@compiled
 def batch_update(
     mean: Array,
     cov: Array,
@@ -54,7 +54,7 @@ def batch_update(
     return commit(mean, cov, n, W, xi, invariant)
 
 
-@kernel
+@compiled
 def combine(W: Array, y: Array, xi: Array) -> float:
     """Replace xi (n,) by W^T y; returns the largest change of a number (inf when one is not finite)."""
     new = np.zeros(xi.shape[0])
@@ -72,7 +72,7 @@ def combine(W: Array, y: Array, xi: Array) -> float:
     return step
 
 
-@kernel
+@compiled
 def commit(mean: Array, cov: Array, n: int, W: Array, xi: Array, invariant: bool) -> bool:
     """x <- x retracted by xi, P -= W^T W; False when a variance is then not positive (the state is spoilt)."""
     downdate(cov, n, W)
@@ -83,7 +83,7 @@ def commit(mean: Array, cov: Array, n: int, W: Array, xi: Array, invariant: bool
     return positive
 
 
-@kernel
+@compiled
 def fuse_pair(mean: Array, cov: Array, n: int, keep: int, drop: int, var: float, invariant: bool) -> bool:
     """Update with the pseudo-measurement l_keep - l_drop = 0 (variance `var`, m^2); False when not positive.
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.errors import ConfigError, LayoutError
-from mecp_env.settings import shown
+from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.core.settings import shown
 from mecp_env.world.generator.doorplan import Opening, plan_doors
 from mecp_env.world.generator.furniture import Array, Placed, edge_distances, furnish, inside
 from mecp_env.world.generator.partition import Point, Space, partition

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from mecp_env.errors import ConfigError
-from mecp_env.settings import Settings, as_many, as_range, guess
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import Settings, as_many, as_range, guess
 
 Difficulty = Literal["easy", "medium", "hard", "huge"]
 Shape = Literal["L", "T", "U"]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.association.base import chi2_gate, one_to_one
-from mecp_env.slam.association.joint import best_growth, grow, likeliest
-from mecp_env.slam.association.rings import plausible_rings
-from mecp_env.slam.association.singles import (
+from mecp_env.slam.association.joint_compatibility import best_growth, grow, likeliest
+from mecp_env.slam.association.polygon_matching import plausible_rings
+from mecp_env.slam.association.single_corners import (
     HERE,
     fix_rows,
     possible_pairs,
@@ -16,7 +16,7 @@ from mecp_env.slam.association.singles import (
     strike_by_room,
     strike_by_signature,
 )
-from mecp_env.slam.data import UNKNOWN_ROOM, Belief, CornerKind, FeatureState
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, CornerKind, FeatureState
 
 
 def common_error_case(rng, wrong):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks import ring
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.data import Odometry
 from mecp_env.slam.filters import make_filter
 
 BAND = (2.41, 3.65)  # 95 % of the mean of 60 NEES of 3 degrees of freedom

@@ -8,9 +8,9 @@ import pickle
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Ekf, Filter, FilterError, RightInvariantEkf, make_filter
-from mecp_env.slam.geometry import to_map
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.data import Odometry
 
 Array = NDArray[np.float64]
 J = np.array([[0.0, -1.0], [1.0, 0.0]])

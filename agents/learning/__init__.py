@@ -1,4 +1,0 @@
-"""How agents learn: configuration, networks, training and its files. `python -m agents.train` is the way in.
-
-Needs the extra `rl`; only `config` and `line` do without PyTorch.
-"""

@@ -1,0 +1,89 @@
+"""What every command of `mecp-env` is."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar, Self
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import guess
+from mecp_env.core.text import readable
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
+
+
+class Command(ABC):
+    """A command: a dataclass of its options, whose docstring is its help."""
+
+    examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
+
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> the words that it takes
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with what a user may leave out."""
+        return list(line)
+
+    @classmethod
+    def hints(cls, line: Sequence[str]) -> list[str]:
+        """What was probably meant by words that an option does not take."""
+        pairs = [pair for pair in pairwise(line) if pair[1] not in cls.choices.get(pair[0], (pair[1],))]
+        near = [(option, word, guess(word, cls.choices[option])) for option, word in pairs]
+        return [f"{option} {word}{found}" for option, word, found in near if found]
+
+    @classmethod
+    def defaults(cls, line: Sequence[str]) -> Self | None:
+        """What the options are where the line does not say; None: as the dataclass has it."""
+        return None
+
+    @abstractmethod
+    def run(self, line: Sequence[str]) -> int:
+        """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
+
+
+def say(line: str) -> None:
+    """Print a line that may hold names of strangers (buildings, files), without signs that a terminal would obey."""
+    print(readable(line))
+
+
+def check_writable(path: Path) -> Path:
+    """`path` itself, of which nothing is made yet. Raises `ConfigError` where it could not be made, or written to."""
+    there = path.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if there != path.absolute() and not there.is_dir():
+        raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place")
+    if not os.access(there, os.W_OK):
+        raise ConfigError(f"out: {path}: {there} cannot be written to; choose another place")
+    return path
+
+
+def check_folder(path: Path) -> Path:
+    """`path` itself, a folder that may have to be made. Raises `ConfigError` for a file, and as `check_writable`."""
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"out: {path} is a file, a folder is expected; choose another place")
+    return check_writable(path)
+
+
+@contextmanager
+def folder_of(path: Path) -> Iterator[None]:
+    """Make the folder that a file goes into; where writing fails, what was made of it and is empty goes again."""
+    above = path.absolute().parents
+    made = [folder for folder in above if not folder.exists()]
+    above[0].mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in made:
+            _remove_empty(folder)
+        raise
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # something is in it
+        folder.rmdir()

@@ -1,0 +1,146 @@
+"""The words by which commands are told of buildings: shipped names, hard:7, hard:0-9, files, folders."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.core.settings import guess
+from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.schema import Layout
+
+MOST_SEEDS = 10_000
+SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
+NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
+
+Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
+Buildings = Annotated[
+    tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...", help_behavior_hint="")
+]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files are read, where they do not say it themselves."""
+
+    resolution_m: float | None = None  # metres a pixel, of an image without a map_server yaml
+    kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
+
+
+ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
+
+
+def expand(word: str, reading: Reading | None = None) -> list[str]:
+    """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
+
+    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder, and
+    `LayoutError` for a folder with a link out of it.
+    """
+    if word in DIFFICULTIES:
+        raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
+    series = SERIES.fullmatch(word)
+    if series:
+        return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
+    if word and Path(word).is_dir():
+        return _files(Path(word), reading or Reading())
+    return [word]
+
+
+def _series(word: str, preset: str, first: int, last: int) -> list[str]:
+    if last < first:
+        raise ConfigError(f"{word}: the first seed comes first, as {preset}:{last}-{first}")
+    if last - first >= MOST_SEEDS:
+        raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
+    return [f"{preset}:{seed}" for seed in range(first, last + 1)]
+
+
+def expand_all(words: Sequence[str], reading: Reading | None = None) -> list[str]:
+    """The single buildings of all words. Raises `ConfigError` for none."""
+    if not words:
+        raise ConfigError(NONE_GIVEN)
+    return [single for word in words for single in expand(word, reading)]
+
+
+def one(word: str) -> str:
+    """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
+    first, *others = expand(word)
+    if others:
+        raise ConfigError(f"layout: {word} is {1 + len(others)} buildings; name one building, as {first}")
+    return first
+
+
+def resolve(word: str) -> str | Layout:
+    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
+
+    Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
+    """
+    word = one(word)
+    return word if word in shipped_layouts() else load(word)
+
+
+def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
+    """Raise `ConfigError` if one of the files that will be written is one that these buildings are read from."""
+    sources = [source for word in words for source in _sources(Path(word))]
+    for path in written:
+        if any(path.exists() and path.samefile(source) for source in sources):
+            raise ConfigError(f"{path} is what the building is read from and would be overwritten; name another file")
+
+
+def _sources(path: Path) -> list[Path]:
+    """The files that a plan is read from: its own, and the image that a map_server yaml names."""
+    from mecp_env.floorplans.map_server import image_of
+
+    image = image_of(path) if path.suffix.lower() in (".yaml", ".yml") else None
+    return [source for source in (path, image) if source is not None and source.exists()]
+
+
+def stem(word: str) -> str:
+    """A name for what is kept of a building: `hard-7` for `hard:7`, of a file its name without ending."""
+    return Path(word).stem if Path(word).exists() else word.replace(":", "-")
+
+
+def counted(layout: Layout) -> str:
+    """How many rooms, doors and obstacles there are, in words."""
+    parts = ((len(layout.rooms), "room"), (len(layout.doors), "door"), (len(layout.obstacles), "obstacle"))
+    return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
+
+
+def _files(folder: Path, reading: Reading) -> list[str]:
+    from mecp_env.floorplans import plan_files
+
+    return [str(path) for path in plan_files(folder, reading.kind, images=reading.resolution_m is not None)]
+
+
+def load(word: str, reading: Reading | None = None) -> Layout:
+    """The checked layout of a single building. Raises `LayoutError`, or `ConfigError` for a wrong way of reading."""
+    series = SERIES.fullmatch(word)
+    if series:
+        from mecp_env.world.generator import generate
+
+        return generate(GeneratorSpec.preset(series[1]), int(series[2]))
+    if word in shipped_layouts():
+        return load_layout(word)
+    if not word or not Path(word).exists():
+        raise _no_such(word)
+    from mecp_env.floorplans import load_plan
+
+    reading = reading or Reading()
+    return load_plan(word, kind=reading.kind, resolution_m=reading.resolution_m)
+
+
+def _no_such(word: str) -> MecpError:
+    preset, _, seeds = word.partition(":")
+    if preset in DIFFICULTIES:
+        return ConfigError(
+            f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9; 18 digits at most"
+        )
+    shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
+    nearest = guess(word, [*shipped_layouts(), *(f"{name}:{seeds or 0}" for name in DIFFICULTIES)])
+    return LayoutError(f"{word or repr(word)}: no such file or building; there are {shipped}, {presets}{nearest}")

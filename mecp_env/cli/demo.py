@@ -1,0 +1,52 @@
+"""`mecp-env demo`: explore a building and keep what there is to see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from mecp_env.cli.base import INTERRUPTED, Command, check_folder
+from mecp_env.cli.fields import Fields, configuration
+
+
+@dataclass(frozen=True)
+class Demo(Command):
+    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env demo --layout two_rooms",
+        "mecp-env demo --layout office --seed 3 --render human",
+        "mecp-env demo --layout hard:7",
+        "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
+    )
+
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
+    seed: int = 0  # the same seed gives the same run
+    render: Literal["none", "human"] = "none"  # human: watch it in a window
+    out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
+    config: Fields = field(default_factory=Fields)  # any field of the configuration
+
+    def run(self, line: Sequence[str]) -> int:
+        """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
+        from mecp_env.cli.buildings import one, resolve, spare_sources, stem
+        from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
+        from mecp_env.cli.progress import Progress, say_result
+        from mecp_env.cli.stopwatch import timed_stages
+        from mecp_env.render.window import require_display
+
+        folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
+        spare_sources([folder / name for name in FILES], [self.layout])
+        config = configuration(resolve(self.layout), self.config, line)
+        if self.render == "human":
+            require_display()
+        run = Run.begin(config, self.seed, None if self.render == "none" else "human")
+        with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
+            run.explore(progress.show)
+        if not run.estimated:
+            return INTERRUPTED
+        say_result(run.keep(folder, watch), folder)
+        run.env.close()
+        return INTERRUPTED if run.ended == "interrupted" else 0

@@ -1,0 +1,121 @@
+"""The command `mecp-env`: which of its commands a line calls, and how it ends."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+import textwrap
+from typing import Any
+
+import mecp_env
+from mecp_env.cli.base import INTERRUPTED, WRONG_INPUT, Command
+from mecp_env.core.errors import MecpError
+from mecp_env.core.text import readable
+
+ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
+COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
+    "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
+    "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "play": ("play", "Play", "drive by keyboard: left the world, right the belief"),
+    "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
+    "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
+    "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),
+    "worlds generate": ("worlds_generate", "Generate", "new buildings from a specification and seeds"),
+    "worlds validate": ("worlds_files", "Validate", "whether files are sound, or what is wrong and where"),
+    "worlds convert": ("worlds_files", "Convert", "from one format to another"),
+    "worlds stats": ("worlds_stats", "Stats", "rooms, doors, loops, corners... in a table"),
+}
+GROUPS = {words.partition(" ")[0] for words in COMMANDS if " " in words}
+WIDEST = max(map(len, COMMANDS))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
+    words, line = split(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return parse(words, line).run(line)
+    except MecpError as error:
+        print(f"mecp-env: {readable(str(error))}", file=sys.stderr)
+        return WRONG_INPUT
+    except BrokenPipeError:  # whoever reads the output has seen enough, as in `mecp-env ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"mecp-env: {readable(str(error.filename or 'output'))}: {error.strerror}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def split(line: list[str]) -> tuple[str, list[str]]:
+    """The command that a line begins with, and its options; ends the process after `--help`, with 2 without one."""
+    for count in (2, 1):
+        words = " ".join(line[:count])
+        if words in COMMANDS:
+            return words, line[count:]
+    group = line[0] if line and line[0] in GROUPS else ""
+    raise SystemExit(answer(group, next(iter(line[1:] if group else line), "")))
+
+
+def answer(group: str, word: str) -> int:
+    """Say what a line without a command asks for; the exit code."""
+    if word in ("-h", "--help"):
+        print(overview(group))
+    elif word == "--version":
+        print(f"mecp-env {mecp_env.__version__}")
+    else:
+        return refuse(f"{group} {word}".strip() if word else "", group)
+    return 0
+
+
+def refuse(words: str, group: str) -> int:
+    """Say that `words` are no command (none: that one is missing), and what is; the exit code."""
+    nearest = difflib.get_close_matches(words, COMMANDS, n=1)
+    guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
+    print(overview(group) + "\n", file=sys.stderr)
+    print(f"mecp-env: {words!r} is no command{guess}" if words else "mecp-env: a command is missing", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def overview(group: str) -> str:
+    """All commands, or those of a group (`worlds`), a line each."""
+    shown = [words for words in COMMANDS if words.startswith(group)]
+    lines = [f"  {words:{WIDEST}}  {COMMANDS[words][2]}" for words in shown]
+    command = f"mecp-env {group}".strip()
+    usage = f"usage: {command} COMMAND [OPTIONS]"
+    return "\n".join([usage, "", ABOUT, "", *lines, "", f"`{command} COMMAND --help` shows options and examples."])
+
+
+def load(words: str) -> type[Command]:
+    """The class of a command; only now is its module loaded."""
+    module, name, _ = COMMANDS[words]
+    kind: type[Command] = getattr(importlib.import_module(f"mecp_env.cli.{module}"), name)
+    return kind
+
+
+def parse(words: str, line: list[str]) -> Command:
+    """A command with its options; ends the process after `--help`, and with 2 for wrong options."""
+    import tyro  # the overview does without
+
+    kind = load(words)
+    line = kind.completed(line)
+    for hint in kind.hints(line):
+        print(f"mecp-env: {readable(hint)}", file=sys.stderr)
+    about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
+    examples = "\n".join(f"  {example}" for example in kind.examples)
+    default: Any = kind.defaults(line)  # None: tyro takes those of the class
+    chosen: Command = tyro.cli(
+        kind,
+        prog=f"mecp-env {words}",
+        description=f"{about}\n\nExamples:\n{examples}",
+        args=line,
+        default=default,
+        config=(tyro.conf.AvoidSubcommands,),
+    )
+    return chosen
+
+
+if __name__ == "__main__":
+    sys.exit(main())

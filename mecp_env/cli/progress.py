@@ -1,0 +1,86 @@
+"""What the demo says while it runs, and at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from mecp_env.cli.exploration import FILES, Run
+from mecp_env.cli.stopwatch import Stopwatch
+from mecp_env.core.text import readable
+
+EVERY = 10  # periods between two updates
+BAR_WIDTH = 6  # what is left of 80 columns
+
+
+def status(metrics: Mapping[str, float], steps_per_s: float) -> str:
+    """How far an exploration has come, in at most 65 characters: with bar and time it fits into 80 columns."""
+    return (
+        "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%}".format(**metrics)
+        + f" error {100.0 * metrics['pose_error_m']:.1f} cm {steps_per_s:,.0f} steps/s"
+    )
+
+
+def _name(run: Run) -> str:
+    """What the building is called; a configuration holds a shipped name, or a whole layout."""
+    layout = run.env.config.layout
+    return layout if isinstance(layout, str) else str(layout["name"])
+
+
+class Progress:
+    """A bar of the share of the building that has been seen, with rooms, doors, pose error and speed."""
+
+    def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
+        self.watch = watch
+        self.title = f"exploring {readable(_name(run))}"
+        self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
+        self.task = self.bar.add_task("preparing", total=1.0)
+
+    def show(self, run: Run) -> None:
+        """Bring the bar up to date, every few periods."""
+        if run.periods % EVERY:
+            return
+        metrics = run.env.view().metrics
+        self.bar.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
+
+    def __enter__(self) -> Self:
+        self.bar.console.print(self.title, style="bold", markup=False)
+        self.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.bar.stop()
+
+
+ROWS = (
+    ("rooms found", "{rooms_found:.0f} of {rooms:.0f}, {rooms_false:.0f} false"),
+    ("doors found", "{doors_found:.0f} of {doors:.0f}, {doors_false:.0f} false"),
+    ("free area seen", "{coverage:.1%}"),
+    ("grid IoU with the truth", "{grid_iou:.3f}"),
+    ("pose error", "RMSE {pose_rmse_m:.3f} m, final {pose_error_final_m:.3f} m"),
+    ("pose NEES", "{nees_mean:.2f} (3 expected)"),
+    ("association", "precision {association_precision:.4f}, recall {association_recall:.4f}"),
+    ("landmarks", "{landmarks:.0f}, duplicates {duplicates:.0f}"),
+    ("way", "{metres:.0f} m in {periods:.0f} periods, contacts {contacts:.0f}"),
+    ("speed", "{steps_per_s:,.0f} steps/s"),
+)
+
+
+def say_result(metrics: dict[str, Any], folder: Path) -> None:
+    """Print the figures of a run and where its files are."""
+    ended = "over, no goal left" if metrics["ended"] == "complete" else metrics["ended"]  # by the belief, not the truth
+    table = Table(title=f"exploration {ended}", show_header=False, title_justify="left")
+    for name, form in ROWS:
+        table.add_row(name, form.format(**metrics))
+    console = Console()
+    console.print(table)
+    console.print(f"{', '.join(FILES)} in {readable(str(folder))}/", markup=False)

@@ -1,0 +1,132 @@
+"""How long each stage of a period takes, without a line about time in the stages themselves."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba.core import event
+
+import mecp_env.env
+import mecp_env.slam.pipeline
+from mecp_env.episode.observations import Observer
+from mecp_env.evaluation.metrics import EpisodeMetrics
+from mecp_env.planning.navigator import Navigator
+from mecp_env.slam.association.mecp import MecpAssociator
+from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
+from mecp_env.slam.association.nearest import NearestAssociator
+from mecp_env.slam.association.oracle import OracleAssociator
+from mecp_env.slam.filters.core import LandmarkFilter
+from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.world.laser import Laser
+from mecp_env.world.simulation import Simulation
+
+env: Any = mecp_env.env
+pipeline: Any = mecp_env.slam.pipeline
+
+# stage -> a function or method that is it, where the environment and the pipeline look it up; none calls another
+STAGES: tuple[tuple[str, Any, str], ...] = (
+    ("simulation", Simulation, "step"),
+    ("laser", Laser, "scan"),
+    ("odometry", env, "measure"),
+    ("sweeps", pipeline, "merge_sweeps"),
+    ("clustering", pipeline, "cluster_beams"),
+    ("segments", pipeline, "extract_segments"),
+    ("corners", pipeline, "extract_corners"),
+    ("polygons", pipeline, "find_polygons"),
+    ("association", MecpAssociator, "associate"),
+    ("association", MecpPaperAssociator, "associate"),
+    ("association", NearestAssociator, "associate"),
+    ("association", OracleAssociator, "associate"),
+    ("filter predict", LandmarkFilter, "predict"),
+    ("filter update", LandmarkFilter, "update"),
+    ("map growth", SlamPipeline, "_grow_map"),
+    ("grid", GridPainter, "paint"),
+    ("goals", env, "find_goals"),
+    ("truth metrics", EpisodeMetrics, "look"),
+    ("rewards", env, "quantities"),
+    ("observation", Observer, "observe"),
+    ("info", env.MecpEnv, "_info"),
+)
+STAGE_NAMES = tuple(dict.fromkeys(name for name, _, _ in STAGES))
+STEP = ("step", env.MecpEnv, "step")
+DRIVE = ("drive", Navigator, "step")
+
+
+class Stopwatch(event.Listener):  # type: ignore[misc]
+    """Seconds of each stage so far, on the clock of this thread's processor, so that another load does not count.
+
+    Periods in which numba compiled or loaded a kernel are left out: numba tells a listener of it.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys([*STAGE_NAMES, "step", "drive"], 0.0)
+        self.periods = 0
+        self._period = dict.fromkeys(self.seconds, 0.0)  # of this period so far
+        self._compiled = False
+        self._stepping = False
+
+    def on_start(self, event: Any) -> None:
+        self._compiled = True
+
+    def on_end(self, event: Any) -> None:
+        """The end of a compilation says nothing new."""
+
+    @property
+    def steps_per_s(self) -> float:
+        """Control periods of the environment a second; 0 before the first."""
+        return self.periods / self.seconds["step"] if self.periods else 0.0
+
+    def microseconds(self) -> dict[str, float]:
+        """Mean time of each stage in a control period, us; `rest` is what of `step` is no stage."""
+        times = {name: 1e6 * seconds / max(self.periods, 1) for name, seconds in self.seconds.items()}
+        return times | {"rest": times["step"] - sum(times[name] for name in STAGE_NAMES)}
+
+    def around(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function`, whose time counts for `stage`."""
+
+        @functools.wraps(function)
+        def timed(*args: Any, **keywords: Any) -> Any:
+            self._stepping |= stage == "step"
+            name = stage if self._stepping else "drive"  # between two steps: goals are looked for, a way is planned
+            start = time.thread_time()
+            try:
+                return function(*args, **keywords)
+            finally:
+                self._period[name] += time.thread_time() - start
+                if stage == "step":
+                    self._end_period()
+
+        return timed
+
+    def _end_period(self) -> None:
+        if not self._compiled:
+            self.periods += 1
+            for name, seconds in self._period.items():
+                self.seconds[name] += seconds
+        self._period = dict.fromkeys(self.seconds, 0.0)
+        self._compiled = self._stepping = False
+
+
+@contextmanager
+def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
+    """A stopwatch that runs within this block, for all environments of this process.
+
+    It costs 2 us a call; with `each=False` only whole steps and drives are timed.
+    """
+    watch = Stopwatch()
+    timed = (*STAGES, STEP, DRIVE) if each else (STEP, DRIVE)
+    plain = [(stage, owner, name, getattr(owner, name)) for stage, owner, name in timed]
+    event.register("numba:compiler_lock", watch)
+    try:
+        for stage, owner, name, function in plain:
+            setattr(owner, name, watch.around(stage, function))
+        yield watch
+    finally:
+        for _, owner, name, function in plain:
+            setattr(owner, name, function)
+        event.unregister("numba:compiler_lock", watch)

@@ -1,0 +1,158 @@
+"""`mecp-env worlds list | validate | convert`: what there is, whether files are sound, from one format to another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from mecp_env.cli.base import WRONG_INPUT, Command, check_writable, folder_of, say
+from mecp_env.cli.buildings import (
+    NONE_GIVEN,
+    Buildings,
+    Reading,
+    ReadingOptions,
+    counted,
+    expand,
+    load,
+    spare_sources,
+)
+from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.floorplans.exporters import save_map_server, save_svg
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.schema import Layout
+
+In = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")]
+Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
+
+
+@dataclass(frozen=True)
+class List(Command):
+    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds."""
+
+    examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Print a table of each, and the splits."""
+        console = Console()
+        console.print(_shipped(), _presets())
+        splits = ", ".join(f"{seeds[0]} to {seeds[-1]} for {name}" for name, seeds in SPLITS.items())
+        console.print(f"Seeds, so that results compare: {splits}.")
+        return 0
+
+
+@dataclass(frozen=True)
+class Validate(Command):
+    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds validate my-house.json",
+        "mecp-env worlds validate runs/worlds",
+    )
+
+    files: Buildings  # files, folders, or any building as for draw
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Check every file, a line each."""
+        if not self.files:
+            raise ConfigError(NONE_GIVEN)
+        found = [sound(word, self.reading) for word in self.files]
+        return 0 if all(found) else WRONG_INPUT
+
+
+def sound(word: str, reading: Reading) -> bool:
+    """Whether a building is sound, or all of a series or folder; says so of each, or what is wrong with it."""
+    try:
+        singles = expand(word, reading)
+        if singles != [word]:
+            return not [single for single in singles if not sound(single, reading)]
+        say(f"ok     {word}: {counted(load(word, reading))}")
+    except MecpError as error:
+        say(f"wrong  {error}")
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class Convert(Command):
+    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds convert plan.yaml house.json",
+        "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
+        "mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1",
+    )
+
+    source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
+    target: Out  # .json, .yaml or .svg
+    map_resolution_m: float = 0.05  # metres a pixel of a .yaml map that is written
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Read, write, and say what was written."""
+        write = WRITERS.get(self.target.suffix.lower())
+        if write is None:
+            raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
+        source, *others = expand(self.source, self.reading)
+        if others:
+            raise ConfigError(f"source: {source} and {len(others)} more, one building is converted")
+        pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
+        spare_sources(pair if write is _write_map else [self.target], [source])
+        layout = load(source, self.reading)
+        with folder_of(check_writable(self.target)):
+            write(layout, self.target, self.map_resolution_m)
+        say(f"{self.target}: {layout.name}, {counted(layout)}")
+        return 0
+
+
+def _write_json(layout: Layout, path: Path, resolution_m: float) -> None:
+    path.write_text(layout.to_json())
+
+
+def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
+    try:
+        save_map_server(layout, path.with_suffix(""), resolution_m)
+    except LayoutError as error:
+        raise LayoutError(re.sub(r"^resolution_m\b", "map_resolution_m", str(error))) from None
+
+
+def _write_svg(layout: Layout, path: Path, resolution_m: float) -> None:
+    save_svg(layout, path)
+
+
+WRITERS: dict[str, Callable[[Layout, Path, float], None]] = {
+    ".json": _write_json,
+    ".yaml": _write_map,
+    ".svg": _write_svg,
+}
+
+
+def _shipped() -> Table:
+    """The shipped layouts, and what each is for."""
+    table = Table("building", "rooms", "doors", "what it is", title="shipped", title_justify="left")
+    for name in shipped_layouts():
+        layout = load_layout(name)
+        table.add_row(name, str(len(layout.rooms)), str(len(layout.doors)), layout.description)
+    return table
+
+
+def _presets() -> Table:
+    """The difficulties, and in what they differ from a plain specification."""
+    table = Table("building", "what is generated", title="generated: any seed from 0", title_justify="left")
+    for name in DIFFICULTIES:
+        fields = GeneratorSpec.preset(name).model_dump(exclude_unset=True)
+        table.add_row(f"{name}:SEED", ", ".join(f"{key} {_short(value)}" for key, value in fields.items()))
+    return table
+
+
+def _short(value: Any) -> str:
+    """A value of a specification as a person writes it: `0.8 to 1` for a range."""
+    return " to ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else str(value)

@@ -1,0 +1,135 @@
+"""`mecp-env worlds generate`: buildings from a specification and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Literal, Self, get_args
+
+import tyro
+
+from mecp_env.cli.base import Command, check_folder, check_writable, say
+from mecp_env.cli.buildings import counted
+from mecp_env.core.errors import ConfigError
+from mecp_env.world.generator.spec import (
+    DIFFICULTIES,
+    SPLITS,
+    Difficulty,
+    GeneratorSpec,
+    Piece,
+    Shape,
+    split_seed,
+)
+from mecp_env.world.schema import Layout
+
+MOST = 10_000
+OPTION = "--difficulty"
+RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
+
+
+@dataclass(frozen=True)
+class Generate(Command):
+    """Generate buildings: layout files whose rooms, doors and loops are known. Every field of the specification is an
+    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it)."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds generate --difficulty hard --seed 7",
+        "mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png",
+        "mecp-env worlds generate --difficulty easy --split test --count 10",
+    )
+
+    difficulty: Difficulty = "medium"  # the preset below the other options
+    seed: int = 0  # the first seed; with a split, the first building of the split
+    count: int = 1  # so many seeds, one after the other
+    split: Literal["train", "validation", "test"] | None = None  # seeds kept apart, so that results compare
+    out: Path = Path("runs/worlds")  # folder for DIFFICULTY-SEED.json, or for one building a .json file
+    sheet: Path | None = None  # also draw all of them here, .png or .svg
+    spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
+
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {
+        OPTION: tuple(DIFFICULTIES),
+        "--split": tuple(SPLITS),
+        "--shapes": get_args(Shape),
+        "--pieces": get_args(Piece),
+    }
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with a single number for a range as the range from it to itself."""
+        whole: list[str] = []
+        for before, word, after in zip(["", *line], line, [*line[1:], ""], strict=False):
+            single = before in RANGES and _is_number(word) and not _is_number(after)
+            whole += [word, word] if single else [word]
+        return whole
+
+    @classmethod
+    def defaults(cls, line: Sequence[str]) -> Self | None:
+        """Those of the difficulty that the line names."""
+        chosen = _value(line) or "medium"
+        return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the files, one line on each."""
+        self._check()
+        drawn = []
+        for path, layout in self._buildings():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(layout.to_json())
+            say(f"{path}: {counted(layout)}")
+            drawn += [(path.stem, layout)] if self.sheet else []
+        if self.sheet:
+            from mecp_env.cli.worlds_draw import draw
+
+            say(str(draw(drawn, self.sheet)))
+        return 0
+
+    def _check(self) -> None:
+        """Raise `ConfigError` for what would fail only after some of the work."""
+        if not 1 <= self.count <= MOST:
+            raise ConfigError(f"count: {self.count}, from 1 to {MOST}")
+        if self.seed < 0:
+            raise ConfigError(f"seed: {self.seed}, at least 0")
+        if self.split:
+            self._check_split(self.split)
+        if self.out.suffix == ".json" and self.count > 1:
+            raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
+        (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
+        if self.sheet:
+            from mecp_env.render.plan_figures import check_count, check_format
+
+            check_writable(check_format(self.sheet))
+            check_count(self.count)
+
+    def _check_split(self, split: str) -> None:
+        """Raise `ConfigError` where a split has not so many buildings."""
+        try:
+            split_seed(split, self.seed + self.count - 1)
+        except ConfigError as error:
+            raise ConfigError(f"seed: {self.seed}, with count {self.count} up to {error}") from None
+
+    def _buildings(self) -> Iterator[tuple[Path, Layout]]:
+        """Path and layout of every building."""
+        from mecp_env.world.generator import generate
+
+        for number in range(self.seed, self.seed + self.count):
+            seed = split_seed(self.split, number) if self.split else number
+            whole = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
+            yield whole, generate(self.spec, seed)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _value(line: Sequence[str]) -> str:
+    """The difficulty that a line names, or an empty text."""
+    for option, after in zip(line, [*line[1:], ""], strict=True):
+        name, equals, value = option.partition("=")
+        if name == OPTION:
+            return value if equals else after
+    return ""

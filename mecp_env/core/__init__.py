@@ -1,0 +1,1 @@
+"""Shared foundation: imports no other part of the package."""

@@ -1,0 +1,170 @@
+"""Small dense linear algebra as plain loops: the same bits in every process and thread setting (no BLAS)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+TILE = 16
+WIDE = 8  # doubles in the widest registers
+
+
+@compiled
+def cholesky(S: Array) -> Array:
+    """Lower L with L L^T = S (n,n); only the lower half of S is read. Raises ValueError when S is not positive."""
+    n = S.shape[0]
+    L = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            L[i, j] = S[i, j]
+    if not factor_lower(L):
+        raise ValueError("matrix is not positive definite")
+    return L
+
+
+@compiled
+def solve_lower(L: Array, b: Array) -> Array:
+    """y (n,) of L y = b for a lower triangular L (n,n)."""
+    n = L.shape[0]
+    y = np.empty(n)
+    for i in range(n):
+        total = b[i]
+        for k in range(i):
+            total -= L[i, k] * y[k]
+        y[i] = total / L[i, i]
+    return y
+
+
+@compiled
+def mahalanobis(nu: Array, S: Array) -> float:
+    """nu^T S^-1 nu: the normalised innovation squared (NIS) of nu (n,) under S (n,n)."""
+    y = solve_lower(cholesky(S), nu)
+    total = 0.0
+    for i in range(y.shape[0]):
+        total += y[i] * y[i]
+    return total
+
+
+@compiled
+def factor_lower(S: Array) -> bool:
+    """Replace the lower half of S (n,n) by L with L L^T = S; False (S is then spoilt) when S is not positive."""
+    for j in range(S.shape[0]):
+        for k in range(j):
+            S[j, j] -= S[j, k] * S[j, k]
+        if not 0.0 < S[j, j] < np.inf:
+            return False
+        S[j, j] = math.sqrt(S[j, j])
+        for i in range(j + 1, S.shape[0]):
+            total = S[i, j]
+            for k in range(j):
+                total -= S[i, k] * S[j, k]
+            S[i, j] = total / S[j, j]
+    return True
+
+
+@compiled
+def forward_rows(L: Array, B: Array) -> None:
+    """Replace B (m,n) by X of L X = B for a lower triangular L (m,m); whole rows, so that the inner loop is wide."""
+    for i in range(B.shape[0]):
+        row = B[i]
+        for k in range(i):
+            factor, above = L[i, k], B[k]
+            for j in range(row.shape[0]):
+                row[j] -= factor * above[j]
+        inverse = 1.0 / L[i, i]
+        for j in range(row.shape[0]):
+            row[j] *= inverse
+
+
+@compiled
+def downdate(P: Array, n: int, W: Array) -> None:
+    """P -= W^T W on the leading n x n block of a symmetric P: lower half first, then mirrored.
+
+    W (m,w) has at least n columns, those behind the n-th are 0: rows that end at whole WIDEs leave no rest to the
+    compiler's wide loop. What that writes beyond the diagonal is mirrored over.
+    """
+    if n % 2 == 1:
+        for k in range(W.shape[0]):
+            P[0, 0] -= W[k, 0] * W[k, 0]
+    for i in range(n % 2, n, 2):
+        downdate_two_rows(P, W, i, min(wide(i + 2), W.shape[1], P.shape[1]))
+    mirror_lower(P, n)
+
+
+@compiled
+def wide(n: int) -> int:
+    """n, rounded up to a multiple of WIDE."""
+    return (n + WIDE - 1) // WIDE * WIDE
+
+
+@compiled
+def downdate_two_rows(P: Array, W: Array, i: int, end: int) -> None:
+    """Rows i and i + 1 of `downdate`, up to column `end`; four rows of W a pass, which the compiler makes wide."""
+    upper, lower = P[i, :end], P[i + 1, :end]
+    paired = W.shape[0] - W.shape[0] % 4
+    for k in range(0, paired, 4):
+        a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
+        b0, b1, b2, b3 = W[k, i + 1], W[k + 1, i + 1], W[k + 2, i + 1], W[k + 3, i + 1]
+        w0, w1, w2, w3 = W[k], W[k + 1], W[k + 2], W[k + 3]
+        for j in range(upper.shape[0]):
+            upper[j] -= (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
+            lower[j] -= (b0 * w0[j] + b1 * w1[j]) + (b2 * w2[j] + b3 * w3[j])
+    for k in range(paired, W.shape[0]):
+        a0, b0, w0 = W[k, i], W[k, i + 1], W[k]
+        for j in range(upper.shape[0]):
+            upper[j] -= a0 * w0[j]
+            lower[j] -= b0 * w0[j]
+
+
+@compiled
+def mirror_lower(P: Array, n: int) -> None:
+    """Copy the lower half of the leading n x n block of P to the upper half, in tiles that stay in the cache."""
+    for i0 in range(0, n, TILE):
+        for j0 in range(0, i0 + 1, TILE):
+            mirror_tile(P, n, i0, j0)
+
+
+@compiled
+def mirror_tile(P: Array, n: int, i0: int, j0: int) -> None:
+    """P[j,i] = P[i,j] for j < i in the tile that starts at (i0, j0)."""
+    for i in range(i0, min(i0 + TILE, n)):
+        for j in range(j0, min(j0 + TILE, i)):
+            P[j, i] = P[i, j]
+
+
+@compiled
+def pick_measurements(z: Array, cov: Array, index: Ints, some_z: Array, some_cov: Array) -> None:
+    """Write the rows of z (n,2) and the 2x2 blocks of cov (2n,2n) that belong to `index` (k,): (k,2) and (2k,2k)."""
+    for i in range(index.shape[0]):
+        some_z[i, 0], some_z[i, 1] = z[index[i], 0], z[index[i], 1]
+        for j in range(index.shape[0]):
+            for u in range(2):
+                some_cov[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
+                some_cov[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
+
+
+@compiled
+def diagonal_blocks(cov: Array, blocks: Array) -> None:
+    """Write the 2x2 blocks (n,2,2) on the diagonal of cov (2n,2n)."""
+    for i in range(blocks.shape[0]):
+        for u in range(2):
+            for v in range(2):
+                blocks[i, u, v] = cov[2 * i + u, 2 * i + v]
+
+
+@compiled
+def soften(cov: Array, z: Array, sigma: float, softer: Array) -> None:
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each point."""
+    for i in range(cov.shape[0]):
+        for j in range(cov.shape[0]):
+            softer[i, j] = cov[i, j]
+    for i in range(z.shape[0]):
+        softer[2 * i, 2 * i] += sigma * sigma
+        softer[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2

@@ -1,0 +1,99 @@
+"""Plane geometry shared by the stages: angles, rotations, rigid transforms. Poses are (x, y, heading)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def wrap_angle(angle: float) -> float:
+    """`angle` in (-pi, pi]."""
+    if -3.0 < angle < 3.0:  # nearly all of them; below, 0 would be taken from them
+        return angle
+    wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+    return math.pi if wrapped <= -math.pi else wrapped
+
+
+@compiled
+def to_map(T_map_robot: Array, p_robot: Array) -> Array:
+    """Points (n,2) of the robot frame in the map frame."""
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    p_map = np.empty_like(p_robot)
+    for i in range(p_robot.shape[0]):
+        p_map[i, 0] = T_map_robot[0] + c * p_robot[i, 0] - s * p_robot[i, 1]
+        p_map[i, 1] = T_map_robot[1] + s * p_robot[i, 0] + c * p_robot[i, 1]
+    return p_map
+
+
+@compiled
+def to_robot(T_map_robot: Array, p_map: Array) -> Array:
+    """Points (n,2) of the map frame in the robot frame."""
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    p_robot = np.empty_like(p_map)
+    for i in range(p_map.shape[0]):
+        dx, dy = p_map[i, 0] - T_map_robot[0], p_map[i, 1] - T_map_robot[1]
+        p_robot[i, 0] = c * dx + s * dy
+        p_robot[i, 1] = -s * dx + c * dy
+    return p_robot
+
+
+@compiled
+def compose(T_a_b: Array, T_b_c: Array) -> Array:
+    """T_a_c = T_a_b T_b_c, each (3,): x, y, heading."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    T_a_c = np.empty(3)
+    T_a_c[0] = T_a_b[0] + c * T_b_c[0] - s * T_b_c[1]
+    T_a_c[1] = T_a_b[1] + s * T_b_c[0] + c * T_b_c[1]
+    T_a_c[2] = wrap_angle(T_a_b[2] + T_b_c[2])
+    return T_a_c
+
+
+@compiled
+def inverse(T_a_b: Array) -> Array:
+    """T_b_a (3,) of T_a_b (3,)."""
+    c, s = math.cos(T_a_b[2]), math.sin(T_a_b[2])
+    T_b_a = np.empty(3)
+    T_b_a[0] = -c * T_a_b[0] - s * T_a_b[1]
+    T_b_a[1] = s * T_a_b[0] - c * T_a_b[1]
+    T_b_a[2] = wrap_angle(-T_a_b[2])
+    return T_b_a
+
+
+@compiled
+def polar_to_points(z: Array) -> Array:
+    """Points (n,2) of ranges and bearings z (n,2)."""
+    points = np.empty_like(z)
+    for i in range(z.shape[0]):
+        points[i, 0] = z[i, 0] * math.cos(z[i, 1])
+        points[i, 1] = z[i, 0] * math.sin(z[i, 1])
+    return points
+
+
+@compiled
+def place(T_map_robot: Array, z: Array, p_map: Array) -> None:
+    """Write the points (n,2), in the map frame, of ranges and bearings z (n,2) measured by the robot."""
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    for i in range(z.shape[0]):
+        x, y = z[i, 0] * math.cos(z[i, 1]), z[i, 0] * math.sin(z[i, 1])
+        p_map[i, 0] = T_map_robot[0] + c * x - s * y
+        p_map[i, 1] = T_map_robot[1] + s * x + c * y
+
+
+@compiled
+def inside_polygon(x: float, y: float, ring: Array) -> bool:
+    """True when (x, y) lies inside the simple polygon `ring` (k,2) (even-odd rule)."""
+    inside = False
+    j = ring.shape[0] - 1
+    for i in range(ring.shape[0]):
+        if (ring[i, 1] > y) != (ring[j, 1] > y):
+            crossing = (ring[j, 0] - ring[i, 0]) * (y - ring[i, 1]) / (ring[j, 1] - ring[i, 1]) + ring[i, 0]
+            inside = inside != (x < crossing)
+        j = i
+    return inside

@@ -1,0 +1,166 @@
+"""The base of every configuration section: frozen, validated, unknown keys refused, JSON both ways."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import reprlib
+from collections.abc import Iterable, Iterator
+from functools import cache
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+
+from mecp_env.core.errors import ConfigError
+
+MOST_TOLD = 3  # wrong fields that one message tells of
+NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
+UNION = re.compile(r"(literal|tuple)\[")  # how pydantic names a part of a union in a path
+PLACEHOLDER = re.compile(r"'([^']+)'")  # the words in what pydantic says is expected
+
+
+def describe(error: ValidationError, root: str, model: type[BaseModel]) -> str:
+    """A few wrong fields of a `model`: the path of each, the value given, the bound it breaks, a guess what was meant.
+
+    A field that is wrong because of another one within it is left out.
+    """
+    errors = list(_innermost(error))
+    told = [_told(one, root, model) for one in errors[:MOST_TOLD]]
+    more = [f"and {len(errors) - MOST_TOLD} more"] if len(errors) > MOST_TOLD else []
+    return "; ".join(told + more)
+
+
+def _innermost(error: ValidationError) -> Iterator[Any]:
+    """The errors without those of a field that holds another wrong one; an unknown name before what is missing."""
+    errors: list[Any] = error.errors(include_url=False)
+    paths = {one["loc"] for one in errors}
+    outer = {path[:length] for path in paths for length in range(1, len(path))}
+    kept = [one for one in errors if one["loc"] not in outer]
+    return iter(sorted(kept, key=lambda one: one["type"] != "extra_forbidden"))
+
+
+def _told(one: Any, root: str, model: type[BaseModel]) -> str:
+    path, kind, context = one["loc"], one["type"], one.get("ctx", {})
+    steps = [step for step in map(str, path) if not UNION.match(step)]
+    place, given = ".".join([root, *steps])[:200], one["input"]
+    if isinstance(context.get("error"), ConfigError):
+        return _further_out(str(context["error"]), place)
+    if kind == "extra_forbidden":
+        return f"{place}: no such field{guess(path[-1], fields_at(model, path[:-1]))} (given: {shown(given)})"
+    if kind in ("literal_error", "union_tag_invalid"):
+        word = context.get("tag", given)
+        known = PLACEHOLDER.findall(str(context.get("expected") or context.get("expected_tags")))
+        return f"{place}: {one['msg']}{guess(word, known)} (given: {shown(given)})"
+    said = f"{place}: {one['msg'].removeprefix('Value error, ')}"
+    return said if not path and kind == "value_error" else f"{said} (given: {shown(given)})"  # which names the value
+
+
+def _further_out(said: str, place: str) -> str:
+    """What a section says of its fields, told by the one around it: by their whole path, the value once."""
+    section = said[: re.match(r"\w*", said).end()]  # type: ignore[union-attr]
+    return re.sub(rf"(^|; ){section}(?=[.:])", lambda found: found[1] + place, said)
+
+
+def fields_at(model: type[BaseModel], path: Iterable[int | str]) -> list[str]:
+    """The names of the fields that there are at a path below a model."""
+    models = [model]
+    for key in path:
+        models = _models_at(models, key) or models  # the number of an entry, or the kind of one, leads no deeper
+    return [name for m in models for name in m.model_fields]
+
+
+def _models_at(models: list[type[BaseModel]], key: int | str) -> list[type[BaseModel]]:
+    fields = [model.model_fields[key] for model in models if isinstance(key, str) and key in model.model_fields]
+    return [inner for field in fields for inner in _models_in(field.annotation)]
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
+
+
+def guess(word: object, known: Iterable[str]) -> str:
+    """`; did you mean 'medium'?`, of the known words the nearest to a wrong one; nothing when none is near."""
+    near = difflib.get_close_matches(str(word)[:80], list(known), n=1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def shown(value: Any) -> str:
+    """The beginning of what was given, for a message."""
+    try:
+        return f"{reprlib.repr(value):.80}"
+    except ValueError:  # an integer of too many digits
+        return type(value).__name__
+
+
+def as_range(value: Any) -> Any:
+    """A single number as the range from it to itself, a range as it is. Raises `ValueError` for anything else."""
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
+        return (float(value), float(value))
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise ValueError("a number or a range of two, the lower first, expected")
+    return value
+
+
+def as_many(value: Any) -> Any:
+    """A single word as a tuple of one; anything else as it is."""
+    return (value,) if isinstance(value, str) else value
+
+
+def number(value: Any) -> Any:
+    """`value` itself. Raises `ValueError` for a truth value or a text, which may look like a number."""
+    if isinstance(value, bool | np.bool_ | str | bytes):
+        raise ValueError("Input should be a number")
+    return value
+
+
+@cache
+def _kinds(model: type[BaseModel], field: str) -> frozenset[Any]:
+    """The types of which the value of a field may be, with `tuple` those of its entries."""
+    return frozenset(_leaves(model.model_fields[field].annotation))
+
+
+def _leaves(annotation: Any) -> list[Any]:
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is None or origin is Literal:
+        return [origin or annotation]
+    inner = [leaf for part in (parts[:1] if origin is Annotated else parts) for leaf in _leaves(part)]
+    return [tuple, *inner] if origin is tuple else inner
+
+
+class Settings(BaseModel):
+    """A frozen section of the configuration tree; a wrong field raises `ConfigError`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse numbers and truth values in disguise ("10", True for 1), which pydantic would take."""
+        assert info.field_name is not None
+        kinds = _kinds(cls, info.field_name)
+        if kinds == {bool} and not isinstance(value, bool):
+            raise ValueError("Input should be true or false")
+        if kinds <= NUMBERS:
+            for item in value if isinstance(value, tuple | list) else () if tuple in kinds else (value,):
+                number(item)
+        return value
+
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise ConfigError(describe(error, type(self).__name__, type(self))) from None
+
+    @classmethod
+    def parse(cls, given: Self | dict[str, Any] | None) -> Self:
+        """The section that `given` stands for: itself, a dict of fields, or None for the defaults."""
+        if isinstance(given, cls):
+            return given
+        if given is None:
+            return cls()
+        if not isinstance(given, dict):
+            raise ConfigError(f"{cls.__name__}: expected a dict or {cls.__name__}, given {type(given).__name__}")
+        return cls(**given)

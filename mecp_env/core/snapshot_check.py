@@ -1,0 +1,145 @@
+"""Whether what a state was decoded to is what its classes declare: every field there, none beside, each of its type."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import is_dataclass
+from enum import Enum
+from functools import cache
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from mecp_env.core.settings import Settings
+from mecp_env.core.snapshot import PACKAGE, StateError, fields_of
+
+Examples = Mapping[type, Mapping[str, Any]]
+
+
+def examples_of(value: Any) -> Examples:
+    """Of every object in `value` whose class declares no fields: the class, and its fields with their types."""
+    found: dict[type, Mapping[str, Any]] = {}
+    for item in fields_of(value).values():
+        if is_object(item) and not is_dataclass(item):
+            found[type(item)] = {name: type(part) for name, part in fields_of(item).items()}
+    return found
+
+
+def check_fields(value: Any, hint: Any, where: str, examples: Examples) -> None:
+    """Raise `StateError` unless `value` and every object in it are of the declared types; `where` names it."""
+    FieldCheck(examples).check(value, hint, where)
+
+
+class FieldCheck:
+    """One walk through a graph of objects; `examples` stand for the classes that declare no fields."""
+
+    def __init__(self, examples: Examples) -> None:
+        self._examples = examples
+        self._seen: set[int] = set()
+
+    def check(self, value: Any, hint: Any, where: str) -> None:
+        """Raise `StateError` unless `value` is of the type `hint`, and what is in it of those declared."""
+        if not fits(value, hint):
+            raise StateError(f"{where}: expected {getattr(hint, '__name__', hint)}, given {value!r:.60}")
+        self._look_inside(value, where)
+
+    def _look_inside(self, value: Any, where: str) -> None:
+        if id(value) in self._seen:
+            return
+        self._seen.add(id(value))
+        if isinstance(value, dict):
+            value = [*value.keys(), *value.values()]
+        if isinstance(value, list | tuple | set | frozenset):
+            for item in value:
+                self._look_inside(item, where)
+        elif is_object(value):
+            self._check_object(value, where)
+
+    def _check_object(self, value: Any, where: str) -> None:
+        declared, given = self._declared(type(value), where), fields_of(value)
+        if declared.keys() != given.keys():
+            raise StateError(f"{where}: missing or unknown {', '.join(sorted(declared.keys() ^ given.keys()))}")
+        for name, hint in declared.items():
+            self.check(given[name], hint, f"{where}.{name}")
+
+    def _declared(self, cls: type, where: str) -> Mapping[str, Any]:
+        if is_dataclass(cls):
+            return declared_fields(cls)
+        if cls not in self._examples:
+            raise StateError(f"{where}: a {cls.__name__} is not part of a state of this configuration")
+        return self._examples[cls]
+
+
+def is_object(value: Any) -> bool:
+    """True for an object of this package with fields of its own."""
+    return type(value).__module__.split(".")[0] == PACKAGE and not isinstance(value, Enum | Settings)
+
+
+@cache
+def declared_fields(cls: type) -> Mapping[str, Any]:
+    """The fields of a dataclass with their types."""
+    hints = get_type_hints(cls)
+    return {name: hints[name] for name in cls.__dataclass_fields__}  # type: ignore[attr-defined]
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """True when `value` is of the type `hint`, the items of containers too; of objects only the class is looked at."""
+    if hint is Any:
+        return True
+    origin = get_origin(hint)
+    if origin is None:
+        return is_a(value, type(None) if hint is None else hint)
+    return GENERIC[origin](value, get_args(hint))
+
+
+def is_a(value: Any, cls: Any) -> bool:
+    """As `isinstance`; but True is no number, a whole number is a float, and a protocol is known by its names."""
+    if getattr(cls, "_is_protocol", False):
+        return all(hasattr(value, name) for name in vars(cls) if not name.startswith("_"))
+    if cls in SCALARS:
+        return isinstance(value, SCALARS[cls]) and (cls is bool or not isinstance(value, bool))
+    return isinstance(value, cls)
+
+
+def is_array(value: Any, args: tuple[Any, ...]) -> bool:
+    """True for an array of the element type in `args`, as `NDArray` has it."""
+    (kind,) = get_args(args[1])
+    return isinstance(value, np.ndarray) and (kind is Any or issubclass(value.dtype.type, kind))
+
+
+def is_tuple(value: Any, args: tuple[Any, ...]) -> bool:
+    """True for a tuple of these items; of any length with an ellipsis."""
+    if not isinstance(value, tuple):
+        return False
+    hints = args[:1] * len(value) if args[-1:] == (Ellipsis,) else args
+    return len(value) == len(hints) and all(fits(item, hint) for item, hint in zip(value, hints, strict=True))
+
+
+def is_dict(value: Any, args: tuple[Any, ...]) -> bool:
+    """True for a dict of these keys and values."""
+    return isinstance(value, dict) and all(fits(k, args[0]) and fits(v, args[1]) for k, v in value.items())
+
+
+def items_of(cls: type[Collection[Any]]) -> Callable[[Any, tuple[Any, ...]], bool]:
+    """The test for a container with items of one type."""
+    return lambda value, args: isinstance(value, cls) and all(fits(item, args[0]) for item in value)
+
+
+def is_one_of(value: Any, args: tuple[Any, ...]) -> bool:
+    """True for a value of one of these types."""
+    return any(fits(value, hint) for hint in args)
+
+
+SCALARS: dict[Any, Any] = {bool: bool | np.bool_, int: int | np.integer, float: float | int | np.number, str: str}
+GENERIC: dict[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
+    Union: is_one_of,
+    types.UnionType: is_one_of,
+    Literal: lambda value, args: value in args,
+    np.ndarray: is_array,
+    tuple: is_tuple,
+    dict: is_dict,
+    list: items_of(list),
+    set: items_of(set),
+    frozenset: items_of(frozenset),
+}

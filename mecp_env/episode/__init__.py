@@ -1,0 +1,1 @@
+"""One episode of the environment: true world, start, actions, observations, rewards, state."""

@@ -1,0 +1,103 @@
+"""From an action to a velocity command, or a refusal that leaves everything as it was."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from mecp_env.core.errors import ActionError
+
+DISCRETE = ("stop", "forward", "back", "left", "right")
+COMMANDS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.5], [0.0, -0.5]])  # (5,2) shares of the limits
+NUMBERS = (int, float, np.integer, np.floating)
+
+
+def check_velocity(action: Any) -> tuple[float, float]:
+    """The two shares in [-1, 1] that `action` holds.
+
+    Accepts an array (2,) of floats or integers, or a list or tuple of two numbers. Raises `ActionError` that names
+    the value and the bound for anything else: nan, infinity, another shape or type, a value out of range.
+    """
+    pair = velocity_pair(action)
+    for name, share in zip(("forward", "turn"), pair, strict=True):
+        if not -1.0 <= share <= 1.0:  # also false for nan
+            raise ActionError(f"action[{name}]: {share!r} does not lie in [-1, 1]")
+    return pair
+
+
+def velocity_pair(action: Any) -> tuple[float, float]:
+    """`action` as two floats, still unchecked against the bounds."""
+    if isinstance(action, np.ndarray):
+        if action.shape != (2,) or action.dtype.kind not in "fiu":
+            raise ActionError(
+                f"action: expected an array of 2 floats in [-1, 1], given shape {action.shape}, dtype {action.dtype}"
+            )
+        return float(action[0]), float(action[1])
+    if not isinstance(action, list | tuple) or len(action) != 2 or not all(is_number(share) for share in action):
+        raise ActionError(f"action: expected 2 floats in [-1, 1], given {type(action).__name__} {action!r:.80}")
+    return to_float(action[0]), to_float(action[1])
+
+
+def is_number(value: Any) -> bool:
+    """True for an int or a float of Python or NumPy; a bool is none."""
+    return isinstance(value, NUMBERS) and not isinstance(value, bool)
+
+
+def to_float(value: Any) -> float:
+    """`value` as a float; an int too large for one becomes infinite, which no bound admits."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def check_choice(action: Any, n: int) -> int:
+    """The choice in 0..n-1 that `action` holds.
+
+    Accepts an integer of Python or NumPy, or an integer array without dimensions (what policies return). Raises
+    `ActionError` for anything else.
+    """
+    array = isinstance(action, np.ndarray | np.integer)
+    integer = action.shape == () and action.dtype.kind in "iu" if array else type(action) is int
+    if not integer:
+        raise ActionError(f"action: expected an integer in 0..{n - 1}, given {type(action).__name__} {action!r:.80}")
+    if not 0 <= int(action) < n:
+        raise ActionError(f"action: {int(action)} does not lie in 0..{n - 1}")
+    return int(action)
+
+
+class VelocityActions:
+    """Box(-1, 1, (2,)): shares of the largest forward speed and of the largest turn rate (counter-clockwise)."""
+
+    def __init__(self) -> None:
+        self.space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def shares(self, action: Any) -> tuple[float, float]:
+        """Forward and turn share in [-1, 1] of `action`. Raises `ActionError`."""
+        return check_velocity(action)
+
+
+class DiscreteActions:
+    """Discrete(5): stop, forward, back, left, right (the turns at half of the largest rate)."""
+
+    def __init__(self) -> None:
+        self.space: spaces.Space[Any] = spaces.Discrete(len(DISCRETE))
+
+    def shares(self, action: Any) -> tuple[float, float]:
+        """Forward and turn share in [-1, 1] of `action`. Raises `ActionError`."""
+        forward, turn = COMMANDS[check_choice(action, len(DISCRETE))]
+        return float(forward), float(turn)
+
+
+def make_actions(kind: str) -> VelocityActions | DiscreteActions:
+    """The action space named `kind`; below `goal` lies `velocity`, which the wrapper `GoalActions` drives."""
+    return DiscreteActions() if kind == "discrete" else VelocityActions()
+
+
+def to_shares(v: float, w: float, limits: tuple[float, float]) -> NDArray[np.float32]:
+    """The velocity action (2,) for a command of v m/s and w rad/s under `limits` (m/s, rad/s), cut to [-1, 1]."""
+    shares = (max(-1.0, min(1.0, v / limits[0])), max(-1.0, min(1.0, w / limits[1])))
+    return np.array(shares, np.float32)

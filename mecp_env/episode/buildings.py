@@ -1,0 +1,156 @@
+"""Where the building of an episode comes from: always the same one, or a new one at every reset."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import shown
+from mecp_env.floorplans import PlanOptions, load_plan, plan_files
+from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
+from mecp_env.world.layout import load_layout
+from mecp_env.world.schema import Layout
+
+GENERATE, PLAN = "generate", "plan"  # the keys of a layout given as a specification, and as plans
+KEPT_PLANS = 100  # that are read and not read again
+KEYWORDS = {  # beside the fields of the environment's configuration
+    GENERATE: ("difficulty", "split", *GeneratorSpec.model_fields),
+    PLAN: ("plan", "kind", *PlanOptions.model_fields),
+}
+
+
+class Source(Protocol):
+    """Buildings, numbered from 0."""
+
+    @property
+    def count(self) -> int:
+        """How many there are; 1: always the same."""
+        ...
+
+    def layout(self, building: int) -> Layout:
+        """The building of that number. Raises `ConfigError` for one that does not exist."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class OneLayout:
+    """The same building at every reset."""
+
+    given: Layout
+    count: int = 1
+
+    def layout(self, building: int) -> Layout:
+        return self.given
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratedLayouts:
+    """The generated buildings of a split."""
+
+    spec: GeneratorSpec
+    split: str
+
+    @property
+    def count(self) -> int:
+        return len(SPLITS[self.split])
+
+    def layout(self, building: int) -> Layout:
+        return generate(self.spec, split_seed(self.split, building))
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFiles:
+    """Real floor plans; the last ones are kept as they were read."""
+
+    paths: tuple[Path, ...]
+    reading: dict[str, Any]  # options of `load_plan`
+    read: dict[int, Layout] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        return len(self.paths)
+
+    def layout(self, building: int) -> Layout:
+        if building not in self.read:
+            for oldest in list(self.read)[: len(self.read) - KEPT_PLANS + 1]:
+                del self.read[oldest]
+            self.read[building] = load_plan(self.paths[building], **self.reading)
+        return self.read[building]
+
+
+def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
+    """The source that the field `layout` of a configuration stands for.
+
+    A shipped name, a path or a layout is one building; `{"generate": {...}}` the generated ones, with the fields of
+    `GeneratorSpec`, `difficulty` and `split`; `{"plan": {"path": ...}}` a real floor plan or a folder of them, with the
+    options of `load_plan`. Raises `ConfigError` or `LayoutError`.
+    """
+    key = next((key for key in (GENERATE, PLAN) if isinstance(given, Mapping) and key in given), None)
+    if key is not None:
+        return _made(key, given)
+    return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
+
+
+def _made(key: str, given: Any) -> Source:
+    """The source of a layout that is given by one key."""
+    if set(given) != {key} or not isinstance(given[key], Mapping):
+        raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
+    return _generated(**given[key]) if key == GENERATE else _plans(**given[key])
+
+
+def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
+    if split not in SPLITS:
+        raise ConfigError(unknown_split(split))
+    return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
+
+
+def _plans(path: Any = None, **reading: Any) -> PlanFiles:
+    """The plan at `path`, or all in that folder and those in it, in the order of their paths."""
+    place = Path(_path(path))
+    images = reading.get("resolution_m") is not None
+    paths = plan_files(place, reading.get("kind"), images) if place.is_dir() else (place,)
+    return PlanFiles(paths, reading)
+
+
+def _path(given: Any) -> str:
+    """The path that was given for plans. Raises `ConfigError` for what is none."""
+    path = given.__fspath__() if isinstance(given, os.PathLike) else given
+    if not isinstance(path, str) or not path:
+        raise ConfigError(f"plan: the path of a floor plan, or of a folder of them, is needed (given: {shown(given)})")
+    return path
+
+
+def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of `FloorPlan-v0`, those of the plans and those of the environment. Raises `ConfigError`."""
+    plan = {name: value for name, value in keywords.items() if name in KEYWORDS[PLAN] and name != "plan"}
+    if "plan" in keywords:
+        plan["path"] = _path(keywords["plan"])
+    return plan, {name: value for name, value in keywords.items() if name not in KEYWORDS[PLAN]}
+
+
+def generator_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of `Rooms-v0`, those of the buildings and those of the environment."""
+    spec = {name: value for name, value in keywords.items() if name in KEYWORDS[GENERATE]}
+    return spec, {name: value for name, value in keywords.items() if name not in KEYWORDS[GENERATE]}
+
+
+def draw_building(source: Source, rng: np.random.Generator) -> int:
+    """The number of the next building; a source of one draws nothing."""
+    return int(rng.integers(source.count)) if source.count > 1 else 0
+
+
+def check_building(number: Any, source: Source) -> int | None:
+    """`number` if there is a building of that number, or None. Raises `ConfigError`."""
+    if number is None:
+        return None
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
+        raise ConfigError(f"building: expected a whole number, given {number!r:.80}")
+    if not 0 <= number < source.count:
+        raise ConfigError(f"building: {number}, there are {source.count}, numbered from 0")
+    return int(number)

@@ -1,0 +1,84 @@
+"""One episode: all that lives over its periods, and the form in which its state is handed out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.config import EnvConfig
+from mecp_env.core.snapshot import StateError
+from mecp_env.core.snapshot_check import check_fields, examples_of
+from mecp_env.episode.observations import Trail
+from mecp_env.episode.rewards import RewardMemory
+from mecp_env.evaluation.metrics import EpisodeMetrics
+from mecp_env.planning.goals import GoalHistory, Goals
+from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.world.moving_obstacles import Moving, is_whole
+
+Array = NDArray[np.float64]
+
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 4
+PARTS = ("simulation", "moving", "episode")  # of a state, encoded
+
+
+@dataclass(slots=True, eq=False)
+class Episode:
+    """All that lives over the periods of an episode beside the body and the random numbers; plain state."""
+
+    pipeline: SlamPipeline
+    report: SlamOutput
+    metrics: EpisodeMetrics
+    book: GoalHistory = field(default_factory=GoalHistory)
+    goals: Goals = field(default_factory=Goals)
+    goals_period: int = -1  # when they were looked for
+    goals_key: tuple[int, ...] = ()  # of the map they were looked for on
+    memory: RewardMemory = field(default_factory=RewardMemory)
+    path_map: Trail = field(default_factory=Trail)
+    path_world: Trail = field(default_factory=Trail)
+    target: Array | None = None  # (2,) m, map frame: where a goal action drives to
+    quiet: int = 0  # periods without a goal, in a row
+    contact: bool = False
+    saturated: int = 0  # values of the observation cut to their bounds, rows left out
+    over: bool = False
+
+
+def goals_key(report: SlamOutput) -> tuple[int, ...]:
+    """Changes whenever other goals may be found."""
+    graph = report.graph
+    return report.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
+
+
+def nearest_goal(goals: Goals, target: Array | None) -> int:
+    """Row of the goal at `target` (2,) m, or -1 when it is no goal any more."""
+    if target is None or not len(goals):
+        return -1
+    far = np.hypot(*(goals.p_map - target).T)
+    return int(far.argmin()) if far.min() < 0.5 else -1
+
+
+def check_state(state: Any, config: EnvConfig) -> None:
+    """Raise `StateError` unless `state` is of this format, version and configuration."""
+    if not isinstance(state, dict) or state.get("format") != STATE_FORMAT:
+        raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
+    if state.get("version") != STATE_VERSION:
+        raise StateError(f"state.version: {state.get('version')!r}, this is version {STATE_VERSION}")
+    missing = {"config", "building", "random", "seed", *PARTS} - set(state)
+    if missing:
+        raise StateError(f"state: without {', '.join(sorted(missing))}")
+    if state["config"] != config.to_json():
+        raise StateError("state.config: the state is of an environment with another configuration")
+
+
+def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipeline) -> None:
+    """Raise `StateError` unless the parts of a state are of their types; `fresh` is a pipeline just made."""
+    examples = examples_of(fresh)
+    check_fields(seed, int | None, "state.seed", examples)
+    check_fields(body, dict[str, Array], "state.simulation", examples)
+    check_fields(moving, Moving, "state.moving", examples)
+    if not is_whole(moving):
+        raise StateError("state.moving: arrays of the wrong shape")
+    check_fields(episode, Episode, "state.episode", examples)

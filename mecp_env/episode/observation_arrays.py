@@ -1,0 +1,227 @@
+"""Compiled kernels of the observation: grid windows, landmark and goal rows, bounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
+LAYERS = ("free", "polygon", "occupied", "unknown", "door", "room", "frontier", "path")
+
+
+@compiled
+def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: int) -> Bytes:
+    """(H,W) one bit a layer (the path left out) for each cell of the semantic grid.
+
+    A door is free too; a frontier cell is FREE with an UNKNOWN cell (or the grid's border) above, below or beside it.
+    """
+    rows, cols = label.shape
+    padded = np.zeros((rows + 2, cols + 2), np.uint8)
+    for i in range(rows):  # not by slices: for their error messages numba compiles its strings, three seconds long
+        for j in range(cols):
+            padded[i + 1, j + 1] = label[i, j]
+    codes = np.empty((rows, cols), np.uint8)
+    nobody = current < 0
+    for i in range(rows):
+        for j in range(cols):  # without branches, so that it is done for many cells at a time
+            a = padded[i + 1, j + 1]
+            beside = (padded[i, j + 1] == 0) | (padded[i + 2, j + 1] == 0)
+            beside |= (padded[i + 1, j] == 0) | (padded[i + 1, j + 2] == 0)
+            mine = (room[i, j] == current) & (not nobody)
+            code = FREE * (a & 1) | OCCUPIED * (a == 2) | UNKNOWN * (a == 0) | DOOR * (a == 3)  # FREE 1, DOOR 3
+            codes[i, j] = code | POLYGON * polygon[i, j] | ROOM * mine | FRONTIER * ((a == 1) & beside)
+    return codes
+
+
+@compiled
+def pool_codes(codes: Bytes, width: int) -> Bytes:
+    """(H+w-1,W+w-1) the bits of the `width` x `width` cells up to and with cell [i, j]; unknown outside the grid."""
+    rows, cols = codes.shape
+    tall = np.full((rows + width - 1, cols), UNKNOWN, np.uint8)
+    tall[width - 1 : rows] = 0
+    for i in range(rows):
+        for a in range(width):
+            for j in range(cols):
+                tall[i + a, j] |= codes[i, j]
+    pooled = np.full((rows + width - 1, cols + width - 1), UNKNOWN, np.uint8)
+    pooled[:, width - 1 : cols] = 0
+    for i in range(rows + width - 1):
+        for a in range(width):
+            for j in range(cols):
+                pooled[i, j + a] |= tall[i, j]
+    return pooled
+
+
+@compiled
+def sample_window(pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float]) -> Bytes:
+    """(n,n) what the pooled codes hold around `pose`: the first row lies ahead of the robot, the first column left.
+
+    `corner` (2,) is the lower left corner of the grid of pooled codes, `size` holds n and the side of a window cell
+    in metres. Outside the grid everything is unknown.
+    """
+    n, side = size
+    rows, cols = pooled.shape
+    flat = pooled.reshape(-1)
+    c, s = math.cos(pose[2]) * side / resolution, math.sin(pose[2]) * side / resolution
+    half = 0.5 * (n - 1)
+    x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
+    y = (pose[1] - corner[1]) / resolution + s * half + c * half
+    window = np.empty((n, n), np.uint8)
+    for i in range(n):
+        u, v = x - c * i, y - s * i
+        first, last = 0, n  # a row of the window enters the grid once, and leaves it once
+        while first < n and not _is_inside(u + s * first, v - c * first, cols, rows):
+            window[i, first] = UNKNOWN
+            first += 1
+        while last > first and not _is_inside(u + s * (last - 1), v - c * (last - 1), cols, rows):
+            last -= 1
+            window[i, last] = UNKNOWN
+        for j in range(first, last):
+            window[i, j] = flat[np.uint64(int(v - c * j) * cols + int(u + s * j))]
+    return window
+
+
+@compiled
+def _is_inside(u: float, v: float, cols: int, rows: int) -> bool:
+    """True when column u and row v lie on the grid."""
+    return bool(u >= 0.0 and v >= 0.0 and u < cols and v < rows)
+
+
+@compiled
+def mark_path(window: Bytes, points: Array, pose: Array, cell: float) -> None:
+    """Set the path bit in `window` (n,n) where one of the points (m,2) of the path lies."""
+    n = window.shape[0]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(points.shape[0]):
+        dx, dy = points[k, 0] - pose[0], points[k, 1] - pose[1]
+        i = math.floor(0.5 * n - (c * dx + s * dy) / cell)
+        j = math.floor(0.5 * n - (-s * dx + c * dy) / cell)
+        if i >= 0 and j >= 0 and i < n and j < n:
+            window[i, j] |= PATH
+
+
+@compiled
+def unpack_layers(window: Bytes) -> Bytes:
+    """(8,n,n) 255 where the bit of the layer is set in `window` (n,n), else 0."""
+    n = window.size
+    layers, codes = np.empty((8, n), np.uint8), window.reshape(-1)
+    for layer in range(8):
+        bit = np.uint8(1 << layer)
+        for i in range(n):
+            layers[layer, i] = np.uint8(255) if codes[i] & bit else np.uint8(0)
+    return layers.reshape(8, window.shape[0], window.shape[1])
+
+
+@compiled
+def window_layers(
+    pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
+) -> Bytes:
+    """(8,n,n) the layers around `pose` with the path (m,2); see `sample_window`."""
+    window = sample_window(pooled, corner, resolution, pose, size)
+    mark_path(window, path, pose, size[1])
+    return unpack_layers(window)
+
+
+@compiled
+def fill_tables(
+    tables: tuple[Floats, Floats, Floats, Floats],
+    belief: tuple[Array, Array, Array, Array],
+    labels: tuple[Ints, Ints, Ints, Ints],
+    p_goals: Array,
+    limits: Floats,
+) -> int:
+    """Write `pose` (4,), `pose_cov` (6,), `landmarks` (R,8) and the places in `goals` (G,9); how many values were cut.
+
+    `belief`: pose (3,), its covariance (3,3), landmarks (N,2) and their covariances (N,2,2). `labels`: ids (N,) of the
+    landmarks, room and kind (F,) by id, and what each room became (M,). `p_goals` (g,2) m, map frame. `limits` (2,27):
+    lower and upper bounds of the columns of the four tables.
+    """
+    pose, pose_cov, landmarks, goals = tables
+    T_map_robot, cov, p_map, covs = belief
+    pose[0], pose[1] = T_map_robot[0], T_map_robot[1]
+    pose[2], pose[3] = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    k = 0
+    for i in range(3):
+        for j in range(i, 3):
+            pose_cov[k] = cov[i, j]
+            k += 1
+    landmark_rows(T_map_robot, p_map, covs, labels, landmarks)
+    goal_places(T_map_robot, p_goals, goals)
+    cut = saturate(pose.reshape(1, 4), limits, 0) + saturate(pose_cov.reshape(1, 6), limits, 4)
+    return cut + saturate(landmarks, limits, 10) + saturate(goals, limits, 18)
+
+
+@compiled
+def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: tuple[Ints, Ints, Ints, Ints], rows: Floats) -> None:
+    """Fill `rows` (R,8), the nearest first: x, y, cov xx, xy, yy in robot axes, room, kind, valid."""
+    ids, room, kind, became = labels
+    order = nearest_first(p_map, pose)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(min(order.shape[0], rows.shape[0])):
+        i = order[k]
+        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
+        xx, xy, yy = covs[i, 0, 0], covs[i, 0, 1], covs[i, 1, 1]
+        rows[k, 0] = c * dx + s * dy
+        rows[k, 1] = -s * dx + c * dy
+        rows[k, 2] = c * c * xx + 2.0 * c * s * xy + s * s * yy
+        rows[k, 3] = c * s * (yy - xx) + (c * c - s * s) * xy
+        rows[k, 4] = s * s * xx - 2.0 * c * s * xy + c * c * yy
+        own = room[ids[i]]
+        rows[k, 5] = became[own] if 0 <= own < became.shape[0] else own
+        rows[k, 6] = kind[ids[i]]
+        rows[k, 7] = 1.0
+
+
+@compiled
+def nearest_first(p_map: Array, pose: Array) -> Ints:
+    """(N,) rows of the points (N,2), those nearest to the pose first; equally near ones keep their order."""
+    count = p_map.shape[0]
+    order, far = np.empty(count, np.int64), np.empty(count)
+    for i in range(count):
+        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
+        square, at = dx * dx + dy * dy, i
+        while at > 0 and far[at - 1] > square:
+            far[at], order[at] = far[at - 1], order[at - 1]
+            at -= 1
+        far[at], order[at] = square, i
+    return order
+
+
+@compiled
+def goal_places(pose: Array, p_map: Array, rows: Floats) -> None:
+    """Write x, y of the goals (g,2) in the robot frame into the first columns of `rows` (G,9)."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(min(p_map.shape[0], rows.shape[0])):
+        dx, dy = p_map[k, 0] - pose[0], p_map[k, 1] - pose[1]
+        rows[k, 0] = c * dx + s * dy
+        rows[k, 1] = -s * dx + c * dy
+
+
+@compiled
+def saturate(rows: Floats, limits: Floats, first: int) -> int:
+    """Bring `rows` (n,k) within `limits` in place (nan becomes 0); how many values were outside.
+
+    `limits` (2,m): the lower and upper bound of column j stand in column first + j.
+    """
+    outside = 0
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            low, high = limits[0, first + j], limits[1, first + j]
+            value = rows[i, j]
+            if math.isnan(value):
+                rows[i, j] = 0.0
+                outside += 1
+            elif value < low or value > high:
+                rows[i, j] = low if value < low else high
+                outside += 1
+    return outside

@@ -1,0 +1,178 @@
+"""What the agent is given: the belief, in arrays of fixed shape. Nothing here knows the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from mecp_env.episode import observation_arrays as kernels
+from mecp_env.planning.goals import Goals
+from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LANDMARKS, GOALS = 128, 32  # rows
+GRID = (96, 0.2)  # cells along a side, m a cell
+MAP = (64, 0.8)
+EXTENT_M = 200.0  # bound of every position and length
+COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
+LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
+TRAIL_STEP_M = 0.1
+NOTHING_MERGED = np.empty(0, np.int64)
+
+
+@dataclass(slots=True, eq=False)
+class Trail:
+    """Where the robot believed to be, a point every 0.1 m, in the map frame; not redrawn by a loop closure."""
+
+    points: Array = field(default_factory=lambda: np.zeros((256, 2)))  # (capacity,2) m
+    count: int = 0
+    last: tuple[float, float] = (math.inf, math.inf)
+
+    def add(self, T_map_robot: Array) -> None:
+        """Append the position unless it is near the last one."""
+        x, y, _ = T_map_robot.tolist()
+        if math.hypot(x - self.last[0], y - self.last[1]) < TRAIL_STEP_M:
+            return
+        if self.count == len(self.points):
+            self.points = np.concatenate([self.points, np.zeros_like(self.points)])
+        self.points[self.count] = self.last = (x, y)
+        self.count += 1
+
+
+def bounds(rows: int, low: list[float], high: list[float]) -> spaces.Box:
+    """A float32 box of `rows` rows with the bounds of each column."""
+    return spaces.Box(
+        np.tile(np.array(low, np.float32), (rows, 1)), np.tile(np.array(high, np.float32), (rows, 1)), dtype=np.float32
+    )
+
+
+def make_space(with_map: bool, beams: int, max_range_m: float) -> spaces.Dict:
+    """The observation space; `beams` is 0 without the scan."""
+    far, cov, label = EXTENT_M, COV_MAX, LABEL_MAX
+    parts: dict[str, spaces.Space[Any]] = {
+        "pose": spaces.Box(np.array([-far, -far, -1, -1], np.float32), np.array([far, far, 1, 1], np.float32)),
+        "pose_cov": spaces.Box(
+            np.array([0, -cov, -cov, 0, -cov, 0], np.float32), np.full(6, cov, np.float32), dtype=np.float32
+        ),
+        "landmarks": bounds(LANDMARKS, [-far, -far, 0, -cov, 0, -1, 0, 0], [far, far, cov, cov, cov, label, 2, 1]),
+        "goals": bounds(GOALS, [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]),
+        "grid": spaces.Box(0, 255, (len(kernels.LAYERS), GRID[0], GRID[0]), np.uint8),
+    }
+    if with_map:
+        parts["map"] = spaces.Box(0, 255, (len(kernels.LAYERS), MAP[0], MAP[0]), np.uint8)
+    if beams:
+        parts["scan"] = spaces.Box(0.0, max_range_m, (beams,), np.float32)
+    return spaces.Dict(parts)
+
+
+class Observer:
+    """Makes observations; keeps nothing but a cache that follows from the grid's version, so it is no state.
+
+    The parts of an observation (float32 unless said otherwise):
+
+    - `pose` (4): x, y, cos and sin of the heading, map frame.
+    - `pose_cov` (6): xx, xy, x heading, y y, y heading, heading heading.
+    - `landmarks` (128,8), the nearest first: x, y in the robot frame, covariance xx, xy, yy in the robot's axes, room,
+      kind (0 crossing, 1 free end, 2 jamb), valid.
+    - `goals` (32,9), in the order of `find_goals`: x, y in the robot frame, path length, size, kind (0 open edge,
+      1 candidate door, 2 frontier, 3 door), room, level, visits, valid.
+    - `grid` (8,96,96) uint8, 0.2 m a cell, the robot in the middle and its heading up: 255 where any cell
+      of the semantic grid in it is free, in a polygon, occupied, unknown, a door, in the current room, a frontier, or
+      on the path travelled.
+    - `map` (8,64,64) uint8, on request: the same at 0.8 m a cell.
+    - `scan` (B,), on request: ranges of the merged beams, the longest range where nothing was hit.
+    """
+
+    def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:
+        self.space = make_space(with_map, beams, max_range_m)
+        self._limits = column_limits(self.space, ("pose", "pose_cov", "landmarks", "goals"))
+        self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
+        self._goals, self._goal_rows = Goals(), goal_rows(Goals())
+        self._became, self._merges = NOTHING_MERGED, 0
+        self._key = (-1, -1)
+        self._cache: dict[int, tuple[NDArray[np.uint8], Array]] = {}  # pool width -> codes, their corner
+
+    def observe(
+        self, report: SlamOutput, features: FeatureTable, goals: Goals, trail: Trail
+    ) -> tuple[dict[str, NDArray[Any]], int]:
+        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
+        observation, outside = self._tables(report, features, goals)
+        observation["grid"] = self._window(report, trail, GRID)
+        if "map" in self.space.spaces:
+            observation["map"] = self._window(report, trail, MAP)
+        if "scan" in self.space.spaces:
+            observation["scan"] = scan = report.beams.ranges.astype(np.float32)
+            outside += kernels.saturate(scan.reshape(1, -1), self._scan_limits, 0)
+        left_out = max(0, len(report.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
+        return observation, left_out + outside
+
+    def _tables(self, report: SlamOutput, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
+        """The parts that are tables, and how many of their values were cut."""
+        belief = report.belief
+        pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
+        landmarks, goal_table = np.zeros((LANDMARKS, 8), np.float32), self._goal_columns(goals).copy()
+        T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
+        outside: int = kernels.fill_tables(
+            (pose, pose_cov, landmarks, goal_table),
+            (T_map_robot, cov, belief.p_map, belief.covs),
+            (belief.ids, features.room, features.kind, self._rooms(report.graph)),
+            goals.p_map,
+            self._limits,
+        )
+        return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goal_table}, outside
+
+    def _window(self, report: SlamOutput, trail: Trail, size: tuple[int, float]) -> NDArray[np.uint8]:
+        grid, pose = report.grid, np.ascontiguousarray(report.belief.T_map_robot)
+        pooled, corner = self._pooled(grid, report.graph.current, max(1, round(size[1] / grid.resolution_m)))
+        path = trail.points[: trail.count]
+        layers: NDArray[np.uint8] = kernels.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
+        return layers
+
+    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[NDArray[np.uint8], Array]:
+        if self._key != (grid.version, room):
+            self._key = (grid.version, room)
+            self._cache = {}
+        if width not in self._cache:
+            codes = kernels.pool_codes(kernels.cell_codes(grid.label, grid.polygon, grid.room, room), width)
+            self._cache[width] = codes, grid.origin - 0.5 * (width - 1) * grid.resolution_m
+        return self._cache[width]
+
+    def _goal_columns(self, goals: Goals) -> NDArray[np.float32]:
+        """(32,9) the first goals of the list without their place; they change only when goals are looked for."""
+        if goals is not self._goals:
+            self._goals, self._goal_rows = goals, goal_rows(goals)
+        return self._goal_rows
+
+    def _rooms(self, graph: RoomGraph) -> Ints:
+        """(M,) what each room became after all merges; a room beyond the table is itself."""
+        if len(graph.merged) != self._merges:
+            self._merges, self._became = len(graph.merged), rooms_after_merges(graph)
+        return self._became
+
+
+def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.float32]:
+    """(2,k) lower and upper bound of the columns of some tables, one table after the other."""
+    boxes = [space.spaces[name] for name in names]
+    rows = [[np.atleast_2d(bound)[0] for bound in (box.low, box.high)] for box in boxes if isinstance(box, spaces.Box)]
+    return np.concatenate([np.empty((2, 0), np.float32), *(np.array(row, np.float32) for row in rows)], axis=1)
+
+
+def rooms_after_merges(graph: RoomGraph) -> Ints:
+    """(M,) the room that each room up to the last merged one stands for."""
+    return np.array([graph.resolve(room) for room in range(1 + max(graph.merged, default=-1))], np.int64)
+
+
+def goal_rows(goals: Goals) -> NDArray[np.float32]:
+    """(32,9) the columns of the first goals of the list, their place left out."""
+    rows = np.zeros((GOALS, 9), np.float32)
+    columns = (goals.path_m, goals.size_m, goals.kind, goals.room, goals.level, goals.visits, np.ones(len(goals)))
+    for column, values in enumerate(columns, start=2):
+        rows[: len(goals), column] = values[:GOALS]
+    return rows

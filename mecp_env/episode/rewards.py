@@ -1,0 +1,153 @@
+"""The reward: named terms in their own units, a weight for each (`RewardConfig`); docs/rewards.md tells it at length.
+
+What is measured is a potential: a term is by how much it changed in a period, so that the terms of an episode add up to
+its value at the end less that at the start, whatever happened in between. Uncertainty that grows and shrinks again, an
+area mapped twice, a map redrawn and drawn again earn nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.config import RewardConfig
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import factor_lower
+from mecp_env.slam.messages import Belief, SemanticGrid
+
+Array = NDArray[np.float64]
+
+TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence")
+LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose
+COMPLETION_M2 = 100.0  # the unit of a completed area
+AHEAD_M = 5.0  # how far from the robot a wall typically is that it draws
+
+
+class Moment(NamedTuple):
+    """What the measured terms of a period are measured on."""
+
+    belief: Belief
+    grid: SemanticGrid
+    diverged: bool = False
+    true_area_m2: float | None = None  # the true free area seen; None where the belief's counts
+
+
+@dataclass(slots=True, eq=False)
+class RewardMemory:
+    """The potentials as they were in the period before; plain state."""
+
+    area_m2: float = 0.0
+    pose_nat: float = 0.0
+    landmark_nat: float = 0.0
+    grid_version: int = -1  # of the map whose area that is
+
+
+def remember(memory: RewardMemory, now: Moment, config: RewardConfig) -> None:
+    """Bring `memory` up to this period."""
+    sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(now.belief.pose_cov), now.belief.covs)
+    memory.area_m2 = area(memory, now, sigma <= config.area_sigma_m)
+    memory.landmark_nat = 0.0 if now.diverged else landmark_nat
+
+
+def area(memory: RewardMemory, now: Moment, sure: bool) -> float:
+    """m^2 that count as mapped: the cells not UNKNOWN, as they were when the robot last was `sure` of its pose.
+
+    What it draws while it is not sure counts once it is sure again, if it still stands. A map that diverged is none.
+    """
+    if now.true_area_m2 is not None:
+        return now.true_area_m2
+    if now.diverged:
+        return 0.0
+    if not sure or now.grid.version == memory.grid_version:
+        return memory.area_m2
+    memory.grid_version = now.grid.version
+    return mapped_area(now.grid)
+
+
+def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[str, float]:
+    """The terms that are measured, in their own units; `memory` is brought up to this period.
+
+    - `area`: m^2 newly mapped, what a redrawn map lost taken off (see `area`); with `source="truth"` newly seen.
+    - `pose_information`: nat, by how much -0.5 log det P of the pose grew.
+    - `landmark_information`: nat, by how much the mean of -0.5 log det P over the landmarks grew.
+    """
+    area_m2, pose_nat, landmark_nat = memory.area_m2, memory.pose_nat, memory.landmark_nat
+    remember(memory, now, config)
+    return {
+        "area": memory.area_m2 - area_m2,
+        "pose_information": memory.pose_nat - pose_nat,
+        "landmark_information": memory.landmark_nat - landmark_nat,
+    }
+
+
+def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool) -> dict[str, float]:
+    """The terms that happen; `memory` is that of this period.
+
+    - `contact`: 1 in a period in which the robot touched something.
+    - `time`: 1 in every period.
+    - `completion`: once, when the episode terminates, the area that counts as mapped then, in 100 m^2.
+    - `divergence`: 1 once, when the filter diverges, which ends the episode.
+    """
+    return {
+        "contact": float(contact),
+        "time": 1.0,
+        "completion": memory.area_m2 / COMPLETION_M2 if terminated else 0.0,
+        "divergence": float(diverged),
+    }
+
+
+def weigh(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
+    """Each term times its weight, in the order of `TERMS`; the reward is their sum."""
+    return {name: getattr(config, name) * terms[name] for name in TERMS}
+
+
+def mapped_area(grid: SemanticGrid) -> float:
+    """m^2 of the cells that are not UNKNOWN, which is 0."""
+    return float(np.count_nonzero(grid.label) * grid.resolution_m**2)
+
+
+@compiled
+def information(pose_cov: Array, covs: Array) -> tuple[float, float, float]:
+    """`drawing_sigma`, m; -0.5 log det of the pose covariance (3,3); `landmark_information` of covariances (N,2,2)."""
+    return drawing_sigma(pose_cov, AHEAD_M), -half_log_det(pose_cov), landmark_information(covs)
+
+
+@compiled
+def drawing_sigma(pose_cov: Array, ahead_m: float) -> float:
+    """Standard deviation, m, of where the robot draws what stands so far ahead; inf for a covariance that is none."""
+    square = max(pose_cov[0, 0], pose_cov[1, 1]) + ahead_m * ahead_m * pose_cov[2, 2]
+    return math.sqrt(square) if square >= 0.0 else math.inf
+
+
+@compiled
+def landmark_information(covs: Array) -> float:
+    """Mean of -0.5 log det P, P in m^2, over the landmarks' covariances (N,2,2), nat; 0 without a landmark."""
+    total = 0.0
+    for i in range(covs.shape[0]):
+        det = covs[i, 0, 0] * covs[i, 1, 1] - covs[i, 0, 1] * covs[i, 1, 0]
+        positive = covs[i, 0, 0] > 0.0 and det > 0.0
+        total -= within(0.5 * math.log(det)) if positive else MOST_LOG_DET
+    return float(total / max(covs.shape[0], 1))
+
+
+@compiled
+def half_log_det(cov: Array) -> float:
+    """0.5 log det of a covariance (n,n), kept within [-60, 60]; 60 where it is not positive: the filter diverged."""
+    factor = cov.copy()
+    if not factor_lower(factor):
+        return MOST_LOG_DET
+    total = 0.0
+    for i in range(factor.shape[0]):
+        total += math.log(factor[i, i])
+    kept: float = within(total)
+    return kept
+
+
+@compiled
+def within(nat: float) -> float:
+    """`nat`, kept within [-60, 60]."""
+    return float(max(LEAST_LOG_DET, min(MOST_LOG_DET, nat)))

@@ -1,0 +1,145 @@
+"""The site of an episode: the building, its doors and walls, what moves in it, the robot's body. All of it is true."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.config import EnvConfig
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.messages import Scan
+from mecp_env.core.snapshot import StateError
+from mecp_env.episode.buildings import check_building, draw_building, make_source
+from mecp_env.episode.start import Start, check_start, start_pose
+from mecp_env.evaluation.ground_truth import CELL_M, NOBODY, Others, Truth
+from mecp_env.world.closed_doors import close_doors, draw_closed
+from mecp_env.world.laser import Laser
+from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_movers
+from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.simulation import Motion, Simulation
+from mecp_env.world.walkways import Ways
+
+Array = NDArray[np.float64]
+
+
+class TrueWorld:
+    """The world of an environment, one building after the other, and the robot in it.
+
+    `building` is its number in the source, `outline` its walls as they stand in this episode, `truth` what follows from
+    them, `laser` and `simulation` are made for them, `movers` are the people and boxes.
+    """
+
+    building: int
+    outline: Outline
+    truth: Truth
+    laser: Laser
+    simulation: Simulation
+    movers: Movers
+    _others: Others | None  # None: not worked out yet
+
+    def __init__(self, config: EnvConfig) -> None:
+        """The first building of `config`, nobody in it. Raises `ConfigError` or `LayoutError`."""
+        self._config = config
+        self._source = make_source(config.layout)
+        self.building = 0
+        self._open_building(0)
+
+    @property
+    def T_world_robot(self) -> Array:
+        """(3,) m and rad: where the robot is."""
+        return self.simulation.T_world_robot
+
+    def begin(self, building: int | None, start: Start, rng: np.random.Generator) -> None:
+        """An episode's building, doors, people and boxes, with the robot at rest; `building` None draws one."""
+        self._move_to(draw_building(self._source, rng) if building is None else building)
+        pose = start_pose(start, self.outline, self._config.robot, rng)
+        self._populate(pose, rng)
+        self.simulation.reset(pose)
+
+    def restore(self, building: int, moving: Moving, body: dict[str, Array]) -> None:
+        """Continue in that building, with what moves and the robot's body as they were."""
+        self._move_to(building)
+        self._admit(moving)
+        self.simulation.set_state(body)
+
+    def drive(self, shares: tuple[float, float]) -> Motion:
+        """One control period at these shares of the robot's largest speed and turn rate."""
+        robot, self._others = self._config.robot, None
+        return self.simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
+
+    def look(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
+        """A scan from where the robot is."""
+        return self.laser.scan(T_world_robot, rng, self.others().faces)
+
+    def others(self) -> Others:
+        """What moves beside the robot, as laser and metrics want it; worked out once a period."""
+        if self._others is None:
+            movers = self.movers
+            self._others = Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
+        return self._others
+
+    def counts(self) -> dict[str, float]:
+        """The people, boxes and closed doors that there are; fewer than were asked for where no more found room."""
+        moving = self.movers.state
+        return {"people": len(moving.people), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
+
+    def check_building(self, number: Any) -> int | None:
+        """`number` if there is a building of that number, or None. Raises `ConfigError`."""
+        return check_building(number, self._source)
+
+    def building_of(self, state: dict[str, Any]) -> int:
+        """The building of a state. Raises `StateError`."""
+        try:
+            return self.check_building(state["building"]) or 0
+        except ConfigError as error:
+            raise StateError(f"state.{error}") from None
+
+    def check_start(self, start: Any) -> Start:
+        """`start` if an episode may start so. Raises `ConfigError`; a pose belongs to one building."""
+        if self._source.count > 1 and not isinstance(start, str):
+            raise ConfigError(f'start: {start!r:.80}, in buildings that change only "layout" or "random"')
+        return check_start(start, self._open, self._config.robot)
+
+    def _move_to(self, building: int) -> None:
+        """Be in the building of that number, all doors open."""
+        if building != self.building:
+            self._open_building(building)
+        elif self.outline is not self._open:
+            self._enter(self._open)
+
+    def _open_building(self, building: int) -> None:
+        self._open: Outline = build_outline(self._source.layout(building))  # with all doors open
+        self.building = building
+        self._enter(self._open)
+
+    def _enter(self, outline: Outline) -> None:
+        """Be among these walls."""
+        self.outline = outline
+        self.truth = Truth(outline, self._config.laser.max_range_m)
+        self.laser = Laser(outline, self._config.laser)
+        self.simulation = Simulation(outline, self._config.robot)
+        self.movers, self._others = no_movers(self._config.robot), NOBODY
+        self._ways: Ways | None = None  # of people, where there are any
+
+    def _populate(self, start: Array, rng: np.random.Generator) -> None:
+        """Close doors and let people and boxes in, for an episode that starts at a pose (3,)."""
+        clutter = self._config.clutter
+        closed = draw_closed(self.outline.doors, start, clutter.closed_doors, rng)
+        self._admit(Moving(closed=closed, start=start[:2].copy()))
+        if wants_movers(self._config.crowd, clutter):
+            self.movers.populate(self.outline, clutter, rng)
+            self.simulation.admit(self.movers)
+            self._others = None
+
+    def _admit(self, moving: Moving) -> None:
+        """Be in the building with these doors closed, among these people and boxes."""
+        if len(moving.closed):
+            layout = close_doors(self._source.layout(self.building), moving.closed, moving.start)
+            self._enter(build_outline(layout))
+        crowd = self._config.crowd
+        if self._ways is None and wants_movers(crowd, self._config.clutter):
+            self._ways = Ways(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])
+        self.movers, self._others = Movers(self._ways, crowd, self._config.robot, moving), None
+        self.simulation.admit(self.movers)

@@ -1,0 +1,1 @@
+"""Ground-truth metrics and map scores of an episode."""

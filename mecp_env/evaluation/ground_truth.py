@@ -1,0 +1,114 @@
+"""What is true of a layout, prepared once: rasters of its free area and rooms, its corners, its doors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mecp_env.evaluation import metric_arrays as kernels
+from mecp_env.slam.messages import Corners
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.outline import Outline
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+CELL_M = kernels.CELL_M
+MARGIN_M = 1.0  # of the rasters around the building
+BEAMS = 720
+BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
+DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
+NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
+IDENTITY_GATE_M = 0.3
+
+
+class Others(NamedTuple):
+    """What moves beside the robot, at one moment, in the world frame."""
+
+    faces: Array  # (m,2,2) m, free space on the left
+    corners: Array  # (c,2) m, of boxes: as true as those of the building, but they may have moved
+    walking: Array  # (n,3) m, place and reach of what may have moved by itself or slides
+
+
+NOBODY = Others(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
+
+
+def identify(corners: Corners, T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> Ints:
+    """(n,) index of the true corner that each corner of a scan is, or -1 for a spurious one.
+
+    The nearest true corner that is visible from the true pose, past whoever stands there, and within 0.3 m, one to one.
+    Those of boxes come after those of the building.
+    """
+    true, segments = outline.corners.p_world, outline.segments
+    if len(others.faces):
+        true, segments = np.concatenate([true, others.corners]), np.concatenate([segments, others.faces])
+    return kernels.identify_corners(corners.z, T_world_robot, true, segments, IDENTITY_GATE_M)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """An outline with its rasters; what follows from a layout and never changes."""
+
+    outline: Outline
+    max_range_m: float
+
+    @cached_property
+    def laser(self) -> Laser:
+        """A laser without noise."""
+        return Laser(self.outline, LaserConfig(preset="ideal", sweeps=1, beams=BEAMS, max_range_m=self.max_range_m))
+
+    @cached_property
+    def corner(self) -> Array:
+        """(2,) m, world frame: the lower left corner of the rasters."""
+        return np.array(self.outline.bounds[:2]) - MARGIN_M
+
+    @cached_property
+    def centres(self) -> Array:
+        """(H,W,2) m, world frame: the middles of the cells."""
+        size = np.array(self.outline.bounds[2:]) + MARGIN_M - self.corner
+        cols, rows = np.ceil(size / CELL_M).astype(np.int64)
+        x, y = (low + (np.arange(n) + 0.5) * CELL_M for low, n in zip(self.corner, (cols, rows), strict=True))
+        x, y = np.meshgrid(x, y)
+        return np.stack([x, y], axis=-1)
+
+    @cached_property
+    def free(self) -> Bools:
+        """(H,W) the cell's middle lies in free space."""
+        shapely.prepare(self.outline.free_area)
+        inside: Bools = shapely.contains_xy(self.outline.free_area, self.centres[..., 0], self.centres[..., 1])
+        return inside
+
+    @cached_property
+    def room(self) -> Ints:
+        """(H,W) index of the room that the cell's middle lies in, or -1."""
+        return self.outline.room_at(self.centres.reshape(-1, 2)).reshape(self.free.shape)
+
+    @cached_property
+    def free_cells(self) -> int:
+        """How many cells are free."""
+        return int(self.free.sum())
+
+    def room_at(self, p_world: Array) -> int:
+        """Index of the room at `p_world` (2,), or -1."""
+        (left, low), (p_x, p_y) = self.corner.tolist(), p_world.tolist()
+        x, y = p_x - left, p_y - low
+        room, row, col = self.room, int(y / CELL_M), int(x / CELL_M)
+        inside = y >= 0.0 and x >= 0.0 and row < room.shape[0] and col < room.shape[1]
+        return int(room[row, col]) if inside else -1
+
+    def sweep(self, T_world_robot: Array, seen: Bools) -> int:
+        """Mark in `seen` (H,W) the free cells in sight from the true pose (3,); how many are new."""
+        level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
+        scan = self.laser.scan(level, NO_NOISE)
+        return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
+
+    def identify(self, corners: Corners, T_world_robot: Array, others: Others = NOBODY) -> Ints:
+        """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""
+        return identify(corners, T_world_robot, self.outline, others)

@@ -1,0 +1,123 @@
+"""The map held against the truth: rooms and doors found, and how well the grid covers the free area."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.se2 import inverse, to_map
+from mecp_env.evaluation import metric_arrays as kernels
+from mecp_env.evaluation.ground_truth import Truth
+from mecp_env.slam.messages import Belief, Cell, Door, SemanticGrid, SlamOutput
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DOOR_GATE_M = 0.3
+
+
+def doors_found(truth: Truth, report: SlamOutput, T_world_map: Array) -> tuple[int, int]:
+    """How many true doors are in the map (its centre within 0.3 m, one to one), and how many doors there are none.
+
+    A door of the map whose jambs are no longer landmarks counts as none.
+    """
+    p_world = to_map(T_world_map, door_centres(report.graph.doors, report.belief))
+    found: int = kernels.count_pairs(p_world, truth.outline.doors.centre, DOOR_GATE_M)
+    return found, len(p_world) - found
+
+
+def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
+    """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
+    jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors], np.int64)
+    return kernels.jamb_middles(jambs.reshape(-1, 4), belief.ids, belief.p_map)
+
+
+def door_error(truth: Truth, report: SlamOutput, T_world_map: Array) -> float:
+    """Mean distance (m) of the doors found from the truth: of the middle of each face that is known; 0 without one."""
+    doors = report.graph.doors
+    p_world = to_map(T_world_map, door_centres(doors, report.belief))
+    found = nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M)
+    errors = [_face_error(truth, doors[d], report.belief, T_world_map, true) for d, true in found]
+    return float(np.mean(errors)) if errors else 0.0
+
+
+def _face_error(truth: Truth, door: Door, belief: Belief, T_world_map: Array, true: int) -> float:
+    """Mean distance (m) of the middles of the door's known faces from the nearer face of the true door."""
+    true_doors = truth.outline.doors
+    ahead = np.array([np.cos(true_doors.normal[true]), np.sin(true_doors.normal[true])])
+    faces = true_doors.centre[true] + np.outer((0.5, -0.5), ahead * true_doors.thickness[true])
+    known = [face for face in (door.jambs, door.other_face) if face is not None]
+    p_map = np.array([belief.p_map[belief.rows(np.array(face))].mean(axis=0) for face in known])
+    return float(distances(to_map(T_world_map, p_map), faces).min(axis=1).mean())
+
+
+def covers(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
+    """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
+    p_map = to_map(inverse(T_world_map), truth.centres[truth.free])
+    free = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
+    return float(cells_at(grid, grid.polygon, p_map, False).mean()), float(free.mean())
+
+
+def rooms_found(truth: Truth, report: SlamOutput, T_world_map: Array) -> tuple[int, int]:
+    """How many true rooms hold the centre of a room of the map (one to one), and how many rooms hold none.
+
+    The centre of a room of the map is its cell farthest from every other room, so that the centre of a U-shaped room
+    lies well inside it. A room that no cell was painted of yet counts as neither.
+    """
+    p_map = room_centres(report.grid, np.array(report.graph.rooms, np.int64))
+    p_world = to_map(T_world_map, p_map[~np.isnan(p_map[:, 0])])
+    rooms = [truth.room_at(centre) for centre in p_world]
+    found = len(set(rooms) - {-1})
+    return found, len(rooms) - found
+
+
+def room_centres(grid: SemanticGrid, rooms: Ints) -> Array:
+    """(n,2) m, map frame: the cell of each room (n,) farthest from every other room; nan without a cell."""
+    if not len(rooms) or not grid.room.size:
+        return np.full((len(rooms), 2), np.nan)
+    centres: Array = grid.origin + (kernels.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
+    return centres
+
+
+def grid_iou(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> float:
+    """Intersection over union of the free cells (doors included) of the map's grid and of the truth.
+
+    Counted on the truth's raster, which reaches 1 m beyond the building.
+    """
+    p_map = to_map(inverse(T_world_map), truth.centres.reshape(-1, 2))
+    believed = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
+    true = truth.free.reshape(-1)
+    return float((believed & true).sum()) / float((believed | true).sum())
+
+
+def labels_at(grid: SemanticGrid, p_map: Array) -> NDArray[np.uint8]:
+    """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
+    return cells_at(grid, grid.label, p_map, np.uint8(Cell.UNKNOWN))
+
+
+def cells_at(grid: SemanticGrid, layer: NDArray[Any], p_map: Array, outside: Any) -> NDArray[Any]:
+    """(n,) the values of a layer (H,W) of the grid at the points (n,2) of the map frame."""
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+    rows, cols = layer.shape
+    inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
+    values = np.full(len(p_map), outside, layer.dtype)
+    values[inside] = layer[cells[inside, 1], cells[inside, 0]]
+    return values
+
+
+def distances(a: Array, b: Array) -> Array:
+    """(n,m) m, of the points a (n,2) from the points b (m,2)."""
+    far: Array = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=2))
+    return far
+
+
+def nearest_pairs(far: Array, gate: float) -> list[tuple[int, int]]:
+    """Pairs (row, column) nearest first, one to one, none as far as `gate`; nan is never near."""
+    near = np.argwhere(far < gate)
+    pairs: dict[int, int] = {}
+    for row, column in near[np.argsort(far[far < gate], kind="stable")].tolist():
+        if row not in pairs and column not in pairs.values():
+            pairs[row] = column
+    return list(pairs.items())

@@ -1,0 +1,338 @@
+"""Compiled kernels of the truth metrics: pose errors, what the robot has seen, pairs and their score."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.arrays import find_rows
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import factor_lower, solve_lower
+from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map, wrap_angle
+from mecp_env.slam.messages import Decision
+from mecp_env.world.laser import in_sight
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell seen is a cell on this side
+STEP = 0.9  # cells between two looks along a beam
+LANDMARK = int(Decision.LANDMARK)
+NEES_MAX = 1e9
+BESIDE_M = 0.15  # of what moved: a landmark there may sit on it
+BORDER = 3  # depth of a cell beside one of another room
+
+
+@compiled
+def pose_between(T_a_b: Array, T_a_c: Array) -> Array:
+    """T_b_c (3,)."""
+    return compose(inverse(T_a_b), T_a_c)
+
+
+@compiled
+def pose_errors(T_map_robot: Array, believed: Array, cov: Array) -> tuple[float, float, float]:
+    """How far (m) and by what turn (rad) the believed pose (3,) is off the true one, and its NEES."""
+    error = np.empty(3)
+    for i in range(3):
+        error[i] = T_map_robot[i] - believed[i]
+    error[2] = wrap_angle(error[2])
+    return math.sqrt(error[0] * error[0] + error[1] * error[1]), abs(error[2]), pose_nees(error, cov)
+
+
+@compiled
+def pose_nees(error: Array, cov: Array) -> float:
+    """Normalised squared error of the pose (3,) under its covariance (3,3), at most 1e9; 0 at an exact pose."""
+    if error[0] == 0.0 and error[1] == 0.0 and error[2] == 0.0:
+        return 0.0
+    L, total = cov.copy(), 0.0
+    if not factor_lower(L):  # the filter diverged: its covariance is no longer positive
+        return NEES_MAX
+    y = solve_lower(L, error)
+    for i in range(3):
+        total += y[i] * y[i]
+    return min(total, NEES_MAX)
+
+
+@compiled
+def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Array, gate: float) -> Ints:
+    """(n,) index of the true corner (m,2) that each corner z (n,2) of a scan is, or -1; see `pair_corners`."""
+    p_world = to_map(T_world_robot, polar_to_points(z))
+    return pair_corners(p_world, true, segments, T_world_robot, gate)
+
+
+@compiled
+def pair_corners(seen: Array, true: Array, segments: Array, pose: Array, gate: float) -> Ints:
+    """(n,) index of the true corner (m,2) that each seen one (n,2) is, or -1: nearest first, each true corner once.
+
+    Only true corners within `gate` metres and in sight from `pose` count; all in the world frame.
+    """
+    n, m = seen.shape[0], true.shape[0]
+    apart, identity = np.empty((n, m)), np.empty(n, np.int64)
+    for j in range(m):
+        hidden = False  # asked only about the corners that are near enough
+        for i in range(n):
+            apart[i, j] = np.inf
+            dx, dy = seen[i, 0] - true[j, 0], seen[i, 1] - true[j, 1]
+            if hidden or dx * dx + dy * dy >= gate * gate:
+                continue
+            hidden = not in_sight(segments, pose[0], pose[1], true[j, 0], true[j, 1])
+            if not hidden:
+                apart[i, j] = dx * dx + dy * dy
+    for i in range(n):
+        identity[i] = -1
+    for i in range(n):
+        settle_row(apart, identity, i)
+    return identity
+
+
+@compiled
+def settle_row(apart: Array, identity: Ints, row: int) -> None:
+    """Pair `row` with its nearest free column; whoever is nearer to that column than its present owner takes it."""
+    while row >= 0:
+        best = np.inf
+        column = -1
+        for j in range(apart.shape[1]):
+            if apart[row, j] < best:
+                best, column = apart[row, j], j
+        if column < 0:
+            return
+        owner = -1
+        for i in range(identity.shape[0]):
+            if identity[i] == column:
+                owner = i
+        if owner >= 0 and apart[owner, column] <= best:
+            apart[row, column] = np.inf
+            continue
+        identity[row] = column
+        if owner >= 0:
+            identity[owner] = -1
+            apart[owner, column] = np.inf
+        row = owner
+
+
+@compiled
+def count_pairs(a: Array, b: Array, gate: float) -> int:
+    """How many of the points a (n,2) and b (m,2) are pairs: nearest first, one to one, none as far as `gate`."""
+    apart, identity, pairs = np.empty((a.shape[0], b.shape[0])), np.empty(a.shape[0], np.int64), 0
+    for i in range(a.shape[0]):
+        identity[i] = -1
+        for j in range(b.shape[0]):
+            dx, dy = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]
+            far = math.sqrt(dx * dx + dy * dy)
+            apart[i, j] = far if far < gate else np.inf  # nan is never near
+    for i in range(a.shape[0]):
+        settle_row(apart, identity, i)
+    for i in range(a.shape[0]):
+        pairs += identity[i] >= 0
+    return pairs
+
+
+@compiled
+def first_ring(beam: int, spacing: float, step: float) -> float:
+    """Range from which beam number `beam` is needed: nearer in, its neighbours cover every cell already."""
+    stride = beam & -beam  # the largest power of two that divides it
+    return 0.0 if stride >= 4096 else step / (2.0 * stride * spacing)
+
+
+@compiled
+def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free: Bools, seen: Bools) -> int:
+    """Mark in `seen` (H,W) the free cells under the beams (B,) along `directions` (2,B); how many are new.
+
+    Ranges and the robot's place `p_world` are in metres; `corner` (2,) is the lower left one of the rasters.
+    """
+    x, y = (p_world[0] - corner[0]) / CELL_M, (p_world[1] - corner[1]) / CELL_M
+    spacing, new = 2.0 * math.pi / ranges.shape[0], 0
+    for b in range(ranges.shape[0]):
+        far, r = ranges[b] / CELL_M - 0.1, first_ring(b + 1, spacing, STEP)
+        dx, dy = directions[0, b], directions[1, b]
+        while r < far + STEP:
+            reach, r = min(r, far), r + STEP
+            u, v = x + dx * reach, y + dy * reach
+            if u < 0.0 or v < 0.0 or u >= seen.shape[1] or v >= seen.shape[0]:
+                continue
+            i, j = np.uint64(v), np.uint64(u)  # which numba does not ask for being negative
+            if free[i, j] and not seen[i, j]:
+                seen[i, j] = True
+                new += 1
+    return new
+
+
+@compiled
+def note_scan(rows: Ints, period: int, truth: Ints, ids: Ints, decision: Ints, landmarks: Ints) -> int:
+    """Write the rows (n,4) of a scan: period, true corner, feature, matched to a landmark. Returns the largest id."""
+    most = -1
+    for i in range(ids.shape[0]):
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = period, truth[i], ids[i], decision[i] == LANDMARK
+        most = max(most, ids[i])
+    for i in range(landmarks.shape[0]):
+        most = max(most, landmarks[i])
+    return most
+
+
+@compiled
+def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
+    """Let each corner of a scan vote for what its feature is; see `score_scan` for the tables."""
+    for i in range(rows.shape[0]):
+        corner, feature = rows[i, 1], rows[i, 2]
+        if feature >= 0 and corner >= 0:
+            votes[feature, corner] += 1
+            best = features[feature, 0]
+            if best < 0 or votes[feature, corner] > votes[feature, best]:
+                features[feature, 0] = corner
+
+
+@compiled
+def score_scan(
+    votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints, landmarks: Ints, period: int
+) -> None:
+    """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
+
+    `rows` (n,4) hold period, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
+    (the majority of its `votes` (F,G), this scan's included) and the period in which it became a landmark, for new
+    `landmarks` (N,) this one.
+    """
+    count_votes(votes, features, rows)
+    known = np.zeros(votes.shape[1], np.bool_)  # the true corners that had a landmark before this scan
+    for feature in range(features.shape[0]):
+        if features[feature, 0] >= 0 and features[feature, 1] < period:
+            known[features[feature, 0]] = True
+    for i in range(rows.shape[0]):
+        corner, feature = rows[i, 1], rows[i, 2]
+        if rows[i, 3]:
+            right = corner >= 0 and features[feature, 0] == corner
+            counts[0 if right else 1] += 1
+        else:
+            missed = corner >= 0 and known[corner]
+            counts[2 if missed else 3] += 1
+    for i in range(landmarks.shape[0]):
+        features[landmarks[i], 1] = min(features[landmarks[i], 1], period)
+
+
+@compiled
+def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
+    """How many of the landmarks (N,) are of one of the true `corners` that another landmark is of already."""
+    taken = np.zeros(corners, np.bool_)
+    duplicates = 0
+    for i in range(landmarks.shape[0]):
+        corner = features[landmarks[i], 0]
+        if corner >= 0:
+            duplicates += taken[corner]
+            taken[corner] = True
+    return duplicates
+
+
+@compiled
+def jamb_middles(jambs: Ints, ids: Ints, p_map: Array) -> Array:
+    """(d,2) mean of those jambs (d,4) of each door that are among the landmarks `ids` (N,); nan for none."""
+    middles, rows = np.empty((jambs.shape[0], 2)), np.empty(4, np.int64)
+    for d in range(jambs.shape[0]):
+        find_rows(ids, jambs[d], rows)
+        x, y, known = 0.0, 0.0, 0
+        for k in range(4):
+            if rows[k] >= 0:
+                x, y, known = x + p_map[rows[k], 0], y + p_map[rows[k], 1], known + 1
+        middles[d, 0] = x / known if known else np.nan
+        middles[d, 1] = y / known if known else np.nan
+    return middles
+
+
+@compiled
+def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
+    """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none."""
+    most, middles = 0, np.empty((rooms.shape[0], 2))
+    for k in range(rooms.shape[0]):
+        most = max(most, rooms[k] + 1)
+    deepest = deepest_cells(room, depths_from_before(room), most)
+    for k in range(rooms.shape[0]):
+        _, column, row = deepest[rooms[k]]
+        middles[k, 0], middles[k, 1] = column, row
+    return middles
+
+
+@compiled
+def depths_from_before(room: NDArray[np.int16]) -> NDArray[np.int32]:
+    """(H,W) distance of each room's cells from the nearest one that is not of it, in thirds of a cell (chamfer).
+
+    As far as the way from there leads on in rows and columns; the others are for `deepest_cells`.
+    """
+    height, width = room.shape
+    depth = np.empty(room.shape, np.int32)
+    for i in range(height):
+        for j in range(width):
+            depth[i, j] = BORDER
+    for i in range(1, height - 1):
+        above, row, below = depth[i - 1], depth[i, 1:], room[i + 1, 1:]
+        inside = inside_room(room[i - 1, 1:], room[i], below)
+        for j in range(inside.shape[0]):
+            if inside[j]:
+                row[j] = min(min(depth[i, j], above[j + 1]) + 3, min(above[j], above[j + 2]) + 4)
+    return depth
+
+
+@compiled
+def inside_room(above: NDArray[np.int16], row: NDArray[np.int16], below: NDArray[np.int16]) -> Bools:
+    """Whether the four neighbours of each cell of a row but its ends are of its room, given the rows beside it.
+
+    Without a branch, and on parts counted from 0, so that the compiler takes many cells at a time.
+    """
+    here, right = row[1:], row[2:]
+    inside = np.empty(right.shape[0], np.bool_)
+    for j in range(right.shape[0]):
+        r = here[j]
+        inside[j] = (r >= 0) & (r == row[j]) & (r == right[j]) & (r == above[j]) & (r == below[j])
+    return inside
+
+
+@compiled
+def deepest_cells(room: NDArray[np.int16], depth: NDArray[np.int32], most: int) -> Array:
+    """(most,3) depth, column and row of the first of the deepest cells of each room; nan for none.
+
+    From the last cell back to the first one, which completes the depths.
+    """
+    deepest = np.empty((most, 3))
+    for r in range(most):
+        deepest[r, 0], deepest[r, 1], deepest[r, 2] = 0.0, np.nan, np.nan
+    for i in range(room.shape[0] - 1, -1, -1):
+        for j in range(room.shape[1] - 1, -1, -1):
+            r = room[i, j]
+            if r < 0 or r >= most:
+                continue
+            if depth[i, j] > BORDER:
+                straight = min(depth[i, j + 1], depth[i + 1, j])
+                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
+                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
+            if depth[i, j] >= deepest[r, 0]:
+                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
+    return deepest
+
+
+@compiled
+def tread(trodden: Bools, corner: Array, walking: Array) -> None:
+    """Mark the cells (H,W) whose middle lies within `BESIDE_M` of something at a place, of a reach (n,3) m."""
+    for i in range(walking.shape[0]):
+        x, y = (walking[i, 0] - corner[0]) / CELL_M, (walking[i, 1] - corner[1]) / CELL_M
+        mark_disc(trodden, x, y, (walking[i, 2] + BESIDE_M) / CELL_M)
+
+
+@compiled
+def mark_disc(cells: Bools, x: float, y: float, radius: float) -> None:
+    """Mark the cells (H,W) whose middle lies in the disc around (x, y), in cells."""
+    for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
+        for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
+            if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius:
+                cells[row, column] = True
+
+
+@compiled
+def count_trodden(trodden: Bools, corner: Array, p_world: Array) -> int:
+    """How many points (n,2) lie on marked cells."""
+    count = 0
+    for i in range(p_world.shape[0]):
+        column = math.floor((p_world[i, 0] - corner[0]) / CELL_M)
+        row = math.floor((p_world[i, 1] - corner[1]) / CELL_M)
+        if 0 <= row < trodden.shape[0] and 0 <= column < trodden.shape[1]:
+            count += trodden[row, column]
+    return count

@@ -1,0 +1,248 @@
+"""How well an episode went, measured on the truth. The agent is given none of this but through `info`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.se2 import to_map
+from mecp_env.evaluation import metric_arrays as kernels
+from mecp_env.evaluation.ground_truth import NOBODY, Others, Truth, identify
+from mecp_env.evaluation.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
+from mecp_env.slam.messages import Belief, SlamOutput
+
+__all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NEVER = 2**40  # a period that does not come
+SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
+MAP_PERIODS = 25  # rooms and doors are held against the truth when one is new, and this often
+
+
+@dataclass(slots=True, eq=False)
+class AssociationLog:
+    """Pairs of true corner and feature, scan by scan (derivations 3.4)."""
+
+    true_corners: int
+    votes: NDArray[np.int32] = field(init=False)  # (F,G) how often feature f was seen as true corner g
+    features: Ints = field(init=False)  # (F,2) majority so far or -1; period in which it became a landmark, or NEVER
+    counts: Ints = field(init=False)  # (4,) TP, FP, FN, TN by the majority at the time
+    rows: Ints = field(init=False)  # (capacity,4) period, true corner or -1, feature or -1, matched to a landmark
+    used: int = 0
+
+    def __post_init__(self) -> None:
+        self.votes = np.zeros((64, self.true_corners), np.int32)
+        self.features = np.tile(np.array([-1, NEVER]), (64, 1))
+        self.counts = np.zeros(4, np.int64)
+        self.rows = np.empty((1024, 4), np.int64)
+
+    def record(self, report: SlamOutput, truth: Ints) -> None:
+        """Add a scan whose corners truly are `truth` (n,)."""
+        match, landmarks = report.match, report.belief.ids
+        rows = self._new_rows(len(match.ids))
+        most = kernels.note_scan(rows, report.period, truth, match.ids, match.decision, landmarks)
+        self._reserve(most)
+        kernels.score_scan(self.votes, self.features, rows, self.counts, landmarks, report.period)
+
+    def duplicates(self, landmarks: Ints) -> int:
+        """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
+        return int(kernels.count_duplicates(self.features, landmarks, self.true_corners))
+
+    def final_counts(self) -> Ints:
+        """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
+        period, truth, feature, matched = self.rows[: self.used].T
+        real, hit = truth >= 0, matched.astype(np.bool_)
+        identity, born = self.features.T
+        first = np.full(self.true_corners + 1, NEVER)  # period of the first landmark of each true corner
+        np.minimum.at(first, identity, born)
+        right = real & (feature >= 0) & (identity[feature] == truth)
+        missed = real & (first[truth] < period)
+        return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
+
+    def _reserve(self, most: int) -> None:
+        """Make room for features up to the id `most`."""
+        while len(self.features) <= most:
+            self.votes = np.concatenate([self.votes, np.zeros_like(self.votes)])
+            self.features = np.concatenate([self.features, np.full_like(self.features, (-1, NEVER))])
+
+    def _new_rows(self, count: int) -> Ints:
+        """The next rows (count,4) at the end of the log, still to be written."""
+        first, self.used = self.used, self.used + count
+        if self.used > len(self.rows):
+            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+        return self.rows[first : self.used]
+
+
+@dataclass(slots=True, eq=False)
+class EpisodeMetrics:
+    """The truth metrics of one episode, brought up to date every period; plain state."""
+
+    T_world_map: Array  # (3,) true pose at reset: where the map frame lies
+    T_map_robot: Array  # (3,) true pose in the map frame
+    seen: NDArray[np.bool_]  # (H,W) free cells the robot has seen
+    association: AssociationLog
+    swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
+    seen_cells: int = 0
+    new_cells: int = 0  # seen for the first time in this period
+    periods: int = 0
+    contacts: int = 0  # periods with a contact
+    metres: float = 0.0
+    pose_error_m: float = 0.0
+    heading_error_rad: float = 0.0
+    nees: float = 0.0  # of the pose, 3 degrees of freedom
+    squared_error_sum: float = 0.0
+    worst_error_m: float = 0.0
+    nees_sum: float = 0.0
+    rooms: tuple[int, int] = (0, 0)  # found, false
+    doors: tuple[int, int] = (0, 0)  # found, false
+    compared_rooms: tuple[int, ...] = ()
+    compared_doors: int = 0
+    trodden: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (H,W) by what moves
+
+    @classmethod
+    def begin(cls, truth: Truth, T_world_robot: Array, others: Others = NOBODY) -> EpisodeMetrics:
+        """The metrics of an episode that starts at the true pose (3,) among what moves."""
+        log = AssociationLog(len(truth.outline.corners) + len(others.corners))
+        return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log)
+
+    def look(self, truth: Truth, T_world_robot: Array, report: SlamOutput, others: Others = NOBODY) -> None:
+        """Take in what the robot sees and believes at the true pose (3,) among what moves."""
+        self.T_map_robot = self.in_map(T_world_robot)
+        self._sweep(truth, T_world_robot)
+        self.association.record(report, truth.identify(report.corners, T_world_robot, others))
+        self._tread(truth, others.walking)
+        self._compare_pose(report.belief)
+        self.compare_map(truth, report, due=report.period % MAP_PERIODS == 0)
+
+    def move(self, increments: Array, contact: bool) -> None:
+        """Count one control period: the true increments (M,2) of the body and whether it touched something."""
+        self.periods += 1
+        self.contacts += contact
+        metres = 0.0
+        for distance in increments[:, 0].tolist():
+            metres += abs(distance)
+        self.metres += metres
+
+    def coverage(self, truth: Truth) -> float:
+        """Share of the true free area that the robot has seen."""
+        return self.seen_cells / truth.free_cells
+
+    def in_map(self, T_world_robot: Array) -> Array:
+        """A pose (3,) of the world in the map frame."""
+        T_map_robot: Array = kernels.pose_between(self.T_world_map, T_world_robot)
+        return T_map_robot
+
+    def _sweep(self, truth: Truth, T_world_robot: Array) -> None:
+        self.new_cells = 0
+        x, y, _ = T_world_robot.tolist()
+        if math.dist(self.swept_from.tolist(), (x, y)) >= SWEEP_STEP_M:
+            self.swept_from = np.array([x, y])
+            self.new_cells = int(truth.sweep(T_world_robot, self.seen))
+            self.seen_cells += self.new_cells
+
+    def _tread(self, truth: Truth, walking: Array) -> None:
+        """Note where something that moves is now, (n,3) m: place and reach."""
+        if not len(walking):
+            return
+        if not self.trodden.size:
+            self.trodden = np.zeros_like(truth.free)
+        kernels.tread(self.trodden, truth.corner, walking)
+
+    def landmarks_on_movers(self, truth: Truth, belief: Belief) -> int:
+        """How many landmarks lie within 0.15 m of where something that moves has been, and never were a true corner.
+
+        An upper bound: a corner misjudged on a wall that people pass counts, too.
+        """
+        if not self.trodden.size or not len(belief.ids):
+            return 0
+        p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
+        nameless = self.association.features[belief.ids, 0] < 0
+        return int(kernels.count_trodden(self.trodden, truth.corner, p_world[nameless]))
+
+    def _compare_pose(self, belief: Belief) -> None:
+        errors = kernels.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
+        self.pose_error_m, self.heading_error_rad, self.nees = errors
+        self.squared_error_sum += self.pose_error_m**2
+        self.nees_sum += self.nees
+        self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
+
+    def compare_map(self, truth: Truth, report: SlamOutput, due: bool) -> None:
+        """Hold rooms and doors against the truth where there is a new one, and all of them when that is `due`."""
+        if due or report.graph.rooms != self.compared_rooms:
+            self.compared_rooms = report.graph.rooms
+            self.rooms = rooms_found(truth, report, self.T_world_map)
+        if due or len(report.graph.doors) != self.compared_doors:
+            self.compared_doors = len(report.graph.doors)
+            self.doors = doors_found(truth, report, self.T_world_map)
+
+    def summary(self, truth: Truth, report: SlamOutput) -> dict[str, float]:
+        """The figures of the episode so far; lengths in metres, NEES of 3 degrees of freedom (3 expected)."""
+        tp, fp, fn, _ = (int(count) for count in self.association.final_counts())
+        rooms, rooms_false = rooms_found(truth, report, self.T_world_map)
+        doors, doors_false = doors_found(truth, report, self.T_world_map)
+        polygon_cover, grid_cover = covers(truth, report.grid, self.T_world_map)
+        looks = max(1, report.period)
+        return {
+            "periods": self.periods,
+            "metres": self.metres,
+            "contacts": self.contacts,
+            "coverage": self.coverage(truth),
+            "free_area_m2": truth.free_cells * kernels.CELL_M**2,
+            "rooms": len(truth.outline.rooms),
+            "rooms_found": rooms,
+            "rooms_false": rooms_false,
+            "doors": len(truth.outline.doors),
+            "doors_found": doors,
+            "doors_false": doors_false,
+            "door_error_m": door_error(truth, report, self.T_world_map),
+            "polygon_cover": polygon_cover,
+            "grid_cover": grid_cover,
+            "grid_iou": grid_iou(truth, report.grid, self.T_world_map),
+            "pose_rmse_m": math.sqrt(self.squared_error_sum / looks),
+            "pose_error_final_m": self.pose_error_m,
+            "pose_error_worst_m": self.worst_error_m,
+            "heading_error_final_rad": self.heading_error_rad,
+            "nees_mean": self.nees_sum / looks,
+            "landmarks": len(report.belief.ids),
+            "duplicates": self.association.duplicates(report.belief.ids),
+            "landmarks_on_movers": self.landmarks_on_movers(truth, report.belief),
+            "association_precision": share(tp, fp),
+            "association_recall": share(tp, fn),
+            "association_false": fp,
+            "association_pairs": tp + fp,
+        }
+
+
+def figures(metrics: EpisodeMetrics, truth: Truth, report: SlamOutput) -> dict[str, float]:
+    """The figures of this period, cheap enough for every step; the association counts go by the majority so far."""
+    tp, fp, fn, tn = metrics.association.counts.tolist()
+    return {
+        "coverage": metrics.coverage(truth),
+        "pose_error_m": metrics.pose_error_m,
+        "heading_error_rad": metrics.heading_error_rad,
+        "nees": metrics.nees,
+        "landmarks": len(report.belief.ids),
+        "duplicates": metrics.association.duplicates(report.belief.ids),
+        "association_tp": tp,
+        "association_fp": fp,
+        "association_fn": fn,
+        "association_tn": tn,
+        "rooms": len(truth.outline.rooms),
+        "rooms_found": metrics.rooms[0],
+        "rooms_false": metrics.rooms[1],
+        "doors": len(truth.outline.doors),
+        "doors_found": metrics.doors[0],
+        "doors_false": metrics.doors[1],
+        "contacts": metrics.contacts,
+        "metres": metrics.metres,
+    }
+
+
+def share(part: int, rest: int) -> float:
+    """part / (part + rest); 1 where there is neither."""
+    return part / (part + rest) if part + rest else 1.0

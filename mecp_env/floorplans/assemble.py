@@ -1,0 +1,190 @@
+"""From the floor that an importer read to a layout: cleaned, straightened, parted into rooms, walled in."""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+
+import numpy as np
+import shapely
+from shapely.geometry import Point, Polygon
+
+from mecp_env.core.errors import LayoutError
+from mecp_env.floorplans.clean import largest_part, reachable_floor
+from mecp_env.floorplans.doors_of import (
+    FINE_STEP_M,
+    Gap,
+    Walls,
+    find_doors,
+    is_between_walls,
+    measure,
+    without_furniture,
+)
+from mecp_env.floorplans.options import FreeSpace, PlanOptions
+from mecp_env.floorplans.pieces import fitted
+from mecp_env.floorplans.rooms_of import Rooms, split
+from mecp_env.floorplans.straighten import along_directions, directions, straightened, thinned
+from mecp_env.world.checks import check_geometry
+from mecp_env.world.outline import ROBOT_RADIUS_M
+from mecp_env.world.schema import Layout
+
+MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside
+ON_EDGE_M = 1e-6  # a vertex so near to the line through its neighbours is in the middle of an edge
+MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
+MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
+RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
+MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
+CLEAN_SHARE = 0.7  # of the length of all edges of a plan that is not ragged goes along its directions
+MAX_FACES = 2_500  # of a floor drawn as coarsely as that
+MANY_CORNERS = 900  # of a room
+WALL_M = 0.15  # thickness of the walls around the building
+MOST_STARTS = 4
+START_CLEAR_M = 0.4  # between a start and every wall, where there is room
+DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
+NEAR_M = 0.1  # a point so near to a floor is on it
+MATCH = 0.3  # share of overlap from which a room has the name of a box
+
+
+def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
+    """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
+    given = int(shapely.get_num_coordinates(plan.area))
+    floor = plan.area if given <= MAX_VERTICES else _without_steps(plan.area)
+    _require_few(floor, MAX_VERTICES)
+    thin = thinned(floor, plan.noise_m)
+    _require_few(thin, MAX_THINNED)
+    read = reachable_floor(floor if given <= MANY_VERTICES else thin)
+    area = _drawn(read, plan.noise_m, options)
+    rooms = split(area, _doors(area, directions(area), plan, options), options)
+    _require_rooms(plan.drawn, rooms.floors)
+    try:
+        return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
+    except LayoutError:  # a piece of furniture is in the way by less than a pixel
+        return _layout(plan, area, rooms, [])
+
+
+def _layout(plan: FreeSpace, area: Polygon, rooms: Rooms, read: list[Polygon]) -> Layout:
+    """The checked layout of a floor and its rooms; islands are furniture where one as `read` looks like that."""
+    names = _names(rooms.floors, plan.labels)
+    holes = [Polygon(hole) for hole in area.interiors]
+    pieces = [fitted(hole, read, plan.noise_m) if read else None for hole in holes]
+    return check_geometry(
+        Layout(
+            name=plan.name[:80],
+            description=plan.description,
+            solids=_solids(area, [hole for hole, piece in zip(holes, pieces, strict=True) if piece is None]),
+            walls=[],
+            rooms=[{"name": n, "polygon": _outline(f)} for n, f in zip(names, rooms.floors, strict=True)],
+            doors=[_door(door, (names[a], names[b])) for door, (a, b) in zip(rooms.doors, rooms.sides, strict=True)],
+            obstacles=[piece for piece in pieces if piece is not None],
+            starts=_starts(area, rooms.floors),
+        )
+    )
+
+
+def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
+    """`floor` with straight edges; a ragged one is drawn more coarsely. Raises LayoutError when it stays ragged."""
+    noises = [noise_m, *(noise for noise in RAGGED_NOISES_M if noise > noise_m)]
+    _require_few(thinned(floor, noises[-1]), MAX_FACES)
+    chosen = next((noise for noise in noises if not _is_ragged(thinned(floor, noise))), noises[-1])
+    return reachable_floor(straightened(floor, chosen, options.straighten))
+
+
+def _is_ragged(floor: Polygon) -> bool:
+    """Whether its edges are many and short, and go anywhere: those of a large clean plan go along its directions."""
+    faces = int(shapely.get_num_coordinates(floor))
+    many = faces > MANY_FACES and floor.length / faces < SHORT_EDGE_M
+    return many and along_directions(floor) < CLEAN_SHARE
+
+
+def _without_steps(floor: Polygon) -> Polygon:
+    """`floor` without the vertices that stand at every pixel along a straight edge."""
+    points, ring = shapely.get_coordinates(shapely.get_rings(floor), return_index=True)
+    before, across = points[1:-1] - points[:-2], points[2:] - points[:-2]
+    off = np.abs(before[:, 0] * across[:, 1] - before[:, 1] * across[:, 0])
+    along = (ring[2:] == ring[:-2]) & (off <= ON_EDGE_M * np.hypot(*across.T))
+    kept = np.concatenate([[True], ~along, [True]])
+    rings = shapely.linearrings(points[kept], indices=ring[kept])
+    return Polygon(rings[0], rings[1:])
+
+
+def _require_few(area: Polygon, most: int) -> None:
+    vertices = int(shapely.get_num_coordinates(area))
+    if vertices > most:
+        raise LayoutError(f"the floor has {vertices} vertices, at most {most}")
+
+
+def _require_rooms(drawn: tuple[tuple[str, Point], ...], floors: list[Polygon]) -> None:
+    """Raises LayoutError for a room that the file has and that is on none of the floors."""
+    points = np.array([point for _, point in drawn], dtype=np.object_)
+    found = set(shapely.STRtree(floors).query(points, "dwithin", NEAR_M)[0].tolist())
+    lost = [place for i, (place, _) in enumerate(drawn) if i not in found]
+    if lost:
+        raise LayoutError(f"image: the room at {lost[0]} is lost: no door leads to it that is wide enough")
+
+
+def _doors(area: Polygon, axes: tuple[float, ...], plan: FreeSpace, options: PlanOptions) -> list[Gap]:
+    """The doors that the plan names, or else those that are found; the robot can drive through each."""
+    if plan.crossings is None:
+        gaps = find_doors(area, axes, options)
+    else:
+        walls = Walls.around(without_furniture(area))
+        gaps = [gap for crossing in plan.crossings if (gap := measure(crossing, walls, axes, options, FINE_STEP_M))]
+    reach = area.buffer(-ROBOT_RADIUS_M, quad_segs=4)
+    return [gap for gap in gaps if is_between_walls(gap, area) and reach.intersects(Point(gap.centre))]
+
+
+def _names(floors: list[Polygon], labels: tuple[tuple[str, Polygon], ...]) -> list[str]:
+    """A name for each floor: of the label that it overlaps best, numbered where there are more; else room 1, 2, ..."""
+    names: list[str] = []
+    for i, floor in enumerate(floors, 1):
+        plain = _best_label(floor, labels) or f"room {i}"
+        numbered = (plain if number == 1 else f"{plain} {number}" for number in count(1))
+        names.append(next(name for name in numbered if name not in names))
+    return names
+
+
+def _best_label(floor: Polygon, labels: tuple[tuple[str, Polygon], ...]) -> str | None:
+    shares = [floor.intersection(box).area / floor.union(box).area for _, box in labels]
+    best = int(np.argmax(shares)) if shares else -1
+    return labels[best][0] if shares and shares[best] >= MATCH else None
+
+
+def _ring(ring: shapely.LinearRing) -> list[tuple[float, float]]:
+    return [(x, y) for x, y in np.array(ring.coords)[:-1].tolist()]
+
+
+def _outline(floor: Polygon) -> list[tuple[float, float]]:
+    """The ring of a room, of a ragged one as coarsely as a layout needs."""
+    step = 0.0
+    while len(floor.exterior.coords) > MANY_CORNERS:
+        step += 0.05
+        floor = floor.simplify(step)
+    return _ring(floor.exterior)
+
+
+def _solids(area: Polygon, holes: list[Polygon]) -> list[dict[str, object]]:
+    """A wall around the floor, and what stands in it."""
+    around = largest_part(Polygon(area.exterior).buffer(WALL_M, join_style="mitre", mitre_limit=2.0))
+    walls: dict[str, object] = {"outer": _ring(around.exterior), "holes": [_ring(area.exterior)]}
+    islands: list[dict[str, object]] = [{"outer": _ring(hole.exterior)} for hole in holes]
+    return [walls, *islands]
+
+
+def _door(gap: Gap, rooms: tuple[str, str]) -> dict[str, object]:
+    heading = math.degrees(math.atan2(gap.through[1], gap.through[0]))
+    return {
+        "centre": tuple(gap.centre.tolist()),
+        "width_m": gap.width_m,
+        "rooms": rooms,
+        "direction_deg": heading,
+        "opening": "gap",
+        "depth_m": max(gap.depth_m, DOOR_DEPTH_M),
+    }
+
+
+def _starts(area: Polygon, floors: list[Polygon]) -> list[dict[str, object]]:
+    """The middle of each of the largest rooms; the first is the widest place of all that can be reached."""
+    largest = sorted(floors, key=lambda floor: -floor.area)[:MOST_STARTS]
+    circles = [shapely.maximum_inscribed_circle(floor.intersection(area), tolerance=0.05) for floor in largest]
+    wide = [circle for circle in circles if circle.length >= START_CLEAR_M] or circles[:1]
+    return [{"point": circle.coords[0], "heading_deg": 0.0} for circle in wide]

@@ -1,0 +1,41 @@
+"""Plain images: bright pixels are floor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.errors import LayoutError
+from mecp_env.floorplans.files import STRIP_PIXELS, grey, read_image
+from mecp_env.floorplans.options import FreeSpace, PlanOptions
+from mecp_env.floorplans.vectorise import Placement, floor_polygon
+
+
+def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
+    """The floor of an image whose pixels have `options.resolution_m`, brighter than `options.free_above`."""
+    if options.resolution_m is None:
+        sheet = path.with_suffix(".yaml")
+        beside = f" ({sheet.name} lies beside it)" if sheet.is_file() else ""
+        raise LayoutError(f"resolution_m: metres a pixel are missing; give them, or name a map_server yaml{beside}")
+    levels, opaque = grey(read_image(path))
+    threshold = otsu(levels) if options.free_above is None else options.free_above
+    free = levels > threshold if opaque is None else (levels > threshold) & opaque
+    placement = Placement(options.resolution_m)
+    note = f"From {path.name}: {options.resolution_m:g} m a pixel, floor where brighter than {threshold}."
+    return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
+
+
+def otsu(levels: NDArray[np.uint8]) -> int:
+    """The grey level that parts dark from bright best (Otsu 1979): greatest variance between both."""
+    strips = np.array_split(levels, max(1, levels.size // STRIP_PIXELS))
+    counts = np.sum([np.bincount(strip.ravel(), minlength=256) for strip in strips], axis=0, dtype=np.float64)
+    below = np.cumsum(counts)
+    sums = np.cumsum(counts * np.arange(256))
+    above = below[-1] - below
+    with np.errstate(invalid="ignore", divide="ignore"):
+        between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
+    if not np.isfinite(between).any():
+        raise LayoutError("image: all its pixels have one grey level")
+    return int(np.nanargmax(between))

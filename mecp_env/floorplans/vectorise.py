@@ -1,0 +1,94 @@
+"""From a mask of floor pixels to the polygon of the floor in metres."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import contourpy
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from shapely.geometry import Polygon
+
+from mecp_env.core.errors import LayoutError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_CELLS = 4_000_000  # of the box around the floor
+MAX_SPECKS = 20_000  # pieces of wall that stand free
+MAX_CORNERS = 400_000
+SPECK_CELLS = 4
+LEAST_NOISE_M = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the pixels of an image lie in the world."""
+
+    resolution_m: float  # side of a pixel
+    origin: tuple[float, float] = (0.0, 0.0)  # m, the lower left corner of the lower left pixel
+    yaw: float = 0.0  # rad, of the image's x axis
+
+    @property
+    def noise_m(self) -> float:
+        """How far an edge may lie from the pixels that it stands for, m."""
+        return max(LEAST_NOISE_M, min(1.2 * self.resolution_m, 0.05 + 0.5 * self.resolution_m))
+
+    def to_world(self, pixels: Array) -> Array:
+        """Points (n,2) in m of points (n,2) in pixels, column and row from below."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        turned: Array = self.resolution_m * pixels @ np.array([(cos, sin), (-sin, cos)]) + self.origin
+        return turned
+
+
+def floor_polygon(free: Mask, placement: Placement) -> Polygon:
+    """The largest connected floor of the mask `free` (h,w), row 0 at the top, in m.
+
+    Raises LayoutError when there is none, and when there is more than can be worked on in a moment.
+    """
+    rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
+    if not len(rows):
+        raise LayoutError("image: no pixel is floor")
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    if (bottom - top) * (right - left) > MAX_CELLS:
+        raise LayoutError(f"image: the floor spans {right - left} x {bottom - top} pixels, at most {MAX_CELLS} in all")
+    floor = _without_specks(_largest(free[top:bottom, left:right]))
+    polygon = _contour(np.pad(floor[::-1], 1))
+    shift = np.array([left - 1.0, len(free) - bottom - 1.0])  # column and row from below of the padded corner
+    return shapely.transform(polygon, lambda points: placement.to_world(points + 0.5 + shift))
+
+
+def _largest(free: Mask) -> Mask:
+    """The largest part of `free` that hangs together by the sides of its pixels."""
+    parts, _ = ndimage.label(free)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    largest: Mask = parts == int(np.argmax(sizes))
+    return largest
+
+
+def _without_specks(floor: Mask) -> Mask:
+    """`floor` with the free-standing walls of a few pixels in it called floor."""
+    parts, count = ndimage.label(~floor, structure=np.ones((3, 3)))
+    if count > MAX_SPECKS:
+        raise LayoutError(f"image: {count} pieces of wall, at most {MAX_SPECKS}")
+    return floor | (np.bincount(parts.ravel()) <= SPECK_CELLS)[parts]
+
+
+def _contour(floor: Mask) -> Polygon:
+    """The outline of `floor` in pixels, between the centres of its pixels and of those beside them."""
+    generator = contourpy.contour_generator(z=floor.astype(np.float64), fill_type=contourpy.FillType.OuterOffset)
+    filled: Any = generator.filled(0.5, 2.0)
+    points, offsets = filled
+    if sum(map(len, points)) > MAX_CORNERS:
+        raise LayoutError(f"image: its walls have {sum(map(len, points))} corners, at most {MAX_CORNERS}")
+    outlines = [
+        Polygon(ring_points[ends[0] : ends[1]], [ring_points[a:b] for a, b in pairwise(ends[1:])])
+        for ring_points, ends in zip(points, offsets, strict=True)
+    ]
+    return max(outlines, key=lambda outline: outline.area)

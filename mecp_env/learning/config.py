@@ -1,0 +1,221 @@
+"""The configuration of a training run: one tree, frozen, validated, unknown names refused, JSON both ways."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from itertools import count
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tyro
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import Settings, as_many, guess, shown
+from mecp_env.learning.building_fields import OPTION
+from mecp_env.world.generator.fields import Value, check_fields
+
+ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
+Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
+MOST_CONFIG_BYTES = 1_000_000
+DERIVED = {
+    "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
+    "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
+}
+
+
+class Environment(EnvConfig):
+    """The environment, as `gymnasium.make` takes it; the actions follow from the algorithm."""
+
+    layout: Annotated[str, tyro.conf.Suppress] = "two_rooms"
+    actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
+    start: Literal["layout", "random"] = "random"
+    reward: RewardConfig = RewardConfig(completion=1.0)
+
+
+class BuildingsConfig(Settings):
+    """Where the robot learns: another generated building at every reset, or always the same layout."""
+
+    # dealt out to the environments in turn
+    difficulty: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_many)] = ("medium",)
+    split: Literal["train", "validation", "test"] = "train"
+    # fields of `GeneratorSpec` over the difficulty's own: rooms 12 door_width_m 0.7 0.9 shapes L T
+    spec: Annotated[dict[str, Value], OPTION] = Field({})
+    layout: str | None = None  # a shipped layout or a file, in place of generated buildings
+
+    @field_validator("spec", mode="before")
+    @classmethod
+    def _fields_of_a_building(cls, spec: Any) -> Any:
+        """Refuse what is no field, and values of another kind; those out of their bounds the environment refuses."""
+        return check_fields(spec) if isinstance(spec, dict) else spec
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.layout is not None and self.spec:
+            raise ValueError(f"spec: {shown(self.spec)}, but layout: {shown(self.layout)} is one building; choose one")
+        return self
+
+
+class NetworkConfig(Settings):
+    """Sizes of the network (docs/training.md has the picture)."""
+
+    width: int = Field(64, ge=4, le=1024)  # of the code of a goal, of a landmark and of the context
+    grid_channels: int = Field(16, ge=2, le=256)  # of the convolutions
+    attention: bool = True  # goals see each other before they are scored
+    prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy does as
+    sharpness: float = Field(5.0, ge=0.0, le=100.0)  # how surely it does so
+    lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
+
+
+class PpoConfig(Settings):
+    """Hyper-parameters of PPO; a decision is a drive with goals, a control period with velocities."""
+
+    steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
+    batch: int = Field(128, ge=2, le=1_000_000)  # decisions a gradient step
+    epochs: int = Field(10, ge=1, le=100)
+    learning_rate: float = Field(1.5e-3, gt=0.0, le=1.0)
+    anneal: bool = True  # the learning rate falls to 0 in a straight line
+    gae_lambda: float = Field(0.95, ge=0.0, le=1.0)
+    discount: float = Field(1.0, gt=0.0, le=1.0)  # a decision; with velocities a period
+    discount_m: float = Field(60.0, gt=0.0, le=1e6)  # goals: what comes so many metres later counts 1/e
+    clip: float = Field(0.2, gt=0.0, le=1.0)
+    entropy: float = Field(0.0, ge=0.0, le=1.0)
+    value: float = Field(0.5, ge=0.0, le=10.0)
+    gradient_norm: float = Field(0.5, gt=0.0, le=100.0)
+    target_kl: float | None = Field(0.03, gt=0.0, le=10.0)  # an update stops early beyond it
+    normalise_reward: bool = True  # by the running deviation of the discounted return
+
+
+class WarmStartConfig(Settings):
+    """What is learned of an explorer before PPO begins."""
+
+    teacher: str | None = None  # nearest, gain, bfs: an explorer of `agents`
+    imitate: bool = True  # no: only the critic learns, what the teacher earns
+    decisions: int = Field(4000, ge=16, le=10_000_000)
+    epochs: int = Field(10, ge=1, le=1000)
+
+
+class LogConfig(Settings):
+    """Evaluations and files."""
+
+    evaluate_every: int = Field(10_000, ge=1)  # decisions
+    evaluate_buildings: int = Field(20, ge=0, le=1000)  # of the validation split; 0: no evaluation
+    checkpoint_s: float = Field(60.0, ge=0.0, le=86_400.0)  # at most so much is lost
+    keep: int = Field(3, ge=1, le=1000)  # checkpoints
+    tensorboard: bool = True
+
+
+class TrainConfig(Settings):
+    """All that a training run depends on."""
+
+    algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
+    steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control periods), of all together
+    seed: int = Field(0, ge=0, lt=2**31)
+    environments: int = Field(16, ge=1, le=1024)
+    workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one an environment; none
+    threads: int = Field(1, ge=1, le=256)  # of PyTorch
+    buildings: BuildingsConfig = BuildingsConfig()
+    env: Environment = Environment()
+    network: NetworkConfig = NetworkConfig()
+    ppo: PpoConfig = PpoConfig()
+    warm_start: WarmStartConfig = WarmStartConfig()
+    log: LogConfig = LogConfig()
+
+    @classmethod
+    def build(cls, fields: Mapping[str, Any]) -> Self:
+        """The configuration with `fields` over the defaults of their algorithm.
+
+        Raises `ConfigError` for an unknown name at any level (with the nearest known one), a wrong value, or a field of
+        the environment that follows from another one here.
+        """
+        refuse_derived(fields.get("env"))
+        algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
+        merged = merge(merge(COMMON, DEFAULTS[algorithm]), dict(fields))
+        refuse_unknown(cls, merged, cls.__name__)
+        config = cls(**merged | {"algorithm": algorithm})
+        check_batches(config)
+        return config
+
+    @property
+    def actions(self) -> str:
+        """The action mode that the algorithm needs."""
+        return "goal" if self.algorithm == "maskable_ppo" else "velocity"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON data from which `build` makes an equal configuration."""
+        env = self.env.to_dict()
+        del env["layout"], env["actions"]
+        return self.model_dump(mode="json") | {"env": env}
+
+
+COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.0}}}
+VELOCITY: dict[str, Any] = {
+    "steps": 2_000_000,
+    "environments": 16,
+    "env": {"reward": {"contact": -0.01, "time": -0.001}},  # at the environment's own weights it learns to stand still
+    "network": {"width": 32, "grid_channels": 8},
+    "ppo": {"steps": 128, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
+    "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},
+}
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "maskable_ppo": {},
+    "ppo": VELOCITY,
+    "recurrent_ppo": merge(VELOCITY, {"ppo": {"epochs": 2}}),
+}
+
+
+def check_algorithm(name: Any) -> str:
+    """`name` if it is an algorithm. Raises `ConfigError` with those there are."""
+    if name not in ALGORITHMS:
+        raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}{guess(name, ALGORITHMS)}")
+    return str(name)
+
+
+def refuse_derived(env: Any) -> None:
+    """Raise `ConfigError` for fields of the environment that are set by other names; they would not count."""
+    for name in env if isinstance(env, Mapping) else ():
+        if name in DERIVED:
+            raise ConfigError(f"env.{name}: {DERIVED[name]}")
+
+
+def check_batches(config: TrainConfig) -> None:
+    """Raise `ConfigError` where a batch of an update is a single decision: its advantage has no deviation.
+
+    sb3-contrib divides by that deviation all the same, and every weight becomes NaN; Stable-Baselines3 does not.
+    """
+    decisions, batch = config.ppo.steps * config.environments, config.ppo.batch
+    if config.algorithm == "ppo" or batch >= decisions or decisions % batch != 1:
+        return
+    better = next(size for size in count(batch + 1) if decisions % size != 1)
+    raise ConfigError(
+        f"ppo.batch: {batch} leaves a last batch of 1 of the {decisions} decisions of an update (ppo.steps "
+        f"{config.ppo.steps} x environments {config.environments}), at least 2; ppo.batch {better} does not"
+    )
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The fields in a JSON file. Raises `ConfigError` for what is no such file."""
+    try:
+        if path.stat().st_size > MOST_CONFIG_BYTES:
+            raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")
+        fields = json.loads(path.read_text(), object_pairs_hook=once_each)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: not JSON: {error}") from None
+    if not isinstance(fields, dict):
+        raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
+    return fields
+
+
+def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a JSON file. Raises `ConfigError` for a key that is given twice: only the last would count."""
+    for name, times in Counter(name for name, _ in pairs).items():
+        if times > 1:
+            raise ConfigError(f"{name:.80}: given {times} times in one object, once expected")
+    return dict(pairs)

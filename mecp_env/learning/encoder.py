@@ -1,0 +1,119 @@
+"""The features extractor: sets of goals and landmarks, the grid, pose and covariance; padding has no influence."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+from torch.nn import functional
+
+from mecp_env.learning import tables
+from mecp_env.learning.priors import PRIORS
+
+LAYERS = 8  # of the grid
+SCALES = 3
+NEVER = -1e9  # a logit of what may not be chosen
+
+
+def layers(*sizes: int) -> nn.Sequential:
+    """Linear layers of these sizes, each followed by a ReLU."""
+    parts: list[nn.Module] = []
+    for before, after in pairwise(sizes):
+        parts += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*parts)
+
+
+def pooled(codes: Tensor, valid: Tensor) -> Tensor:
+    """(B,2w) mean and maximum of codes (B,n,w) >= 0 over the valid rows; 0 where there is none."""
+    kept = codes * valid.unsqueeze(-1)
+    count = valid.sum(-1, keepdim=True).clamp(min=1)
+    return torch.cat([kept.sum(1) / count, kept.amax(1)], -1)
+
+
+class GridEncoder(nn.Module):
+    """A small convolutional network: coarse over the whole window, fine around the robot."""
+
+    def __init__(self, channels: int, width: int) -> None:
+        super().__init__()
+        c = channels
+        self.local = nn.Sequential(
+            nn.Conv2d(LAYERS, c, 3, padding=1), nn.ReLU(), nn.Conv2d(c, c, 3, padding=1), nn.ReLU()
+        )
+        self.whole = nn.Sequential(nn.Conv2d(c, 2 * c, 3, 2, 1), nn.ReLU(), nn.Flatten())
+        self.near = nn.Sequential(
+            nn.Conv2d(LAYERS, c, 3, 2, 1), nn.ReLU(), nn.Conv2d(c, 2 * c, 3, 2, 1), nn.ReLU(), nn.AvgPool2d(2)
+        )
+        self.out = layers(2 * c * 36 + 2 * c * 16, width)
+
+    def forward(self, coarse: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
+        """A code (B,width), and maps (B,16+C,12,12): what the grid shows at each place, as it is and as learned."""
+        half, wide = tables.surroundings(coarse)
+        learned = self.local(half)
+        code: Tensor = self.out(torch.cat([self.whole(learned), self.near(near).flatten(1)], 1))
+        return code, torch.cat([half, wide, learned], 1)
+
+
+class Attention(nn.Module):
+    """Each goal looks at the valid ones, the nearer the more; permutation of the rows permutes what comes out."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.query, self.key, self.value = (nn.Linear(width, width) for _ in range(3))
+        self.per_m = nn.Parameter(torch.tensor(0.2))
+        self.out = nn.Linear(width, width)
+
+    def forward(self, codes: Tensor, valid: Tensor, apart_m: Tensor) -> Tensor:
+        """New codes (B,G,width) >= 0 from codes, valid (B,G) and distances (B,G,G)."""
+        match = self.query(codes) @ self.key(codes).transpose(1, 2) / codes.shape[-1] ** 0.5
+        logits = match - functional.softplus(self.per_m) * apart_m
+        weights = torch.softmax(logits.masked_fill(~valid.unsqueeze(1), NEVER), -1)
+        return functional.relu(codes + self.out(weights @ self.value(codes)))
+
+
+class ObservationEncoder(BaseFeaturesExtractor):
+    """Features (B,F) of an observation: its context, and with a prior a code of each goal for a head that points.
+
+    With a `prior` (rows) the observation has a `promise`, and the features are, one after the other: context (width),
+    codes (32 x width), valid (32), the prior's score (32).
+    """
+
+    def __init__(
+        self, observation_space: spaces.Dict, width: int, channels: int, attention: bool, prior: str | None = None
+    ) -> None:
+        goals = observation_space["goals"].shape
+        assert goals is not None
+        super().__init__(observation_space, width + (goals[0] * (width + 2) if prior else 0))
+        self.prior = PRIORS[prior] if prior else None
+        self.grid = GridEncoder(channels, width)
+        promises = tables.PROMISE_COLUMNS if prior else 0
+        self.goal = layers(tables.GOAL_COLUMNS + SCALES * LAYERS + channels + 2 + promises, width, width)
+        self.attention = Attention(width) if attention else None
+        self.landmark = layers(tables.LANDMARK_COLUMNS, width // 2, width // 2)
+        self.context = layers(width + 2 * width + width + tables.POSE_COLUMNS, width)
+
+    def forward(self, observations: dict[str, Tensor]) -> Tensor:
+        """Features (B,F); a compact observation, its grids in 0..1, the tables as they are."""
+        goals = observations["goals"]
+        grid, maps = self.grid(observations["coarse"], observations["near"])
+        rows, valid = tables.goal_rows(goals)
+        around = [tables.at_goals(layer, goals) for layer in (observations["coarse"], maps)]
+        score = self._score(observations, goals, valid)
+        if score is not None:
+            around.append(tables.promise_rows(observations["promise"], score, goals))
+        codes = self.goal(torch.cat([rows, *around], -1))
+        if self.attention is not None:
+            codes = self.attention(codes, valid, tables.apart(goals))
+        landmarks, known = tables.landmark_rows(observations["landmarks"])
+        pose = tables.pose_row(observations["pose"], observations["pose_cov"])
+        parts = [grid, pooled(codes, valid), pooled(self.landmark(landmarks), known), pose]
+        context = self.context(torch.cat(parts, -1))
+        if score is None:
+            return context
+        return torch.cat([context, (codes * valid.unsqueeze(-1)).flatten(1), valid.float(), score], -1)
+
+    def _score(self, observations: dict[str, Tensor], goals: Tensor, valid: Tensor) -> Tensor | None:
+        """The prior's score of the goals (B,32), if there is one."""
+        return None if self.prior is None else self.prior(goals, valid, observations["promise"])

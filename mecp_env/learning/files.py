@@ -1,0 +1,142 @@
+"""Files that are whole or not there, with checksums; weights as tensors only, never as code."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.torch
+from torch import Tensor, nn
+
+from mecp_env.core.errors import ConfigError, MecpError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy; `mecp_env.learning.learned` loads no larger file
+MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two means that Adam keeps of each, and the rest
+NAME_LENGTH = 12  # of the checksum in a file's name
+
+
+class WeightError(ConfigError):
+    """A file of weights is damaged, too large, changed, or of another network."""
+
+
+class NotFiniteError(MecpError):
+    """Training made a weight infinite or NaN: such weights are not kept."""
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that after a crash at any time the old or the new one is there, never a part."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder last, where the system can."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def lock(path: Path) -> Any:
+    """Hold a file for this process, until what comes back is closed or the process has gone, killed or not.
+
+    Raises `BlockingIOError` when another process holds it. Where the system has no such locks it holds nothing. (Locks
+    of `flock` would be inherited by forked workers, which outlive a killed process for a while.)
+    """
+    file = path.open("a")
+    if fcntl is None:
+        return file
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EAGAIN):
+            raise BlockingIOError(*error.args) from None
+    return file
+
+
+def checksum(data: bytes) -> str:
+    """SHA-256 of some bytes, as text."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_checked(path: Path, sha256: str, most_bytes: int = MOST_BYTES) -> bytes:
+    """The bytes of a file. Raises `WeightError` when it is missing, too large, or not the one of that checksum."""
+    try:
+        size = path.stat().st_size
+        if size > most_bytes:
+            raise WeightError(f"{path}: {size} bytes, at most {most_bytes}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise WeightError(f"{path}: {error.strerror}") from None
+    if checksum(data) != sha256:
+        raise WeightError(f"{path}: its SHA-256 is {checksum(data)}, expected {sha256}: damaged or exchanged")
+    return data
+
+
+def tensors_in(data: bytes, path: Path) -> dict[str, Tensor]:
+    """The tensors in the bytes of a safetensors file. Raises `WeightError`."""
+    try:
+        return safetensors.torch.load(data)
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise WeightError(f"{path}: no safetensors file: {error}") from None
+
+
+def tensor_bytes(tensors: dict[str, Tensor], metadata: dict[str, str] | None = None) -> bytes:
+    """A safetensors file of some tensors."""
+    plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    return bytes(safetensors.torch.save(plain, metadata))
+
+
+def weights_of(policy: nn.Module) -> dict[str, Tensor]:
+    """The parameters of a policy by name, each once."""
+    return {name: parameter.detach() for name, parameter in policy.named_parameters()}
+
+
+def check_finite(policy: nn.Module) -> None:
+    """Raise `NotFiniteError` for a policy with a weight that is no number."""
+    for name, weight in weights_of(policy).items():
+        if not bool(weight.isfinite().all()):
+            raise NotFiniteError(f"weights: {name} is not finite any more; a smaller ppo.learning_rate?")
+
+
+def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> None:
+    """Give a policy its weights. Raises `WeightError` unless names, shapes and types are those of its parameters."""
+    mine = weights_of(policy)
+    for what, names in (("without", set(mine) - set(weights)), ("with unknown", set(weights) - set(mine))):
+        if names:
+            raise WeightError(f"{path}: of another architecture, {what} {min(names)!r} (and {len(names) - 1} more)")
+    for name, parameter in mine.items():
+        given = weights[name]
+        if given.shape != parameter.shape or given.dtype != parameter.dtype:
+            found, expected = describe(given), describe(parameter)
+            raise WeightError(f"{path}: of another architecture, {name} is {found}, expected {expected}")
+        if not bool(given.isfinite().all()):
+            raise WeightError(f"{path}: {name} is not finite")
+    for name, parameter in mine.items():
+        parameter.copy_(weights[name])
+
+
+def describe(tensor: Any) -> str:
+    """Shape and type of a tensor."""
+    return f"{tuple(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"

@@ -1,0 +1,1 @@
+"""Explorers and their evaluation, through the public API of the environment."""

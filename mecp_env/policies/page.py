@@ -1,0 +1,112 @@
+"""The comparison as a page in Markdown, and each figure as readable text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+Figures = dict[str, Any]
+Column = tuple[str, str, str, float]  # heading, name of the figure, format, factor
+
+PERCENT, PLAIN = ".0f", ".1f"
+HEADLINE: tuple[Column, ...] = (
+    ("area under the curve", "auc", ".3f", 1.0),
+    ("m to 90 %", "metres_to_90%", PERCENT, 1.0),
+    ("m to 99 %", "metres_to_99%", PERCENT, 1.0),
+    ("complete, %", "complete", PERCENT, 100.0),
+    ("pose error, cm", "pose_error_mean_m", PLAIN, 100.0),
+    ("at the end, cm", "pose_error_final_m", PLAIN, 100.0),
+)
+EXPLORATION: tuple[Column, ...] = (
+    ("reached 90 %, %", "reached_90%", PERCENT, 100.0),
+    ("reached 99 %, %", "reached_99%", PERCENT, 100.0),
+    ("periods to 90 %", "periods_to_90%", PERCENT, 1.0),
+    ("periods to 99 %", "periods_to_99%", PERCENT, 1.0),
+    ("rooms found, %", "rooms_found", PLAIN, 100.0),
+    ("doors found, %", "doors_found", PLAIN, 100.0),
+    ("coverage, %", "coverage", PLAIN, 100.0),
+    ("m in all", "metres", PERCENT, 1.0),
+    ("decisions", "decisions", PERCENT, 1.0),
+)
+LOCALISATION: tuple[Column, ...] = (
+    ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
+    ("landmarks", "landmarks", PLAIN, 1.0),
+    ("duplicates", "duplicates", ".2f", 1.0),
+    ("contacts on 100 m", "contacts_per_100_m", ".2f", 1.0),
+    ("diverged, %", "diverged", PLAIN, 100.0),
+)
+DIFFERENCES: tuple[Column, ...] = (
+    ("area under the curve", "auc", "+.3f", 1.0),
+    ("m to 90 %", "metres_to_90%", "+.1f", 1.0),
+    ("m to 99 %", "metres_to_99%", "+.1f", 1.0),
+    ("periods to 90 %", "periods_to_90%", "+.0f", 1.0),
+    ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
+)
+
+
+def page(result: Figures) -> str:
+    """The whole page of a result of `mecp_env.policies.evaluate`."""
+    rows, setting = result["rows"], result["setting"]
+    where = f"{result['buildings']} buildings of the {setting['split']} split of `{setting['difficulty']}`"
+    where += "" if setting["estimator"] == "slam" else f", estimator `{setting['estimator']}`"
+    head = f"{result['date']}, `{result['command']}`; {where}. Means with 95 % intervals"
+    parts = [
+        f"# Policies\n\n{head}; docs/policies.md says what each column is.",
+        table(HEADLINE, labelled(rows)),
+        section("How far it got", table(EXPLORATION, labelled(rows))),
+        section("What it knew", table(LOCALISATION, labelled(rows))),
+        section(
+            f"Against `{result['reference']}`, in the same buildings",
+            table(DIFFERENCES, labelled(rows, "against_reference")),
+        ),
+        section("What a known pose is worth", table(DIFFERENCES, labelled(rows, "with_the_pose_known"))),
+        section("Decisions a second of processor time", rates(result["timing"])),
+        section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def section(title: str, body: str) -> str:
+    """A heading with what stands below it; nothing without a body."""
+    return f"## {title}\n\n{body}" if body else ""
+
+
+def labelled(rows: Iterable[Figures], part: str = "figures") -> list[tuple[str, Figures]]:
+    """The name of each row that has that part, and the part."""
+    return [(name_of(row), row[part]) for row in rows if part in row]
+
+
+def name_of(row: Figures) -> str:
+    """How a row is called: the policy, and the estimator where it is told more than usual."""
+    told = {"truth": ", pose known", "known": ", identities known"}
+    return f"{row['policy']}{told.get(row['estimator'], '')}"
+
+
+def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str:
+    """A table with a line a policy; nothing without rows."""
+    if not rows:
+        return ""
+    lines = [f"| | {' | '.join(heading for heading, *_ in columns)} |", f"|{'---|' * (len(columns) + 1)}"]
+    for name, figures in rows:
+        cells = [cell(figures[key], form, factor) for _, key, form, factor in columns]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def cell(figure: Figures, form: str, factor: float) -> str:
+    """`value [low, high]` of an estimate; a dash where there is none."""
+    if figure["value"] is None:
+        return "-"
+    value, low, high = (number(factor * figure[end], form) for end in ("value", "low", "high"))
+    return f"{value} [{low}, {high}]"
+
+
+def number(value: float, form: str) -> str:
+    """A number as text; what is rounded to nothing has no sign."""
+    text = f"{value:{form}}"
+    return text if float(text) else text.lstrip("+-")
+
+
+def rates(timing: dict[str, float]) -> str:
+    """Decisions a second of each policy."""
+    return ", ".join(f"{name} {rate:,.0f}" for name, rate in timing.items())

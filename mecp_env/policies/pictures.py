@@ -1,0 +1,55 @@
+"""The coverage curves of a comparison as a PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mecp_env.core.intervals import Figures
+from mecp_env.core.text import readable
+from mecp_env.policies.comparison import SHARES_OF_BUDGET
+from mecp_env.policies.curve import BUDGET_M_PER_M2
+
+COLOURS = ("#1f5ac8", "#e08c00", "#148c5a", "#b01830", "#784aa0", "#46afaa", "#96765a", "#5a6978")
+INK, FAINT = "#262c36", "#8c929c"
+
+
+def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
+    """Write the mean coverage over the metres driven as a PNG.
+
+    The first row of each policy has a band, its 95 % interval; the other one, with the pose known, is dashed.
+    """
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    for number, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
+        draw_policy(axes, [row for row in rows if row["policy"] == policy], COLOURS[number % len(COLOURS)])
+    dress(axes, title)
+    heading = "area under the curve up to 1\n(dashed: pose known)"
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9, title=heading, title_fontsize=9)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def draw_policy(axes: Axes, rows: list[Figures], colour: str) -> None:
+    """The curves of one policy, the first with its band and the areas under both."""
+    low, value, high = ([point[end] for point in rows[0]["curve"]] for end in ("low", "value", "high"))
+    area, *known = (f"{row['figures']['auc']['value']:.3f}" for row in rows)
+    label = f"{readable(rows[0]['policy'])}  {area}" + "".join(f" ({other})" for other in known)
+    axes.plot(SHARES_OF_BUDGET, value, color=colour, linewidth=2.0, label=label)
+    axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    for row in rows[1:]:
+        axes.plot(SHARES_OF_BUDGET, [point["value"] for point in row["curve"]], "--", color=colour, linewidth=1.0)
+
+
+def dress(axes: Axes, title: str) -> None:
+    """Axes, legend and title."""
+    axes.set_title(title, loc="left", fontsize=11, color=INK)
+    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m on a m² of floor)")
+    axes.set_ylabel("floor seen")
+    axes.set_xlim(0.0, float(SHARES_OF_BUDGET[-1]))
+    axes.set_ylim(0.0, 1.02)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
+    axes.axvline(1.0, color=FAINT, linewidth=0.8, linestyle=":")
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)

@@ -1,0 +1,255 @@
+"""Kernels that cut a cluster into straight stretches: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
+
+A stretch is a run of positions; `ends` holds the last position of each stretch of a cluster, in order. Prefix sums of
+moments and of the points' own covariance give the chi-square of any stretch in constant time. What is known of each
+beam stands in rows of an array, so that the compiler can take several beams at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+from mecp_env.slam.frontend.noise import Noise
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
+SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
+ROUNDING = 1 << 32  # units in the last place, 1e-6: far more than rounding errors make
+SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
+
+
+@compiled
+def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
+    """Points (5,B): x, y, variances along and across the ray, and a row to work in; prefix sums (B+1,8).
+
+    The sums are those of x, y, xx, xy, yy and of the points' covariance: xx, xy, yy.
+    """
+    size = polar.shape[1]
+    points, sums = np.empty((5, size)), np.empty((size + 1, 8))
+    write_turns(polar[1], points[0], points[1])
+    write_variances(polar[0], polar[2], noise, points[2], points[3])
+    for k in range(8):
+        sums[0, k] = 0.0
+    c, s = 1.0, 0.0
+    for i in range(size):
+        r, along, across = polar[0, i], points[2, i], points[3, i]
+        if i > 0 and abs(polar[1, i] - polar[1, i - 1]) < SMALL_TURN:
+            c, s = c * points[0, i] - s * points[1, i], s * points[0, i] + c * points[1, i]
+        else:
+            c, s = math.cos(polar[1, i]), math.sin(polar[1, i])
+        x, y = r * c, r * s
+        points[0, i], points[1, i] = x, y
+        sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + x, sums[i, 1] + y
+        sums[i + 1, 2], sums[i + 1, 3], sums[i + 1, 4] = sums[i, 2] + x * x, sums[i, 3] + x * y, sums[i, 4] + y * y
+        sums[i + 1, 5] = sums[i, 5] + along * c * c + across * s * s
+        sums[i + 1, 6] = sums[i, 6] + (along - across) * c * s
+        sums[i + 1, 7] = sums[i, 7] + along * s * s + across * c * c
+    return points, sums
+
+
+@compiled
+def write_turns(bearings: Array, cosine: Array, sine: Array) -> None:
+    """Cosine and sine of the turn from the beam before, where it is small: that needs no trigonometry."""
+    for i in range(1, bearings.shape[0]):
+        turn = bearings[i] - bearings[i - 1]
+        q = turn * turn
+        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
+
+
+@compiled
+def write_variances(ranges: Array, count: Array, noise: Noise, along: Array, across: Array) -> None:
+    """Variances of each point along and across the ray."""
+    for i in range(ranges.shape[0]):
+        along[i] = noise.range_m**2 / count[i]
+        across[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
+
+
+@compiled
+def scatter(sums: Array, first: int, last: int) -> tuple[float, float, float]:
+    """Central second moments sxx, sxy, syy (sums, not means) of positions first to last."""
+    n = last - first + 1
+    x, y = sums[last + 1, 0] - sums[first, 0], sums[last + 1, 1] - sums[first, 1]
+    sxx = sums[last + 1, 2] - sums[first, 2] - x * x / n
+    sxy = sums[last + 1, 3] - sums[first, 3] - x * y / n
+    syy = sums[last + 1, 4] - sums[first, 4] - y * y / n
+    return sxx, sxy, syy
+
+
+@compiled
+def stretch_cost(sums: Array, first: int, last: int) -> float:
+    """Chi-square of the total-least-squares line through positions first to last: n S_normal / sum of variances."""
+    n = last - first + 1
+    if n < 3:
+        return 0.0
+    sxx, sxy, syy = scatter(sums, first, last)
+    spread = math.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
+    if spread <= 0.0:
+        return 0.0
+    cos2, sin2 = (sxx - syy) / spread, 2.0 * sxy / spread  # of twice the direction of the line
+    cxx, cxy = sums[last + 1, 5] - sums[first, 5], sums[last + 1, 6] - sums[first, 6]
+    cyy = sums[last + 1, 7] - sums[first, 7]
+    variance = 0.5 * (cxx * (1.0 - cos2) + cyy * (1.0 + cos2)) - cxy * sin2
+    return float(0.5 * n * max(sxx + syy - spread, 0.0) / variance)
+
+
+@compiled
+def break_cluster(points: Array, first: int, last: int, sigmas: float, ends: Ints) -> int:
+    """Ramer-Douglas-Peucker with a tolerance of `sigmas` standard deviations: fills `ends`, returns how many."""
+    stack = np.empty((last - first + 2, 2), np.int64)
+    stack[0, 0], stack[0, 1] = first, last
+    depth, size = 1, 0
+    while depth > 0:
+        depth -= 1
+        low, high = stack[depth, 0], stack[depth, 1]
+        split = farthest_point(points, low, high, sigmas)
+        if split < 0:
+            ends[size] = high
+            size += 1
+        else:  # the left half is popped first, so that ends come in order
+            stack[depth, 0], stack[depth, 1] = split, high
+            stack[depth + 1, 0], stack[depth + 1, 1] = low, split
+            depth += 2
+    return size
+
+
+@compiled
+def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
+    """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far.
+
+    Branches that nobody can foresee cost more than arithmetic: the squared distances of all come first (row 4, several
+    at once, with as few divisions as can be), and only those that equal the largest but for rounding are looked at.
+    """
+    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
+    if dx * dx + dy * dy < 1e-12:
+        return farthest_on_ring(points, low, high, sigmas)
+    chord = (points[0, low], points[1, low], dx, dy)
+    x, y = points[0, low + 1 : high], points[1, low + 1 : high]
+    along, across = points[2, low + 1 : high], points[3, low + 1 : high]
+    sigmas2 = points[4, low + 1 : high]
+    for i in range(x.shape[0]):
+        cross, ahead = dx * (y[i] - chord[1]) - dy * (x[i] - chord[0]), dx * y[i] - dy * x[i]
+        r2, steep = x[i] * x[i] + y[i] * y[i], ahead * ahead
+        sigmas2[i] = cross * cross * r2 / (along[i] * steep + across[i] * ((dx * dx + dy * dy) * r2 - steep))
+    bits, largest = sigmas2.view(np.int64), 0  # numbers >= 0 are ordered as their bits are
+    for i in range(x.shape[0]):
+        largest = max(largest, bits[i])
+    farthest, worst = -1, sigmas * sigmas
+    for i in range(x.shape[0]):
+        if bits[i] < largest - ROUNDING:
+            continue
+        distance2, variance = off_chord(x[i], y[i], (along[i], across[i]), chord)
+        if distance2 > worst * variance:
+            farthest, worst = low + 1 + i, distance2 / variance
+    return farthest
+
+
+@compiled
+def off_chord(
+    x: float, y: float, variances: tuple[float, float], chord: tuple[float, float, float, float]
+) -> tuple[float, float]:
+    """Squared distance of a point from a chord (start x, y, and vector) and its variance, times the squared length."""
+    x0, y0, dx, dy = chord
+    cross, ahead = dx * (y - y0) - dy * (x - x0), dx * y - dy * x
+    steep = ahead * ahead / (x * x + y * y)
+    return cross * cross, variances[0] * steep + variances[1] * (dx * dx + dy * dy - steep)
+
+
+@compiled
+def farthest_on_ring(points: Array, low: int, high: int, sigmas: float) -> int:
+    """The same where the stretch ends where it starts, so that there is no chord: the farthest from there."""
+    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
+    farthest, worst = -1, sigmas * sigmas
+    for i in range(low + 1, high):
+        px, py = points[0, i] - points[0, low], points[1, i] - points[1, low]
+        distance2 = px * px + py * py
+        variance = points[2, i] + points[3, i] * (dx * dx + dy * dy - 1.0)
+        if distance2 > worst * variance:
+            farthest, worst = i, distance2 / variance
+    return farthest
+
+
+@compiled
+def merge_stretches(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
+    """Joins neighbouring stretches, the most alike first, while a break between them saves less than `gain`."""
+    costs, saved = np.empty(size), np.empty(size)
+    for k in range(size):
+        costs[k] = stretch_cost(sums, start_of(first, ends, k), ends[k])
+    for k in range(size - 1):
+        saved[k] = stretch_cost(sums, start_of(first, ends, k), ends[k + 1]) - costs[k] - costs[k + 1]
+    while size > 1:
+        least = 0
+        for k in range(1, size - 1):
+            if saved[k] < saved[least]:
+                least = k
+        if saved[least] >= gain:
+            break
+        costs[least] += saved[least] + costs[least + 1]
+        for k in range(least, size - 1):
+            ends[k] = ends[k + 1]
+            if k > least:
+                costs[k] = costs[k + 1]
+                saved[k] = saved[k + 1]
+        size -= 1
+        for k in range(max(least - 1, 0), min(least + 1, size - 1)):
+            saved[k] = stretch_cost(sums, start_of(first, ends, k), ends[k + 1]) - costs[k] - costs[k + 1]
+    return size
+
+
+@compiled
+def start_of(first: int, ends: Ints, k: int) -> int:
+    """First position of stretch k of a cluster that begins at `first`."""
+    return first if k == 0 else int(ends[k - 1]) + 1
+
+
+@compiled
+def refine_breaks(sums: Array, first: int, ends: Ints, size: int, window: int) -> None:
+    """Moves each break, at most `window` positions, to where the two lines beside it fit best."""
+    for k in range(size - 1):
+        low, high = start_of(first, ends, k), ends[k + 1]
+        best, best_cost = ends[k], math.inf
+        start = max(low + MIN_STRETCH - 1, ends[k] - window)
+        for last in range(start, min(high - MIN_STRETCH, ends[k] + window) + 1):
+            cost = stretch_cost(sums, low, last) + stretch_cost(sums, last + 1, high)
+            if cost < best_cost:
+                best, best_cost = last, cost
+        ends[k] = best
+
+
+@compiled
+def absorb_slivers(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
+    """Shares the few positions between two longer stretches out between them, where that costs less than `gain`."""
+    k = 1
+    while k < size - 1:
+        low, start, high = start_of(first, ends, k - 1), ends[k - 1] + 1, ends[k + 1]
+        apart = stretch_cost(sums, low, start - 1) + stretch_cost(sums, start, ends[k])
+        apart += stretch_cost(sums, ends[k] + 1, high)
+        best, best_cost = -1, apart + gain
+        for last in range(start - 1, ends[k] + 1 if ends[k] - start < SLIVER else start - 1):
+            cost = stretch_cost(sums, low, last) + stretch_cost(sums, last + 1, high)
+            if cost < best_cost:
+                best, best_cost = last, cost
+        if best < 0:
+            k += 1
+            continue
+        ends[k - 1] = best
+        for m in range(k, size - 1):
+            ends[m] = ends[m + 1]
+        size -= 1
+    return size
+
+
+@compiled
+def straighten(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
+    """Merges and refines: coarse breaks first, then fine ones."""
+    size = merge_stretches(sums, first, ends, size, gain)
+    refine_breaks(sums, first, ends, size, 8)
+    size = absorb_slivers(sums, first, ends, size, gain)
+    size = merge_stretches(sums, first, ends, size, gain)
+    refine_breaks(sums, first, ends, size, 3)
+    return size

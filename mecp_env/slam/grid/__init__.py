@@ -1,0 +1,1 @@
+"""The semantic occupancy grid, painted from the current estimates."""

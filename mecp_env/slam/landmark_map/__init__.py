@@ -1,0 +1,1 @@
+"""The persistent map: tracks, landmarks, map polygons, merging, pruning, dynamic objects."""

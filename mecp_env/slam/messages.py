@@ -1,0 +1,355 @@
+"""The carriers that the stages of the estimator hand on.
+
+Lengths in metres, angles in radians counter-clockwise in (-pi, pi], float64. Frames are in the names: `p_robot` is a
+point in the robot's frame, `p_map` one in the map frame (the robot's pose at reset), `T_map_robot` the pose (3,) x, y,
+heading of the robot in the map. Carriers of one scan are frozen; whoever makes one does not write to its arrays again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.arrays import find_equal, find_rows
+from mecp_env.core.linalg import diagonal_blocks, pick_measurements, soften
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+UNKNOWN_ROOM = -1
+NO_ID = -1
+
+
+class ClusterKind(IntEnum):
+    """What a cluster of hits is made of: straight walls, or something small (a leg, a thin post)."""
+
+    LINES = 0
+    SMALL = 1
+
+
+class CornerKind(IntEnum):
+    """How a corner came about (III-A.1): two lines cross, a line ends, or it is one of the two posts of a door."""
+
+    CROSSING = 0
+    FREE_END = 1
+    JAMB = 2
+
+
+class EdgeLabel(IntEnum):
+    """What the scan says lies along a stretch of a polygon's edge: a wall, a gap of door width, or open space."""
+
+    WALL = 0
+    GAP = 1
+    OPEN = 2
+
+
+class Decision(IntEnum):
+    """What association decided for a corner."""
+
+    LANDMARK = 0
+    PROVISIONAL = 1
+    NEW = 2
+    IGNORED = 3
+
+
+LANDMARK = int(Decision.LANDMARK)
+
+
+class Reason(IntEnum):
+    """Why association decided so."""
+
+    POLYGON = 0
+    ROOM = 1
+    JOINT = 2
+    THROUGH_DOOR = 3
+    TRACK = 4
+    UNSEEN = 5
+    AMBIGUOUS = 6
+    BEYOND_DOOR = 7
+    IN_DOORWAY = 8
+    IDENTITY = 9
+    TRANSIENT = 10
+
+
+class Cell(IntEnum):
+    """Label of a cell of the semantic grid."""
+
+    UNKNOWN = 0
+    FREE = 1
+    OCCUPIED = 2
+    DOOR = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergedScan:
+    """One beam a nominal bearing of a single sweep: the K interleaved beams around it, outliers at edges left out."""
+
+    ranges: Array  # (B,) m
+    bearings: Array  # (B,) rad, ascending in (-pi, pi]
+    hit: Bools  # (B,)
+    count: Ints  # (B,) how many raw beams stand behind the range: its variance is sigma^2 / count
+    max_range_m: float
+    raw_ranges: Array  # (K*B,) m, all raw beams in order of bearing
+    raw_bearings: Array  # (K*B,) rad, ascending
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clusters:
+    """Runs of beams that may lie on one structure. Positions count from `roll`, a gap, so that no run wraps."""
+
+    roll: int  # beam index (of MergedScan) of position 0
+    first: Ints  # (C,) first position of the run
+    last: Ints  # (C,) last position of the run, included
+    kind: Ints  # (C,) ClusterKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Straight stretches of wall, ccw around the robot (start to end with rising bearing)."""
+
+    points: Array  # (L,2,2) m, robot frame: start and end
+    line: Array  # (L,2) alpha, rho of x cos(alpha) + y sin(alpha) = rho, rho >= 0: alpha points from robot to wall
+    cov: Array  # (L,2,2) of (alpha, rho)
+    cluster: Ints  # (L,)
+    first: Ints  # (L,) first position (as in Clusters)
+    last: Ints  # (L,) last position, included
+    roll: int  # as in Clusters
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doorways:
+    """Gaps of door width between two collinear jambs, as seen in one scan (III)."""
+
+    jambs: Ints  # (g,2) corner indices: jambs[:,0] at the smaller bearing (seen from the robot, on the right)
+    width: Array  # (g,) m
+    confirmable: Bools  # (g,) seen near and steeply enough to count as a sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Point features of one scan (III-A.1), in order of bearing."""
+
+    z: Array  # (n,2) m, rad: range and bearing
+    cov: Array  # (2n,2n) joint covariance of z: corners that share a line are correlated
+    kind: Ints  # (n,) CornerKind
+    convex: Bools  # (n,) True: the solid fills less than 180 degrees (an outer corner); ends and jambs are convex
+    normals: Array  # (n,2) rad, robot frame: normals (towards free space) of the faces before and after; nan: unseen
+    beyond: Ints  # (n,) index into doorways of the gap behind which the corner lies, or -1
+    sites: Bools  # (n,) may be a vertex of a polygon
+    doorways: Doorways
+
+    @property
+    def R(self) -> Array:
+        """(n,2,2) covariance of each corner's own range and bearing."""
+        blocks = np.empty((len(self), 2, 2))
+        diagonal_blocks(self.cov, blocks)
+        return blocks
+
+    def with_floor(self, sigma_m: float) -> Corners:
+        """The same corners with an independent position error of `sigma_m` added to each."""
+        cov = np.empty_like(self.cov)
+        soften(self.cov, self.z, sigma_m, cov)
+        marks = self.kind, self.convex, self.normals, self.beyond, self.sites
+        return Corners(self.z, cov, *marks, self.doorways)
+
+    def with_sites(self, sites: Bools) -> Corners:
+        """The same corners, of which other ones may be vertices of a polygon."""
+        marks = self.kind, self.convex, self.normals, self.beyond, sites
+        return Corners(self.z, self.cov, *marks, self.doorways)
+
+    def measurements(self, index: Ints) -> tuple[Array, Array]:
+        """z (k,2) and its joint covariance (2k,2k) of the corners `index` (k,)."""
+        k = len(index)
+        z, R = np.empty((k, 2)), np.empty((2 * k, 2 * k))
+        pick_measurements(self.z, self.cov, index, z, R)
+        return z, R
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polygon:
+    """A Maximum Empty Convex Polygon of one scan (III-A.2)."""
+
+    corners: Ints  # (k,) indices into Corners, counter-clockwise, from the smallest
+    intervals: Array  # (m,4) edge index, start and end as share of the edge's length, EdgeLabel; in order
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPolygon:
+    """A polygon of the map: links to features (III-B.1); centre and covariance are recomputed from the belief.
+
+    A sighting makes a new one that shares `ids` with the old.
+    """
+
+    ids: Ints  # (k,) feature ids (landmarks, or tracks that may become landmarks), counter-clockwise
+    intervals: Array  # (m,4) as in Polygon, from its last sighting
+    room: int
+    seen: int = 1
+    last_period: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """The known polygons of one cardinality, for matching."""
+
+    index: Ints  # (C,) index in the list of known polygons
+    ids: Ints  # (C,k) vertex ids, ccw
+
+
+class FeatureState(IntEnum):
+    """Life of a feature id: a track is seen but not yet believed, a landmark is in the filter, dead ids stay dead."""
+
+    TRACK = 0
+    LANDMARK = 1
+    DEAD = 2
+
+
+@dataclass(slots=True, eq=False)
+class FeatureTable:
+    """What is remembered of every feature id beside the filter's estimate. Row = id; ids are never used twice."""
+
+    state: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) FeatureState
+    room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) room, before merges are resolved
+    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) CornerKind
+    convex: Bools = field(default_factory=lambda: np.empty(0, np.bool_))  # (F,)
+    normals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) rad, map frame, nan: unseen
+    seen: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) sightings
+    last_period: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) period of the last sighting
+    p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) m: last seen here (tracks only)
+    doubts: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) scans that refuted it since it was seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """What became of each corner of a scan: a decision with its reason."""
+
+    ids: Ints  # (n,) landmark id (LANDMARK), track id (PROVISIONAL), NO_ID
+    decision: Ints  # (n,) Decision
+    reason: Ints  # (n,) Reason
+    nis: Array  # (n,) normalised innovation squared of the pairing, nan without one
+    polygon: int  # index of the matched polygon of the scan, or -1
+    known: int  # index of the MapPolygon matched (in the store at the time), or -1
+    closure: bool  # a place not updated for a while was recognised: the update is iterated
+
+    def recognised(self) -> Ints:
+        """The corners (c,) that are landmarks."""
+        corners = np.empty(len(self.decision), np.int64)
+        return corners[: find_equal(self.decision, LANDMARK, corners)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """A scan's corners once it is known which features they are, and where they were seen from."""
+
+    corners: Corners
+    match: Match
+    through: Ints  # (n,) id of the mapped door each corner is seen through, or -1
+    belief: Belief
+    period: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What the filter believes, in world coordinates, whatever it keeps inside."""
+
+    T_map_robot: Array  # (3,) x, y, heading
+    pose_cov: Array  # (3,3) of x, y, heading
+    ids: Ints  # (N,) landmark ids, in the order of their birth
+    p_map: Array  # (N,2) m, landmark means
+    covs: Array  # (N,2,2) m^2, marginal covariance of each landmark
+
+    def rows(self, wanted: Ints) -> Ints:
+        """Row of each landmark id in `wanted` (any shape), all of which are in `ids`."""
+        rows = np.empty(wanted.shape, np.int64)
+        find_rows(self.ids, wanted.ravel(), rows.reshape(-1))
+        return rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Door:
+    """A door of the map: a pair of jambs a wall face, the second face optional."""
+
+    id: int
+    jambs: tuple[int, int]  # landmark ids of the first face: right and left as seen from rooms[0]
+    other_face: tuple[int, int] | None  # landmark ids of the second face, same order in space
+    rooms: tuple[int, int]  # the room of the first face, the room beyond or UNKNOWN_ROOM
+    sightings: int  # counted up to 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A gap of door width that is not yet confirmed as a door."""
+
+    ends: Array  # (2,2) m, map frame: right and left as seen from `room`
+    ids: tuple[int, int]  # feature ids of its two jambs, NO_ID where not known
+    room: int
+    sightings: int
+    last_period: int
+    confirmable: int = 0  # sightings from near enough, of either face, whichever ids its jambs had
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomGraph:
+    """Rooms and the doors between them."""
+
+    current: int  # the room the robot believes to be in
+    in_doorway: bool  # the robot stands in a door: no new landmarks now
+    rooms: tuple[int, ...]  # ids of the rooms, merged ones left out
+    doors: tuple[Door, ...]
+    candidates: tuple[Candidate, ...]
+    merged: dict[int, int]  # room that was merged -> room it became
+    parted: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Room entered unnoticed -> the room it was taken for, and the first period in it."""
+
+    def resolve(self, room: int) -> int:
+        """The room that `room` stands for after all merges."""
+        while room in self.merged:
+            room = self.merged[room]
+        return room
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapView:
+    """What an associator may look at: the map as it stands before the corners of this scan are known."""
+
+    period: int
+    belief: Belief  # predicted to this period
+    features: FeatureTable
+    rings: dict[int, Rings]  # known polygons by cardinality
+    graph: RoomGraph
+    through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SemanticGrid:
+    """The occupancy grid with meaning, painted from the current estimates. Index [row, col] = [y, x]."""
+
+    label: NDArray[np.uint8]  # (H,W) Cell
+    polygon: Bools  # (H,W) covered by a polygon (the paper's layer)
+    room: NDArray[np.int16]  # (H,W) room id, -1 unknown
+    origin: Array  # (2,) m, map frame: the lower left corner of cell [0, 0]
+    resolution_m: float
+    version: int  # grows whenever a cell changed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamOutput:
+    """Everything one step of the pipeline saw and decided: for info, rendering and benchmarks."""
+
+    period: int
+    beams: MergedScan
+    segments: Segments
+    corners: Corners
+    polygons: tuple[Polygon, ...]
+    match: Match
+    belief: Belief
+    graph: RoomGraph
+    map_polygons: tuple[MapPolygon, ...]
+    grid: SemanticGrid
+    diverged: bool

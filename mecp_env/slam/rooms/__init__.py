@@ -1,0 +1,1 @@
+"""Rooms and the doors between them (III)."""

@@ -1,0 +1,319 @@
+"""Doors: a gap of door width between two collinear jambs, one pair of jambs a wall face (III)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.arrays import row_of
+from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import place
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.messages import (
+    UNKNOWN_ROOM,
+    Belief,
+    Candidate,
+    CornerKind,
+    Door,
+    FeatureState,
+    FeatureTable,
+    Reason,
+    Sighting,
+)
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+TRANSIENT = int(Reason.TRANSIENT)
+MOST_SIGHTINGS = 50  # the configuration asks for no more
+BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
+SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
+
+
+@dataclass(slots=True, eq=False)
+class DoorMap:
+    """Doors, candidates, and how often each pair of jambs was seen."""
+
+    doors: list[Door] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
+    sightings: dict[tuple[int, int], int] = field(default_factory=dict)
+    next_id: int = 0
+    ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (D,) of `doors`
+    jambs: Ints = field(default_factory=lambda: np.empty((0, 4), np.int64))  # (D,4) as `door_jambs`
+    row: dict[tuple[int, int], int] = field(default_factory=dict)  # face -> index in `doors`
+    inside: list[tuple[float, float]] = field(default_factory=list)  # m, map frame: gaps that lie inside one room
+
+    def set_doors(self, doors: list[Door]) -> None:
+        """Replace the doors; what is derived from them follows."""
+        self.doors = doors
+        self.ids = np.array([door.id for door in doors], np.int64)
+        self.jambs = door_jambs(doors)
+        faces = [
+            (face, d) for d, door in enumerate(doors) for face in (door.jambs, door.other_face) if face is not None
+        ]
+        self.row = {pair: d for face, d in faces for pair in (face, face[::-1])}
+
+    def frames(self, belief: Belief) -> Array:
+        """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
+
+        The middle is that of the wall where both faces are known, of the one face otherwise.
+        """
+        return door_frames(belief.p_map, belief.ids, self.jambs)
+
+
+def door_jambs(doors: list[Door]) -> Ints:
+    """(D,4) landmark ids: right and left jamb of the first face, then of the second or of the first again."""
+    rows = [(*door.jambs, *(door.other_face or door.jambs)) for door in doors]
+    return np.array(rows, np.int64).reshape(-1, 4)
+
+
+@compiled
+def seen_through(
+    T_map_robot: Array,
+    z: Array,
+    p_map: Array,
+    ids: Ints,
+    jambs: Ints,
+    door_ids: Ints,
+    through: Ints,
+    sites: Bools,
+) -> bool:
+    """Write the id (n,) of the door through which each corner z (n,2) is seen, or -1; those seen so are no sites (n,).
+
+    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`. Says whether there are any.
+    """
+    points = np.empty_like(z)
+    place(T_map_robot, z, points)
+    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, through)
+    some = False
+    for i in range(z.shape[0]):
+        if through[i] >= 0:
+            some, sites[i], through[i] = True, False, door_ids[through[i]]
+    return some
+
+
+@compiled
+def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float, row: Ints) -> None:
+    """Write the row (n,) of the door through which each point of `p_map` (n,2) is seen from `p_robot` (2,), or -1.
+
+    `doors` (D,5): middle x, y, unit normal x, y, half width. A point counts when the line of sight crosses the gap and
+    ends more than `margin` behind the middle of the wall.
+    """
+    for i in range(p_map.shape[0]):
+        row[i] = -1
+    for d in range(doors.shape[0]):
+        mx, my, nx, ny, half = doors[d]
+        s0 = (p_robot[0] - mx) * nx + (p_robot[1] - my) * ny
+        side = 1.0 if s0 >= 0.0 else -1.0
+        t0 = (p_robot[0] - mx) * ny - (p_robot[1] - my) * nx
+        for i in range(p_map.shape[0]):
+            s1 = (p_map[i, 0] - mx) * nx + (p_map[i, 1] - my) * ny
+            if s1 * side >= -margin:
+                continue
+            t1 = (p_map[i, 0] - mx) * ny - (p_map[i, 1] - my) * nx
+            t = t0 + (t1 - t0) * s0 / (s0 - s1)
+            if abs(t) < half:
+                row[i] = d
+
+
+@compiled
+def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
+    """(D,5) as `DoorMap.frames` of the doors with `jambs` (D,4), from the landmarks `p_map` (N,2) with `ids` (N,)."""
+    frames = np.empty((jambs.shape[0], 5))
+    for d in range(jambs.shape[0]):
+        right, left = row_of(ids, jambs[d, 0]), row_of(ids, jambs[d, 1])
+        right_too, left_too = row_of(ids, jambs[d, 2]), row_of(ids, jambs[d, 3])
+        rx, ry = (p_map[right, 0] + p_map[right_too, 0]) / 2.0, (p_map[right, 1] + p_map[right_too, 1]) / 2.0
+        lx, ly = (p_map[left, 0] + p_map[left_too, 0]) / 2.0, (p_map[left, 1] + p_map[left_too, 1]) / 2.0
+        x, y = lx - rx, ly - ry
+        width = math.hypot(x, y)
+        frames[d, 0], frames[d, 1] = (rx + lx) / 2.0, (ry + ly) / 2.0
+        frames[d, 2], frames[d, 3], frames[d, 4] = -y / width, x / width, width / 2.0
+    return frames
+
+
+def record_doorways(book: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
+    """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
+    corners, belief = seen.corners, seen.belief
+    if not len(corners.doorways.jambs):
+        return
+    next_door = rooms_next_door(book, room, config.confirm_sightings)
+    id_of = seen.match.ids.tolist()
+    elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == TRANSIENT)).tolist()
+    for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
+        ids = (id_of[pair[0]], id_of[pair[1]])
+        ends = np.empty((2, 2))
+        place(belief.T_map_robot, corners.z[pair], ends)
+        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends):
+            continue
+        if ids in book.row:
+            _see_again(book, ids, confirmable, (room, next_door))
+            continue
+        if min(ids) >= 0 and confirmable:
+            book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends)) + 1
+            _confirm(book, ids, features, belief, room, config)
+        _note_candidate(book, Candidate(ends, ids, room, 1, seen.period, book.sightings.get(ids, 0)), belief)
+
+
+def rooms_next_door(book: DoorMap, room: int, sightings: int) -> set[int]:
+    """The rooms that a door seen as often as that parts from `room`."""
+    sure = (door for door in book.doors if door.sightings >= sightings)
+    return {other for door in sure if room in door.rooms for other in door.rooms} - {room}
+
+
+def _see_again(book: DoorMap, ids: tuple[int, int], confirmable: bool, here: tuple[int, set[int]]) -> None:
+    """Count one more sighting of a known door, as long as that tells anything; `here`: this room and those next door.
+
+    A face seen from within this room is one of its walls: where it was given to a room next door, it was first seen
+    through a door not yet known.
+    """
+    d, (room, next_door) = book.row[ids], here
+    door = book.doors[d]
+    rooms = list(door.rooms)
+    side = 0 if ids == door.jambs else 1
+    if confirmable and rooms[side] in next_door and room not in rooms:
+        rooms[side] = room
+    elif not confirmable or door.sightings >= MOST_SIGHTINGS:
+        return
+    sightings = min(door.sightings + confirmable, max(door.sightings, MOST_SIGHTINGS))
+    book.doors[d] = replace(door, sightings=sightings, rooms=(rooms[0], rooms[1]))
+
+
+def _confirm(
+    book: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
+) -> None:
+    """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
+    if book.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
+        return
+    _mark_jambs(ids, features)
+    new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
+    frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
+    for d, other in enumerate(book.frames(belief)):
+        joined = _joined(book.doors[d], other, new, frame, room, config)
+        if joined is not None:
+            book.set_doors([*book.doors[:d], joined, *book.doors[d + 1 :]])
+            return
+    book.set_doors([*book.doors, new])
+    book.next_id += 1
+
+
+def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
+    """The posts of a door belong to both its rooms; a concave corner that stands for one is a corner of its room."""
+    features.kind[[i for i in ids if features.convex[i]]] = int(CornerKind.JAMB)
+
+
+def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
+    return all(i >= 0 and features.state[i] == int(FeatureState.LANDMARK) for i in ids)
+
+
+def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomConfig) -> Door | None:
+    """The known door with this sighting added, when the new pair of jambs is one of its faces; None otherwise."""
+    offset = new_frame[:2] - frame[:2]
+    alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
+    apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
+    sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
+    if abs(alike) < 0.9 or sideways > SAME_GAP_M or apart > config.wall_thickness_m[1]:
+        return None
+    if alike > 0.0 or door.other_face is not None:
+        return replace(door, sightings=door.sightings + 1)
+    beyond = room if door.rooms[1] == UNKNOWN_ROOM and room != door.rooms[0] else door.rooms[1]
+    faces = (new.jambs[1], new.jambs[0])
+    return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
+
+
+def _seen_well(book: DoorMap, ends: Array) -> int:
+    """How often the gap with the ends (2,2) was seen well: by the face behind it, or by a jamb since forgotten, too."""
+    return max((c.confirmable for c in book.candidates if same_gap(c.ends, ends)), default=0)
+
+
+def _note_candidate(book: DoorMap, new: Candidate, belief: Belief) -> None:
+    """Remember a gap until it is a door; one gap is one candidate."""
+    same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends)]
+    if lies_in_door(belief.p_map, belief.ids, book.jambs, new.ends):
+        book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
+    elif same:
+        known = book.candidates[same[0]]
+        ids = new.ids if min(new.ids) >= 0 else known.ids
+        well = max(known.confirmable, new.confirmable)
+        book.candidates[same[0]] = replace(
+            new, ids=ids, room=known.room, sightings=known.sightings + 1, confirmable=well
+        )
+    else:
+        book.candidates.append(new)
+
+
+def lies_inside(book: DoorMap, ends: Array) -> bool:
+    """True when the gap with the ends (2,2) was found to lie inside a room."""
+    x, y = (0.5 * (ends[0] + ends[1])).tolist() if book.inside else (0.0, 0.0)
+    return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in book.inside)
+
+
+@compiled
+def lies_in_door(p_map: Array, ids: Ints, jambs: Ints, ends: Array) -> bool:
+    """True when the gap with the ends (2,2) is a door of those with `jambs` (D,4); other arguments as `door_frames`."""
+    frames = door_frames(p_map, ids, jambs)
+    mx, my = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
+    found = False
+    for d in range(frames.shape[0]):
+        x, y = frames[d, 0] - mx, frames[d, 1] - my
+        found |= x * x + y * y < SAME_GAP_M**2
+    return found
+
+
+@compiled
+def same_gap(a: Array, b: Array) -> bool:
+    """True when the middles of two gaps with the ends a and b (2,2) are near each other."""
+    x, y = (a[0, 0] + a[1, 0] - b[0, 0] - b[1, 0]) / 2.0, (a[0, 1] + a[1, 1] - b[0, 1] - b[1, 1]) / 2.0
+    return math.hypot(x, y) < SAME_GAP_M
+
+
+def anchored(candidate: Candidate, features: FeatureTable) -> bool:
+    """True when both jambs of the candidate are landmarks, so that it can become a door."""
+    return _landmarks(candidate.ids, features)
+
+
+def pass_through(book: DoorMap, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
+    """The robot drove through a candidate: it is a door, passed rather than seen."""
+    book.candidates = [c for c in book.candidates if c is not candidate]
+    _mark_jambs(candidate.ids, features)
+    rooms = (candidate.room, room_beyond)
+    book.set_doors([*book.doors, Door(book.next_id, candidate.ids, None, rooms, candidate.sightings)])
+    book.next_id += 1
+
+
+def _without_faces(door: Door, lost: set[int]) -> Door | None:
+    """The door without its faces that hung on a landmark that is lost; None without a face."""
+    faces = [face for face in (door.jambs, door.other_face) if face and lost.isdisjoint(face)]
+    return replace(door, jambs=faces[0], other_face=(*faces, None)[1]) if faces else None
+
+
+def forget_jambs(book: DoorMap, gone: Ints) -> None:
+    """Landmarks `gone` (m,) are none: a face of a door that hung on one is forgotten, and a door without a face."""
+    lost = set(gone.tolist())
+    doors = [_without_faces(door, lost) for door in book.doors]
+    book.set_doors([door for door in doors if door is not None])
+    book.sightings = {pair: count for pair, count in book.sightings.items() if lost.isdisjoint(pair)}
+    book.candidates = [c for c in book.candidates if lost.isdisjoint(c.ids)]
+
+
+def rename_jambs(book: DoorMap, keep: int, drop: int) -> None:
+    """Two ids are one corner: doors that named `drop` now name `keep`."""
+
+    def renamed(pair: tuple[int, int]) -> tuple[int, int]:
+        return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
+
+    book.set_doors(
+        [
+            replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
+            for d in book.doors
+        ]
+    )
+    merged: dict[tuple[int, int], int] = {}
+    for pair, count in book.sightings.items():
+        merged[renamed(pair)] = merged.get(renamed(pair), 0) + count
+    book.sightings = merged
+    book.candidates = [replace(c, ids=renamed(c.ids)) for c in book.candidates]

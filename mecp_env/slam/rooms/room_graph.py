@@ -1,0 +1,313 @@
+"""Rooms: which one the robot is in, what lies behind each door, and when two of them are one (III, III-B, Fig. 6)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.messages import (
+    UNKNOWN_ROOM,
+    Belief,
+    CornerKind,
+    Corners,
+    Decision,
+    Door,
+    FeatureTable,
+    MapPolygon,
+    RoomGraph,
+    Sighting,
+)
+from mecp_env.slam.rooms.doors import (
+    DoorMap,
+    anchored,
+    door_frames,
+    lies_inside,
+    pass_through,
+    record_doorways,
+    rooms_next_door,
+    seen_through,
+)
+from mecp_env.slam.rooms.trail import Trail
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
+
+
+@dataclass(slots=True, eq=False)
+class RoomGraphEstimator:
+    """The room graph as it grows."""
+
+    config: RoomConfig
+    book: DoorMap = field(default_factory=DoorMap)
+    current: int = 0
+    in_doorway: bool = False
+    rooms: list[int] = field(default_factory=lambda: [0])
+    merged: dict[int, int] = field(default_factory=dict)
+    next_room: int = 1
+    newest: int = UNKNOWN_ROOM  # the room opened by the last crossing, while the robot has not left it
+    elsewhere: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
+    trail: Trail = field(default_factory=Trail)  # the path since this room was entered
+    parted: dict[int, tuple[int, int]] = field(default_factory=dict)  # as in RoomGraph
+    moved_from: dict[int, int] = field(default_factory=dict)  # landmark -> room it was in before it was moved
+    shared: set[tuple[int, int, int]] = field(default_factory=set)  # landmarks moved and moved back, and the two rooms
+
+    def graph(self) -> RoomGraph:
+        """The room graph as of now."""
+        return RoomGraph(
+            self.current,
+            self.in_doorway,
+            tuple(self.rooms),
+            tuple(self.book.doors),
+            tuple(self.book.candidates),
+            dict(self.merged),
+            dict(self.parted),
+        )
+
+    def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
+        """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
+        if not self.book.doors or not len(corners):
+            return corners, np.full(len(corners), -1, np.int64)
+        through, sites = np.empty(len(corners), np.int64), corners.sites.copy()
+        doors = self.book.jambs, self.book.ids
+        if seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, *doors, through, sites):
+            corners = corners.with_sites(sites)
+        return corners, through
+
+    def update(self, seen: Sighting, features: FeatureTable, known: list[MapPolygon]) -> bool:
+        """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
+
+        Says whether landmarks changed their room, by a merge or one by one.
+        """
+        self.trail.add(seen.period, len(features.state), seen.belief.T_map_robot)
+        before = self.book.next_id
+        if not self.in_doorway:
+            record_doorways(self.book, seen, features, self.current, self.config)
+        if self._notice_passed(before, seen.belief, features):
+            return True
+        self._follow(seen.belief)
+        self._follow_candidates(features, seen.belief)
+        polygon_room = self.resolve(known[seen.match.known].room) if seen.match.known >= 0 else UNKNOWN_ROOM
+        return self._recognise(seen, features, polygon_room)
+
+    def _notice_passed(self, first: int, belief: Belief, features: FeatureTable) -> bool:
+        """Settle that a door just confirmed (ids from `first` on) lies behind the robot: it passed it unnoticed.
+
+        What was seen since belongs to the room that it opened by that. Says whether it did.
+        """
+        for d, door in enumerate(self.book.doors if self.book.next_id > first else ()):
+            passed = self.trail.passed(belief.p_map[belief.rows(np.array(door.jambs))]) if door.id >= first else None
+            if passed is None:
+                continue
+            left, room = self.current, self._open()
+            self.book.set_doors([*self.book.doors[:d], replace(door, rooms=(room, left)), *self.book.doors[d + 1 :]])
+            period, born = passed
+            features.room[born:][features.room[born:] == left] = room
+            self.parted[room] = (left, period)
+            self._arrive(room)
+            return True
+        return False
+
+    def _arrive(self, room: int) -> None:
+        """Be in another room."""
+        self.elsewhere.clear()
+        self.trail = Trail()
+        self.current = room
+
+    def _follow(self, belief: Belief) -> None:
+        """Change the room when the path crosses a door or a candidate, with hysteresis."""
+        self.in_doorway = False
+        if not self.book.doors:
+            return
+        book, hysteresis = self.book, self.config.hysteresis_m
+        near = np.empty((len(book.doors), 4))
+        count = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, book.jambs, hysteresis, near)
+        for row, ahead, aside, half in near[:count].tolist():
+            d = int(row)
+            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < half
+            door = book.doors[d]
+            if self.current == door.rooms[0] and ahead < -hysteresis:
+                self._enter(d, door.rooms[1])
+            elif self.current == door.rooms[1] and ahead > hysteresis:
+                self._enter(d, door.rooms[0])
+
+    def _enter(self, d: int, room: int) -> None:
+        self.newest = UNKNOWN_ROOM
+        if room == UNKNOWN_ROOM:
+            room = self._open()
+            door = self.book.doors[d]
+            self.book.doors[d] = replace(door, rooms=(door.rooms[0], room))
+        self._arrive(room)
+
+    def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
+        """Driving through a gap that is not yet a door opens a room as well."""
+        for candidate in self.book.candidates:
+            passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
+            if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
+                room = self._open()
+                pass_through(self.book, candidate, features, room)
+                self._arrive(room)
+                return
+
+    def _open(self) -> int:
+        room = self.next_room
+        self.rooms.append(room)
+        self.next_room += 1
+        self.newest = room
+        return room
+
+    def _recognise(self, seen: Sighting, features: FeatureTable, polygon_room: int) -> bool:
+        """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
+        if self.in_doorway:
+            return False
+        taken_for, _ = self.parted.get(self.current, (UNKNOWN_ROOM, 0))  # it was given polygons of this room
+        if polygon_room not in (UNKNOWN_ROOM, self.current, self.resolve(taken_for)):
+            return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
+        ids = _here(seen, features, self.current)
+        if not len(ids):
+            return False
+        rooms = features.room[ids].tolist()
+        if self._relabel(ids, rooms, features, seen.belief):
+            return True
+        other = self._majority(rooms)
+        if other in (UNKNOWN_ROOM, self.current):
+            return False
+        return self._note_elsewhere(other, seen.belief, self.config.recognise_by_corners_m, features)
+
+    def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable, belief: Belief) -> bool:
+        """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.
+
+        They were first seen through a door not yet known, so that they were given to the room of the robot then. Some
+        that are moved back are seen from both sides of a gap, and not through it: it parts no rooms.
+        """
+        next_door = rooms_next_door(self.book, self.current, self.config.confirm_sightings)
+        strayed = [(i, room) for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
+        for i, room in strayed:
+            if self.moved_from.get(i) == self.current:
+                self.shared.add((i, min(room, self.current), max(room, self.current)))
+            self.moved_from[i], features.room[i] = room, self.current
+        for room in sorted({room for _, room in strayed}):
+            if self._are_one(room):
+                keep, drop = min(room, self.current), max(room, self.current)
+                self._arrive(keep)
+                self._merge(drop, keep, features, belief)
+                break
+        return bool(strayed)
+
+    def _are_one(self, room: int) -> bool:
+        """True when enough landmarks are seen from both `room` and this one, and no door with two faces parts them."""
+        pair = {room, self.current}
+        seen = sum({first, second} == pair for _, first, second in self.shared)
+        two_faced = any(door.other_face is not None and pair == set(door.rooms) for door in self.book.doors)
+        return seen >= self.config.recognise_corners and not two_faced
+
+    def _majority(self, rooms: list[int]) -> int:
+        """The room that most of the landmarks recognised in this scan lie in, or UNKNOWN_ROOM."""
+        if len(rooms) < self.config.recognise_corners:
+            return UNKNOWN_ROOM
+        likeliest = max(sorted(set(rooms)), key=rooms.count)
+        return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
+
+    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float, features: FeatureTable) -> bool:
+        """Count a sign that this is room `other`; two from places apart settle it. Says whether rooms merged."""
+        x, y = belief.T_map_robot[:2]
+        before = [e for e in self.elsewhere if e[0] == other]
+        if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
+            return self._become(other, features, belief)
+        self.elsewhere.append((other, float(x), float(y)))
+        return False
+
+    def _become(self, other: int, features: FeatureTable, belief: Belief) -> bool:
+        """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
+        old = self.current
+        self._arrive(other)
+        if old != self.newest:
+            return False
+        self._merge(old, other, features, belief)
+        return True
+
+    def _merge(self, old: int, other: int, features: FeatureTable, belief: Belief) -> None:
+        """Two rooms are one: `old` is `other` from now on."""
+        self.newest = UNKNOWN_ROOM
+        self.merged[old] = other
+        features.room[features.room == old] = other
+        self.rooms.remove(old)
+        doors = [self._with_rooms_resolved(door) for door in self.book.doors]
+        # a door that leads from a room to itself is none: the gap lies inside the room
+        middles = self.book.frames(belief)[:, :2].tolist()
+        self.book.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
+        self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
+        self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends)]
+
+    def _with_rooms_resolved(self, door: Door) -> Door:
+        first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)
+        return replace(door, rooms=(first, second))
+
+    def resolve(self, room: int) -> int:
+        """The room that `room` stands for after all merges."""
+        while room in self.merged:
+            room = self.merged[room]
+        return room
+
+
+@compiled
+def _door_coordinates(p_map: Array, frame: Array) -> tuple[float, float]:
+    """Distance of a point in front of the door (towards its first room) and aside of its middle, in metres."""
+    dx, dy = p_map[0] - frame[0], p_map[1] - frame[1]
+    return dx * frame[2] + dy * frame[3], dx * frame[3] - dy * frame[2]
+
+
+@compiled
+def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: float, near: Array) -> int:
+    """Write the doors within 1 m and not farther aside than their posts and `margin`; returns how many there are.
+
+    Of each (c,4): row in `jambs` (D,4), distance ahead, aside, half width; `p_map` (N,2), `ids` (N,) are the landmarks.
+    """
+    frames = door_frames(p_map, ids, jambs)
+    count = 0
+    for d in range(frames.shape[0]):
+        ahead, aside = _door_coordinates(p_robot, frames[d])
+        if abs(ahead) <= 1.0 and abs(aside) <= frames[d, 4] + margin:
+            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = d, ahead, aside, frames[d, 4]
+            count += 1
+    return count
+
+
+@compiled
+def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
+    """True when the robot is between `margin` and 1 m behind the gap with the ends (2,2): right and left in front."""
+    x, y = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    width = math.hypot(x, y)
+    frame = np.empty(4)
+    frame[0], frame[1] = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
+    frame[2], frame[3] = -y / width, x / width
+    ahead, aside = _door_coordinates(p_robot, frame)
+    return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
+
+
+def _here(seen: Sighting, features: FeatureTable, current: int) -> Ints:
+    """Ids of the landmarks recognised that are no jambs and not seen through a door; none when all lie in `current`."""
+    match, beyond = seen.match, seen.corners.beyond
+    kept = np.empty(len(match.ids), np.int64)
+    count = _on_this_side(match.ids, match.decision, seen.through, beyond, features.kind, features.room, current, kept)
+    return kept[:count]
+
+
+@compiled
+def _on_this_side(
+    ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints, room: Ints, current: int, kept: Ints
+) -> int:
+    """Write the ids of landmarks on this side of all doors, jambs left out; returns how many, 0 if all in `current`."""
+    count, strangers = 0, 0
+    for i in range(ids.shape[0]):
+        if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and kind[ids[i]] != JAMB:
+            kept[count] = ids[i]
+            strangers += room[ids[i]] != current
+            count += 1
+    return count if strangers > 0 else 0

@@ -1,0 +1,238 @@
+"""What moves in an episode: people who walk from room to room, and boxes that the robot can push.
+
+All is drawn at reset; later decisions of the people come from a generator of their own, so that what they do depends
+on nothing but the state.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.world import pedestrians as kernels
+from mecp_env.world.config import ClutterConfig, CrowdConfig, RobotConfig
+from mecp_env.world.faces import box_corners, moving_faces
+from mecp_env.world.outline import Outline
+from mecp_env.world.walkways import Ways
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LEGS = 96  # points of a route that are kept; who reaches the last and is not there yet looks for a new one
+PLACES_A_ROOM = 3
+OFF_DOORS_M = 1.0  # nobody stands nearer to a door on purpose
+BOX_OFF_DOORS_M = 1.2
+OFF_ROBOT_M = 1.2  # at the start, between skins
+APART_M = 0.1
+CHOICES = 6  # places that one who gets nowhere thinks of
+STEP_M = 0.3  # along a route, by which it is told where it leads
+TRIES = 60
+BOX = 6  # place, turn, and their velocities
+DISC = np.array([kernels.X, kernels.Y, kernels.RADIUS])
+NO_FACES, NO_ROUNDS = np.empty((0, 2, 2)), np.empty((0, 3))
+
+
+@dataclass(slots=True, eq=False)
+class Moving:
+    """People and boxes as they are now, and which doors of the building are closed; plain state."""
+
+    people: Array = field(default_factory=lambda: np.empty((0, kernels.PERSON)))  # (n,11), see crowd_kernels
+    routes: Array = field(default_factory=lambda: np.empty((0, LEGS, 2)))  # (n,L,2) m, world
+    legs: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) next point, how many
+    places: Array = field(default_factory=lambda: np.empty((0, 2)))  # (p,2) m, where people may want to go
+    rooms: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (p,) the room of each
+    boxes: Array = field(default_factory=lambda: np.empty((0, BOX)))  # (b,6) x, y, turn, their velocities
+    sizes: Array = field(default_factory=lambda: np.empty((0, 2)))  # (b,2) m
+    closed: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # doors of the layout
+    start: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m, what is in reach from here is the building
+    random: np.random.Generator = field(default_factory=lambda: np.random.Generator(np.random.PCG64(0)))
+
+
+class Movers:
+    """What moves in one building, period by period; all that outlives a period is in `state`."""
+
+    def __init__(self, ways: Ways | None, config: CrowdConfig, robot: RobotConfig, state: Moving) -> None:
+        self.config, self.robot, self.state = config, robot, state
+        self._ways = ways
+
+    def __len__(self) -> int:
+        return len(self.state.people) + len(self.state.boxes)
+
+    @property
+    def faces(self) -> Array:
+        """(m,2,2) m, world frame: what the laser sees of them, free space on the left."""
+        return moving_faces(self.round_people(), self.state.boxes, self.state.sizes) if len(self) else NO_FACES
+
+    @property
+    def box_corners(self) -> Array:
+        """(4b,2) m: corners of the boxes, counter-clockwise."""
+        return box_corners(self.state.boxes, self.state.sizes)
+
+    @property
+    def walking(self) -> Array:
+        """(n,3) m: place and reach of the people, and of the boxes that slide."""
+        if not len(self.state.boxes):
+            return self.round_people()
+        slides = self.state.boxes[:, 3:].any(axis=1)
+        return np.concatenate([self.round_people(), self.round_boxes()[slides]])
+
+    @property
+    def discs(self) -> Array:
+        """(n,3) m: where each thing is and how far it reaches."""
+        return np.concatenate([self.round_people(), self.round_boxes()])
+
+    def round_people(self) -> Array:
+        """(n,3) m: place and radius of the people."""
+        discs: Array = self.state.people.take(DISC, axis=1)
+        return discs
+
+    def round_boxes(self) -> Array:
+        """(b,3) m: place and reach of the boxes."""
+        if not len(self.state.boxes):
+            return NO_ROUNDS
+        return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
+
+    def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
+        """Everybody chooses a velocity for the coming period, and where to go next if he is there."""
+        state, config = self.state, self.config
+        if not len(state.people):
+            return
+        robot = robot_row(T_world_robot, velocity, self.robot)
+        boxes, period = self.round_boxes(), self.robot.period_s
+        stands = kernels.steer(state.people, state.routes, state.legs, segments, boxes, robot, config.polite, period)
+        for i in np.flatnonzero(stands).tolist():
+            if stands[i] == kernels.ARRIVED:
+                self._rest(i)
+            else:
+                self._turn_away(i, robot[:2])
+
+    def _rest(self, i: int) -> None:
+        """Person i is where he wanted to go: he stays a while, and then wants to go to another room."""
+        self.state.people[i, kernels.PAUSE] = self.state.random.uniform(*self.config.pause_s)
+        self._go_to_another_room(i)
+
+    def _go_to_another_room(self, i: int) -> None:
+        state = self.state
+        here = int(np.argmin(np.hypot(*(state.places - state.people[i, :2]).T)))
+        elsewhere = np.flatnonzero(state.rooms != state.rooms[here])
+        chosen = state.random.choice(elsewhere) if len(elsewhere) else state.random.integers(len(state.places))
+        self._set_out(i, self._route(i, int(chosen)))
+
+    def _turn_away(self, i: int, p_robot: Array) -> None:
+        """Person i gets nowhere: he wants to go elsewhere, on a way that does not begin past the robot (2,)."""
+        state = self.state
+        state.people[i, kernels.STUCK] = 0.0
+        for place in state.random.permutation(len(state.places))[:CHOICES].tolist():
+            route = self._route(i, place)
+            if leads_away(state.people[i, :2], route, p_robot):
+                break
+        self._set_out(i, route)
+
+    def _route(self, i: int, place: int) -> Array:
+        """(n,2) m: the shortest way of person i to a place."""
+        assert self._ways is not None
+        return self._ways.route(self.state.people[i, :2], self.state.places[place])[:LEGS]
+
+    def _set_out(self, i: int, route: Array) -> None:
+        """Person i goes along a route (n,2)."""
+        self.state.routes[i, : len(route)] = route
+        self.state.legs[i] = 0, len(route)
+
+    def populate(self, outline: Outline, clutter: ClutterConfig, rng: np.random.Generator) -> None:
+        """Draw boxes and people around the start; one number is drawn from `rng`."""
+        assert self._ways is not None
+        self.state.random = np.random.Generator(np.random.PCG64(int(rng.integers(2**63))))
+        cells = self._ways.reachable(self.state.start)
+        far = np.hypot(*(cells - self.state.start).T) > OFF_ROBOT_M + self.robot.radius_m + self.config.radius_m[1]
+        cells = cells[far]
+        off_doors = door_distances(cells, outline.doors.centre)
+        self._place_boxes(cells[off_doors > BOX_OFF_DOORS_M], clutter)
+        self._choose_places(cells[off_doors > OFF_DOORS_M], outline)
+        if len(self.state.places):
+            self._place_people(cells)
+
+    def _place_boxes(self, cells: Array, clutter: ClutterConfig) -> None:
+        """Boxes on free floor away from doors, as many of those wanted as find room."""
+        assert self._ways is not None
+        state, clear = self.state, self._ways.clearance_m(cells)
+        for _ in range(clutter.movable_boxes):
+            size = state.random.uniform(*clutter.box_m, 2)
+            turn, reach = state.random.uniform(-math.pi, math.pi), 0.5 * math.hypot(*size)
+            cell = self._draw_cell(cells[clear > reach + APART_M], reach)
+            if cell is not None:
+                state.boxes = np.vstack([state.boxes, [*cell, turn, 0.0, 0.0, 0.0]])
+                state.sizes = np.vstack([state.sizes, size])
+
+    def _choose_places(self, cells: Array, outline: Outline) -> None:
+        """Some places in every room."""
+        state, rooms = self.state, outline.room_at(cells)
+        for room in np.unique(rooms[rooms >= 0]).tolist():
+            mine = cells[rooms == room]
+            chosen = state.random.integers(len(mine), size=PLACES_A_ROOM)
+            state.places = np.vstack([state.places, mine[chosen]])
+            state.rooms = np.append(state.rooms, np.full(PLACES_A_ROOM, room))
+
+    def _place_people(self, cells: Array) -> None:
+        """People anywhere on the free floor, on their way to somewhere, as many of those wanted as find room."""
+        state, config = self.state, self.config
+        for i in range(config.people):
+            radius, pace = state.random.uniform(*config.radius_m), state.random.uniform(*config.speed_m_s)
+            cell = self._draw_cell(cells, radius)
+            if cell is None:
+                return
+            person = np.zeros(kernels.PERSON)
+            person[[kernels.X, kernels.Y, kernels.RADIUS, kernels.PACE]] = *cell, radius, pace
+            person[[kernels.FROM_X, kernels.FROM_Y]] = cell
+            state.people = np.vstack([state.people, person])
+            state.routes = np.concatenate([state.routes, np.zeros((1, LEGS, 2))])
+            state.legs = np.vstack([state.legs, [0, 0]])
+            self._go_to_another_room(i)
+
+    def _draw_cell(self, cells: Array, reach: float) -> Array | None:
+        """One of the places (n,2) at which something of that reach touches nothing that is there already, or None."""
+        discs = self.discs
+        for _ in range(TRIES if len(cells) else 0):
+            cell: Array = cells[self.state.random.integers(len(cells))]
+            if (np.hypot(*(discs[:, :2] - cell).T) > discs[:, 2] + reach + APART_M).all():
+                return cell
+        return None
+
+
+def wants_movers(crowd: CrowdConfig, clutter: ClutterConfig) -> bool:
+    """True when people or boxes are asked for."""
+    return crowd.people > 0 or clutter.movable_boxes > 0
+
+
+def is_whole(moving: Moving) -> bool:
+    """True when the arrays fit each other."""
+    n, b, p = len(moving.people), len(moving.boxes), len(moving.places)
+    known = moving.people, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
+    shapes = (n, kernels.PERSON), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
+    fits = all(array.shape == shape for array, shape in zip(known, shapes, strict=True))
+    return fits and moving.closed.ndim == 1 and moving.start.shape == (2,) and (p > 0 or n == 0)
+
+
+def no_movers(robot: RobotConfig) -> Movers:
+    """Nothing moves."""
+    return Movers(None, CrowdConfig(), robot, Moving())
+
+
+def leads_away(p_world: Array, route: Array, p_robot: Array) -> bool:
+    """True when the way from `p_world` (2,) along a route (n,2) begins with a step away from the robot (2,)."""
+    aside = np.hypot(*(route - p_world).T) > STEP_M
+    return bool(aside.any()) and bool((route[int(np.argmax(aside))] - p_world) @ (p_robot - p_world) <= 0.0)
+
+
+def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Array:
+    """What the people's kernels need of the robot (6,)."""
+    return np.array([*T_world_robot[:2], *velocity[:2], robot.radius_m, robot.max_acceleration_m_s2])
+
+
+def door_distances(points: Array, doors: Array) -> Array:
+    """(n,) m from each point (n,2) to the nearest of the doors (d,2); inf without one."""
+    far = np.linalg.norm(points[:, None] - doors[None], axis=2)
+    nearest: Array = far.min(axis=1, initial=math.inf)
+    return nearest

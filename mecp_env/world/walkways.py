@@ -1,0 +1,71 @@
+"""Where people can walk in a building, and the shortest ways there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core import grid_paths as kernels
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+MARGIN_M = 0.05  # that the raster may be off
+COMFORT_M, WALL_COST = 0.7, 3.0  # nearer to walls than this a way costs more, up to so many times
+SHORTCUT_M = 0.5  # shortcuts keep so far from walls
+NEAR_M = 1.0  # who stands too near to a wall begins at a free cell within this distance
+
+
+class Ways:
+    """The ways of round people over the raster of a building's free space; derived, no part of a state."""
+
+    def __init__(self, free: Bools, corner: Array, cell_m: float, radius_m: float) -> None:
+        label = np.where(free, kernels.FREE, kernels.OCCUPIED).astype(np.uint8)
+        least = (radius_m + MARGIN_M) / cell_m + 0.5
+        comfort = max(COMFORT_M / cell_m, least)
+        self._corner, self._cell_m = corner, cell_m
+        self.clearance = kernels.clearance(label, comfort)  # (H,W) cells to the nearest wall, up to the comfort
+        self._cost = kernels.cell_costs(label, self.clearance, least, comfort, WALL_COST)
+        self._open = np.where(self._cost > 0, 0, kernels.FAR).astype(np.int32)  # (H,W) FAR where nobody may stand
+        self._shortcut = max(SHORTCUT_M / cell_m, least)
+        self._fields: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
+
+    def reachable(self, p_world: Array) -> Array:
+        """(n,2) m: the middles of all cells that can be reached from `p_world` (2,); none where nobody could stand."""
+        start = self._nearest(self._open, p_world)
+        if start is None:
+            return np.empty((0, 2))
+        rows, columns = np.nonzero(self._field(*start)[0] < kernels.FAR)
+        middles: Array = self._corner + (np.stack([columns, rows], axis=1) + 0.5) * self._cell_m
+        return middles
+
+    def clearance_m(self, p_world: Array) -> Array:
+        """(n,) m from each point (n,2) of the raster to the nearest wall, about, up to the comfortable distance."""
+        columns, rows = np.floor((p_world - self._corner) / self._cell_m).astype(np.int64).T
+        clear: Array = self.clearance[rows, columns] * self._cell_m
+        return clear
+
+    def route(self, p_from: Array, p_to: Array) -> Array:
+        """Points (n,2) m of the shortest way between two points (2,), without the first; none where there is no way."""
+        end = self._nearest(self._open, p_to)
+        if end is None:
+            return np.empty((0, 2))
+        total, step = self._field(*end)
+        begin = self._nearest(total, p_from)
+        if begin is None:
+            return np.empty((0, 2))
+        cells = kernels.smooth_way(step, *begin, self.clearance, self._cost, self._shortcut)
+        points: Array = self._corner + cells[::-1] * self._cell_m
+        return points
+
+    def _field(self, row: int, column: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+        """Cost of and step on the ways from a cell to all others."""
+        if (row, column) not in self._fields:
+            self._fields[row, column] = kernels.distance_field(self._cost, row, column)
+        return self._fields[row, column]
+
+    def _nearest(self, total: NDArray[np.int32], p_world: Array) -> tuple[int, int] | None:
+        """Row and column of the nearest cell within `NEAR_M` that is not FAR."""
+        x, y = ((p_world - self._corner) / self._cell_m).tolist()
+        row, column = kernels.nearest_reached(total, x, y, NEAR_M / self._cell_m)
+        return None if row < 0 else (row, column)

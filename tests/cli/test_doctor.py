@@ -1,0 +1,125 @@
+"""`mecp-env doctor`: what passes, what is told of a machine where something is wrong, exit codes."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+
+from mecp_env.cli import doctor, doctor_machine, doctor_trial
+from mecp_env.cli.findings import Finding
+from mecp_env.cli.main import main as cli
+
+Said = pytest.CaptureFixture[str]
+
+
+def test_a_sound_machine_passes(monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    assert cli.main(["doctor", "--seconds", "0.1"]) == 0
+    said = capsys.readouterr().out
+    for name in ("Python", "numba", "pygame-ce", "kernel cache", "display", "numba threading", "self-test: drive"):
+        assert f"PASS  {name} " in said
+    assert said.splitlines()[-1].endswith("0 FAIL")
+
+
+def test_a_failure_gives_exit_code_1_and_the_rest_is_still_checked(
+    monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    def broken() -> Iterator[Finding]:
+        yield Finding("PASS", "first", "fine")
+        raise RuntimeError("out of order")
+
+    def last() -> Iterator[Finding]:
+        yield Finding("WARN", "last", "so so", "try harder")
+
+    monkeypatch.setattr(doctor, "CHECKS", (broken, last))
+    monkeypatch.setattr(doctor_trial, "self_test", lambda seconds: iter(()))
+    assert cli.main(["doctor"]) == 1
+    said = capsys.readouterr().out
+    assert "FAIL  broken            RuntimeError: out of order" in said
+    assert "-> try harder" in said
+    assert said.splitlines()[-1] == "1 PASS, 1 WARN, 1 FAIL"
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "1e9"])
+def test_a_wrong_length_is_refused(seconds: str, capsys: Said) -> None:
+    assert cli.main(["doctor", f"--seconds={seconds}"]) == 2
+    assert "from 0.1 to 600" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("needed", "verdict", "fix"),
+    [
+        ("numpy>=1.26", "PASS", ""),
+        ("numpy>=99", "FAIL", 'pip install "numpy>=99"'),
+        ("no-such-thing>=1", "FAIL", 'pip install "no-such-thing>=1"'),
+    ],
+)
+def test_a_dependency_is_there_too_old_or_missing(needed: str, verdict: str, fix: str) -> None:
+    found = doctor_machine.dependency(Requirement(needed))
+    assert (found.verdict, found.fix) == (verdict, fix)
+
+
+def test_the_dependencies_are_known_without_an_installation(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> list[str]:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "requires", missing)
+    assert any(text.startswith("numba") for text in doctor_machine.required())
+
+
+def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (found,) = doctor_machine.cache(tmp_path / "file" / "cache")
+    assert found.verdict == "WARN"
+    assert "NUMBA_CACHE_DIR" in found.fix
+
+
+def test_a_cold_cache_is_told(tmp_path: Path) -> None:
+    writable, cold = doctor_machine.cache(tmp_path / "new")
+    assert (writable.verdict, cold.verdict) == ("PASS", "WARN")
+    assert "compiles first" in cold.said
+
+
+def test_kernels_that_are_not_compiled_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    monkeypatch.setattr(numba, "__version__", "0.99.0")
+    first, second, *_ = doctor_machine.kernels()
+    assert "NUMBA_DISABLE_JIT" in first.said
+    assert "0.99.0" in second.said
+
+
+def test_a_missing_display_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
+    (found,) = doctor_machine.display()
+    assert found.verdict == "WARN"
+    assert "DISPLAY" in found.fix
+
+
+def test_a_display_that_hangs_is_no_failure_of_the_doctor(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(*_: object, **__: object) -> None:
+        raise subprocess.TimeoutExpired("python", 60.0)
+
+    monkeypatch.setattr(subprocess, "run", hang)
+    (found,) = doctor.examine([doctor_machine.display])
+    assert (found.verdict, found.name) == ("FAIL", "display")
+
+
+def test_a_drive_is_judged_by_its_speed_and_its_error() -> None:
+    assert doctor_trial.judge(100, 500.0, 0.01).verdict == "PASS"
+    assert doctor_trial.judge(100, 10.0, 0.01).verdict == "WARN"
+    assert doctor_trial.judge(100, 500.0, 3.0).verdict == "FAIL"
+
+
+def test_another_observation_for_the_same_seed_fails() -> None:
+    same = {"pose": np.zeros(4), "grid": np.ones(3)}
+    assert doctor_trial.same_again(same, {**same}).verdict == "PASS"
+    found = doctor_trial.same_again(same, same | {"grid": np.zeros(3)})
+    assert found.verdict == "FAIL"
+    assert "grid" in found.said

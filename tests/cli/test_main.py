@@ -1,0 +1,344 @@
+"""The command: what it leaves behind, wrong input, interruption."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from PIL import Image
+from rich.console import Console
+
+import mecp_env
+from mecp_env.cli.demo import Demo
+from mecp_env.cli.exploration import Run, tum
+from mecp_env.cli.fields import Fields, configuration
+from mecp_env.cli.main import main as cli
+from mecp_env.cli.progress import Progress, say_result, status
+from mecp_env.cli.stopwatch import Stopwatch
+from mecp_env.config import EnvConfig
+from mecp_env.floorplans import load_plan
+from mecp_env.policies.one_episode import Args
+from mecp_env.policies.one_episode import main as one_episode
+from mecp_env.slam.config import SlamConfig
+from mecp_env.world.outline import build_outline
+
+Said = pytest.CaptureFixture[str]
+FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
+    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
+}
+FIGURES = {
+    "rooms",
+    "rooms_found",
+    "doors",
+    "doors_found",
+    "coverage",
+    "grid_iou",
+    "pose_rmse_m",
+    "pose_error_final_m",
+    "nees_mean",
+    "association_precision",
+    "association_recall",
+    "duplicates",
+    "contacts",
+    "periods",
+    "metres",
+    "steps_per_s",
+    "us_per_period",
+}
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a demo on the small layout leaves behind."""
+    folder = tmp_path_factory.mktemp("demo") / "run"
+    assert cli.main(["demo", "--layout", "two_rooms", "--seed", "3", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_the_demo_leaves_its_nine_files(kept: Path) -> None:
+    assert {path.name for path in kept.iterdir()} == FILES
+
+
+def test_the_believed_map_can_be_read_and_is_small(kept: Path) -> None:
+    layout = load_plan(kept / "belief.yaml")
+    assert (len(layout.rooms), len(layout.doors)) == (2, 1)
+    x, y = np.loadtxt(kept / "trajectory.tum")[:, 1:3].T
+    assert shapely.contains_xy(build_outline(layout).free_area, x, y).all()  # both are in the map frame
+    assert sum(path.stat().st_size for path in kept.glob("belief.*")) < 100_000
+
+
+def test_a_run_does_not_overwrite_the_plan_that_it_explores(kept: Path, capsys: Said) -> None:
+    before = (kept / "belief.pgm").read_bytes()
+    assert cli.main(["demo", "--layout", str(kept / "belief.yaml"), "--out", str(kept)]) == 2
+    assert "name another file" in capsys.readouterr().err
+    assert (kept / "belief.pgm").read_bytes() == before
+
+
+def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:
+    metrics = json.loads((kept / "metrics.json").read_text())
+    assert metrics.keys() >= FIGURES
+    assert metrics["ended"] == "complete"
+    assert (metrics["rooms_found"], metrics["doors_found"]) == (2, 1)
+    assert metrics["coverage"] > 0.95
+    assert all(np.isfinite(value) for value in metrics["us_per_period"].values())
+
+
+def test_one_of_a_kind_is_told_as_one(kept: Path, capsys: Said) -> None:
+    say_result(json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
+    said = capsys.readouterr().out
+    assert "duplicates 1 " in said
+    assert "contacts 1 " in said
+
+
+def test_a_folder_of_a_run_is_told_as_that_with_the_map_in_it(kept: Path, capsys: Said) -> None:
+    for line in (["worlds", "draw", str(kept)], ["demo", "--layout", str(kept)]):
+        assert cli.main(line) == 2
+        said = capsys.readouterr().err
+        assert f"{kept} holds a run, not buildings; the believed map of it is {kept / 'belief.yaml'}" in said
+        assert said.count("\n") == 1
+
+
+def test_the_paths_are_read_as_tum_and_lie_close_together(kept: Path) -> None:
+    estimated, true = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
+    periods = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert estimated.shape == true.shape == (periods + 1, 8)
+    assert np.diff(true[:, 0]) == pytest.approx(0.4)
+    assert np.linalg.norm(true[:, 4:], axis=1) == pytest.approx(1.0)
+    assert np.abs(estimated[:, 1:3] - true[:, 1:3]).max() < 0.3
+
+
+def test_the_pictures_can_be_opened(kept: Path) -> None:
+    with Image.open(kept / "run.gif") as film, Image.open(kept / "map.png") as picture:
+        assert film.n_frames > 3
+        assert picture.size[0] > 1000
+
+
+def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
+    recipe = json.loads((kept / "config.json").read_text())
+    run = Run.begin(EnvConfig.build(recipe["config"]), recipe["seed"])
+    run.explore(lambda run: None)
+    assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
+    periods = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert run.env.view().title == f"two_rooms, slam, period {periods}"  # the title of map.png
+
+
+def test_the_run_can_be_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    line = ["demo", "--layout", "two_rooms", "--render", "human", "--config.max-periods", "6"]
+    assert cli.main([*line, "--out", str(tmp_path / "run")]) == 0
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["ended"] == "out of periods"
+
+
+def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = Run.look
+
+    def look_and_stop(run: Run) -> None:
+        look(run)
+        if run.periods == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "look", look_and_stop)
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "run")]) == 130
+    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert (metrics["ended"], metrics["periods"]) == ("interrupted", 5)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ([], "demo"),
+        (["dance"], "dance"),
+        (["demo", "--seed", "first"], "first"),
+        (["demo", "--config.slam.filter.kindd", "ekf"], "--config.slam.filter.kind"),
+        (["demo", "--config.slam.filter.kind", "ukf"], "riekf"),
+        (["demo", "--config.max-periods", "0"], "Error parsing config: Fields.max_periods"),
+        (["demo", "--render", "holo"], "human"),
+    ],
+)
+def test_a_wrong_line_ends_with_2_and_says_why(line: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(line)
+    assert ended.value.code == 2
+    streams = capsys.readouterr()
+    assert said in streams.err + streams.out
+
+
+@pytest.mark.parametrize("command", ["demo", "one-scan"])
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [
+        ("easy:0-3", "layout: easy:0-3 is 4 buildings; name one building, as easy:0"),
+        ("plans", "layout: plans is 2 buildings; name one building, as plans/a.json"),
+        ("", "''"),
+        ("easy", "easy: which buildings?"),
+    ],
+)
+def test_a_word_for_several_buildings_or_none_is_refused(
+    command: str, layout: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plans").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "plans" / f"{name}.json").touch()
+    assert cli.main([command, "--layout", layout]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"mecp-env: {said}")
+    assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["plans"]
+
+
+def test_an_unknown_layout_ends_with_2_and_names_the_shipped_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["demo", "--layout", "castle", "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "castle" in said
+    assert "two_rooms" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_negative_seed_and_a_missing_display_end_with_2_and_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["demo", "--layout", "two_rooms", "--out", str(tmp_path / "run")]
+    assert cli.main([*line, "--seed", "-1"]) == 2
+    assert capsys.readouterr().err == "mecp-env: seed: -1, at least 0\n"
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
+    assert cli.main([*line, "--render", "human"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("mecp-env: render_mode: 'human' can open no window")
+    assert said.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")  # what SDL takes where there is none
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["demo", "--layout", "two_rooms", "--render", "human"]) == 2
+    said = capsys.readouterr().err
+    assert "there is no display" in said
+    assert "DISPLAY" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        (["--help"], 0, "one-scan"),
+        (["--version"], 0, mecp_env.__version__),
+        (["dmo"], 2, "did you mean `mecp-env demo`?"),
+        (["demo", "--help"], 0, "mecp-env demo --layout office"),
+        (["one-scan", "--help"], 0, "mecp-env one-scan --layout office"),
+    ],
+)
+def test_help_shows_examples_and_the_nearest_command(
+    line: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(line)
+    assert ended.value.code == code
+    streams = capsys.readouterr()
+    assert said in streams.err + streams.out
+
+
+def test_every_command_can_be_loaded_and_has_examples() -> None:
+    for words in cli.COMMANDS:
+        assert all(example.startswith(f"mecp-env {words}") for example in cli.load(words).examples)
+        assert cli.load(words).examples
+
+
+def test_the_overview_loads_no_command() -> None:
+    code = "import sys; from mecp_env import cli; cli.overview(''); print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split())
+    assert "mecp_env.cli.base" in loaded
+    assert not {"tyro", "numba", "pygame", "matplotlib", "shapely", "mecp_env.config"} & loaded
+
+
+def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mecp_env.cli.scan_stages.draw", stop)
+    assert cli.main(["one-scan"]) == 130
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", periods=0), "max_periods"), (Args(seed=-1), "-1")],
+)
+def test_wrong_input_of_the_random_walk_ends_with_2(args: Args, named: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert one_episode("random_walk", args) == 2
+    assert re.fullmatch(rf"random_walk: .*{named}.*\n", capsys.readouterr().err)
+
+
+def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "file" in capsys.readouterr().err
+
+
+def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
+    fields = Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
+    line = ["--config.laser.preset", "lms200", "--config.slam.filter.kind=ekf"]
+    config = configuration("office", fields, line)
+    assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
+    assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
+    assert configuration("two_rooms", Fields(), []) == EnvConfig(layout="two_rooms")
+
+
+def test_a_field_set_to_its_default_is_set() -> None:
+    line = "demo --config.laser.preset ideal --config.slam.sensor.range-sigma-m 0.05 --config.slam.polygon.no-guard"
+    words, options = cli.split(line.split())
+    chosen = cli.parse(words, options)
+    assert isinstance(chosen, Demo)
+    config = configuration("paper", chosen.config, options)
+    assert config.estimator_config.sensor.range_sigma_m == 0.05
+    assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
+    assert not config.slam.polygon.guard
+
+
+def test_the_progress_shows_everything_in_80_columns() -> None:
+    metrics = {"rooms_found": 12, "rooms": 12, "doors_found": 12, "doors": 12, "coverage": 1.0, "pose_error_m": 1.234}
+    run, out = Run.begin(EnvConfig(layout="two_rooms"), 0), io.StringIO()
+    progress = Progress(run, Stopwatch(), Console(file=out, width=80, force_terminal=True))
+    with progress:
+        progress.bar.update(progress.task, completed=1.0, description=status(metrics, 12345.0))
+    assert "rooms 12/12 doors 12/12 seen 100.0% error 123.4 cm 12,345 steps/s" in out.getvalue()
+
+
+def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["one-scan", "--layout", "two_rooms", "--period", "3", "--out", str(tmp_path)]
+    assert cli.main(line) == 0
+    assert len(list(tmp_path.glob("*.png"))) == 6
+    assert cli.main([*line[:4], "99999", *line[5:]]) == 2
+    assert "period" in capsys.readouterr().err
+
+
+def test_one_scan_takes_the_buildings_that_the_demo_takes(tmp_path: Path, capsys: Said) -> None:
+    assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
+    for layout in ("easy:3", str(tmp_path / "plan.yaml")):
+        assert cli.main(["one-scan", "--layout", layout, "--period", "3", "--out", str(tmp_path / "scan")]) == 0
+        assert capsys.readouterr().out.endswith("6-association.png\n")
+
+
+def test_one_scan_refuses_a_period_below_0(capsys: Said) -> None:
+    assert cli.main(["one-scan", "--period", "-5"]) == 2
+    assert capsys.readouterr().err == "mecp-env: period: -5, at least 0\n"
+
+
+@pytest.mark.parametrize("module", ["mecp_env", "mecp_env.cli.main"])
+def test_the_command_runs_as_a_module(module: str) -> None:
+    done = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "one-scan" in done.stdout

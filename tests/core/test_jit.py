@@ -1,0 +1,199 @@
+"""The compiled kernels' cache: unwritable, damaged, stale, shared, switched off. Each case runs in its own process."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mecp_env
+from mecp_env.core.jit_key import fingerprint
+from mecp_env.slam.messages import Cell
+
+PACKAGE = Path(mecp_env.__file__).parent
+CALLED = (
+    "from mecp_env.core.jit import compiled\n\nADDED = {added}\n\n\n"
+    '@compiled\ndef called(x: float) -> float:\n    """{doc}"""\n    return x + ADDED\n'
+)
+CALLER = (
+    "from mecp_env.core.jit import compiled\nfrom mecp_env.called import called\n\n\n"
+    "@compiled\ndef caller(x: float) -> float:\n    return 2.0 * called(x)\n"
+)
+CALL = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"  # twice the same number
+COMPILING = "compiling kernels"
+
+
+class Tree:
+    """A small package of two kernels, one calling the other, with the real decorator and a cache of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.package, self.cache = folder / "mecp_env", folder / "cache"
+        self.package.mkdir()
+        for name in ("kernel.py", "kernel_cache.py", "kernel_compiler.py", "kernel_key.py", "warm_up.py"):
+            shutil.copy(PACKAGE / name, self.package)
+        (self.package / "__init__.py").touch()
+        (self.package / "caller.py").write_text(CALLER)
+        self.add(1.0)
+
+    def add(self, added: float, doc: str = "x and some more.") -> None:
+        """Let the called kernel add another constant, or have another docstring."""
+        (self.package / "called.py").write_text(CALLED.format(added=added, doc=doc))
+
+    def call(self, code: str = CALL, **environment: str) -> tuple[float, str]:
+        """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
+        variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
+        variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
+        variables |= {"MECP_ENV_COMPILE_HELPERS": "0"} | environment
+        here = self.package.parent
+        done = subprocess.run([sys.executable, "-c", code], env=variables, cwd=here, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        first, second = done.stdout.split()
+        assert first == second
+        return float(first), done.stderr
+
+    def entries(self, suffix: str) -> list[Path]:
+        return sorted(self.cache.rglob(f"*.{suffix}"))
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Tree:
+    return Tree(tmp_path)
+
+
+def test_first_compilation_says_so_in_one_line_and_the_second_process_takes_the_cache(tree: Tree) -> None:
+    value, said = tree.call()
+    assert value == 4.0
+    assert said.count("\n") == 1
+    assert COMPILING in said
+    assert tree.call() == (4.0, "")
+
+
+def test_another_rule_in_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
+    tree.call()
+    called = tree.package / "called.py"
+    called.write_text(called.read_text().replace("x + ADDED", "x - ADDED"))
+    assert tree.call()[0] == 0.0
+
+
+def test_a_constant_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
+    assert tree.call()[0] == 4.0
+    tree.add(2.0)
+    value, said = tree.call()
+    assert value == 6.0
+    assert COMPILING in said
+
+
+def test_an_inner_kernel_is_compiled_in_full_once_python_calls_it(tree: Tree) -> None:
+    code = (
+        "from mecp_env.core.jit_compiler import Inner; from mecp_env.caller import caller, called\n"
+        "caller(1.0); inner = [isinstance(made.entry_point, Inner) for made in called.overloads.values()]\n"
+        "assert inner == [True], inner\n"
+        "print(called(1.0), caller(1.0) - 2.0)"
+    )
+    assert tree.call(code)[0] == 2.0
+    assert len(tree.entries("nbc")) == 2
+
+
+def test_an_error_in_an_inner_kernel_arrives(tree: Tree) -> None:
+    called = tree.package / "called.py"
+    raising = "if x < 2.0:\n        raise ValueError('small', x)\n    return x"
+    called.write_text(called.read_text().replace("return x", raising))
+    code = (
+        "from mecp_env.caller import caller; import pytest\n"
+        "with pytest.raises(ValueError, match='small.*1.5'): caller(1.5)\n"
+        "print(caller(3.0), caller(3.0))"
+    )
+    for _ in range(2):  # compiled, and from the cache
+        assert tree.call(code)[0] == 8.0
+
+
+def test_an_edit_of_words_compiles_nothing(tree: Tree) -> None:
+    tree.call()
+    tree.add(1.0, doc="One more than x.\n\n    Now in two lines.")
+    assert tree.call() == (4.0, "")
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", ["truncated", "empty", "zeros"])
+def test_a_damaged_entry_is_compiled_again_and_mended(tree: Tree, suffix: str, damage: str) -> None:
+    tree.call()
+    for path in tree.entries(suffix):
+        content = path.read_bytes()
+        third = len(content) // 3
+        zeros = content[:third] + bytes(third) + content[2 * third :]
+        path.write_bytes({"truncated": content[:third], "empty": b"", "zeros": zeros}[damage])
+    assert tree.call()[0] == 4.0
+    assert tree.call() == (4.0, "")
+
+
+def test_an_unwritable_cache_is_said_and_survived(tree: Tree) -> None:
+    value, said = tree.call(NUMBA_CACHE_DIR=os.devnull + "/nowhere")
+    assert value == 4.0
+    assert "nowhere" in said
+    assert COMPILING in said
+
+
+def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree: Tree, tmp_path: Path) -> None:
+    tree.call(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "own"), HOME=str(tmp_path / "own"))
+    found = list((tmp_path / "own").rglob("*.nbc"))
+    assert len(found) == 1  # the called kernel is part of its caller's entry
+    assert not list(tree.package.rglob("*.nb?"))
+    if os.name == "posix":
+        assert found[0].parent.stat().st_mode & 0o077 == 0
+
+
+def test_entries_of_long_ago_are_removed_when_something_is_compiled(tree: Tree) -> None:
+    tree.call()
+    old = tree.entries("nbc")
+    for path in old:
+        os.utime(path, (0, 0))
+    tree.add(3.0)
+    tree.call()
+    assert not any(path.exists() for path in old)
+
+
+def test_jit_can_be_switched_off(tree: Tree) -> None:
+    assert tree.call(NUMBA_DISABLE_JIT="1") == (4.0, "")
+    assert not tree.entries("nbi")
+
+
+def test_the_key_is_the_same_in_every_process_and_knows_what_a_kernel_uses() -> None:
+    code = (
+        "from mecp_env.core.jit_key import fingerprint; from mecp_env.core.linalg import mahalanobis\n"
+        "print(fingerprint(mahalanobis.py_func))"
+    )
+    keys = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(PACKAGE.parent)},
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(keys) == 1
+    assert len(keys.pop().strip()) == 16
+
+
+def test_the_key_follows_values_that_a_function_reads() -> None:
+    def key(scale: object) -> str:
+        return fingerprint(lambda x: x * scale)  # type: ignore[operator]
+
+    values = [1, 1.0, 2.0, (1, 2), np.array([1.0]), np.array([2.0]), Cell, Cell.FREE, frozenset({"a", "b"})]
+    assert len({key(value) for value in values}) == len(values)
+    assert key(np.array([2.0])) == key(np.array([2.0]))
+
+
+def test_with_another_numba_its_own_compiler_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler of ours leans on the inside of the numba that it was tested with."""
+    from mecp_env.core import jit as module
+
+    monkeypatch.setattr(module.numba, "__version__", "9.99.0")
+    compiled = module.kernel(lambda x: x + 1.0)
+    assert type(compiled).__module__.startswith("numba.")
+    assert compiled(1.0) == 2.0

@@ -1,0 +1,351 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import compose, inverse, to_map
+from mecp_env.evaluation import metric_arrays as kernels
+from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, Others, Truth
+from mecp_env.evaluation.map_scores import (
+    distances,
+    door_centres,
+    doors_found,
+    grid_iou,
+    nearest_pairs,
+    room_centres,
+    rooms_found,
+)
+from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
+from mecp_env.slam.messages import Belief, Door, RoomGraph, SemanticGrid
+from mecp_env.world.faces import box_corners, moving_faces
+from mecp_env.world.laser import line_of_sight
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import build_outline, random_free_pose
+from tests.env.helpers import make
+
+
+@pytest.fixture(scope="module", params=["two_rooms", "paper"])
+def truth(request):
+    return Truth(build_outline(load_layout(request.param)), 30.0)
+
+
+class Report:
+    """Only what the functions under test read."""
+
+    def __init__(self, **parts):
+        self.__dict__.update(parts)
+
+
+class Matched:
+    def __init__(self, ids, decision):
+        self.ids, self.decision = np.array(ids, np.int64), np.array(decision, np.int64)
+
+
+def report_of(period, ids, decision, landmarks):
+    n = len(landmarks)
+    belief = Belief(np.zeros(3), np.eye(3), np.array(landmarks, np.int64), np.zeros((n, 2)), np.zeros((n, 2, 2)))
+    return Report(period=period, match=Matched(ids, decision), belief=belief)
+
+
+def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        pose = random_free_pose(truth.outline, rng, 0.3)
+        seen = np.zeros_like(truth.free)
+        new = truth.sweep(pose, seen)
+        cells = np.ascontiguousarray(truth.centres[truth.free])
+        visible = line_of_sight(truth.outline.segments, pose[0], pose[1], cells)
+        agree = visible == seen[truth.free]
+        assert new == seen.sum()
+        assert not seen[~truth.free].any()
+        assert agree.mean() > 0.985  # cells half behind an edge
+        assert (visible & ~seen[truth.free]).sum() < 0.01 * visible.sum()
+        assert truth.sweep(pose, seen) == 0
+
+
+def test_the_free_area_of_the_raster_is_that_of_the_outline(truth):
+    assert truth.free_cells * CELL_M**2 == pytest.approx(truth.outline.free_area.area, rel=0.02)
+
+
+def test_rooms_of_the_raster(truth):
+    for index, room in enumerate(truth.outline.rooms):
+        point = room.representative_point()
+        assert truth.room_at(np.array([point.x, point.y])) == index
+    assert truth.room_at(np.array([-50.0, 0.0])) == -1
+    assert truth.room_at(np.array([500.0, 0.0])) == -1
+
+
+def test_the_sweep_is_its_plain_twin(truth):
+    pose = np.array([*truth.outline.starts[0][:2], 0.0])
+    seen, expected, ranges = np.zeros_like(truth.free), np.zeros_like(truth.free), np.linspace(0.5, 12.0, 720)
+    x, y = (pose[:2] - truth.corner) / CELL_M
+    for beam in range(1, 721):
+        far = ranges[beam - 1] / CELL_M - 0.1
+        stride = max(2**k for k in range(10) if beam % 2**k == 0)
+        r = kernels.STEP / (2.0 * stride * 2.0 * math.pi / 720)
+        while r < far + kernels.STEP:
+            col, row = np.floor((x, y) + DIRECTIONS[:, beam - 1] * min(r, far)).astype(int)
+            if 0 <= col < expected.shape[1] and 0 <= row < expected.shape[0]:
+                expected[row, col] = truth.free[row, col]
+            r += kernels.STEP
+    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == expected.sum() > 1000
+    assert np.array_equal(seen, expected)
+    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
+
+
+def test_identities_of_exact_corners_are_their_own(truth):
+    pose = truth.outline.starts[0]
+    corners = truth.outline.corners.p_world
+    visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
+    args = (corners, truth.outline.segments, pose, 0.3)
+    seen = corners[visible] + 0.01
+    assert np.array_equal(kernels.pair_corners(seen, *args), np.flatnonzero(visible))
+    assert (kernels.pair_corners(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
+    assert not (kernels.pair_corners(corners[~visible], *args) == np.flatnonzero(~visible)).any()
+    assert kernels.pair_corners(np.empty((0, 2)), *args).shape == (0,)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pairs_are_nearest_first_and_one_to_one(seed):
+    rng = np.random.default_rng(seed)
+    seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
+    got = kernels.pair_corners(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
+    expected = np.full(len(seen), -1)
+    for row, column in nearest_pairs(distances(seen, true), 0.3):
+        expected[row] = column
+    assert np.array_equal(got, expected)
+
+
+def test_association_counts_by_the_book():
+    log = AssociationLog(4)
+    log.record(report_of(1, [0, 1], [2, 2], []), np.array([0, 1]))  # two new ones: nothing was known
+    assert log.counts.tolist() == [0, 0, 0, 2]
+    log.record(report_of(2, [0, 1], [1, 1], [0, 1]), np.array([0, 1]))  # provisional; they become landmarks
+    assert log.counts.tolist() == [0, 0, 0, 4]
+    log.record(report_of(3, [0, 1], [0, 0], [0, 1]), np.array([0, 1]))  # both right
+    assert log.counts.tolist() == [2, 0, 0, 4]
+    log.record(report_of(4, [1, 2], [0, 2], [0, 1]), np.array([0, 1]))  # 0 paired with 1; 1 taken for new
+    assert log.counts.tolist() == [2, 1, 1, 4]
+    log.record(report_of(5, [0, -1], [0, 3], [0, 1]), np.array([-1, -1]))  # spurious paired; spurious ignored
+    assert log.counts.tolist() == [2, 2, 1, 5]
+    assert log.final_counts().tolist() == [2, 2, 1, 5]
+
+
+def test_identity_is_the_majority_not_the_birth():
+    log = AssociationLog(3)
+    log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2
+    for period in range(2, 6):
+        log.record(report_of(period, [0], [0], [0]), np.array([1]))
+    assert log.features[0, 0] == 1
+    assert log.counts.tolist()[:2] == [3, 1]  # at the time: a tie is for the earlier
+    assert log.final_counts().tolist() == [4, 0, 0, 1]
+
+
+def test_the_log_grows():
+    log = AssociationLog(5)
+    rng = np.random.default_rng(0)
+    for period in range(1, 400):
+        ids = rng.integers(0, 300, 6)
+        log.record(report_of(period, ids, [0] * 6, np.unique(ids)), rng.integers(-1, 5, 6))
+    assert log.counts.sum() == log.final_counts().sum() == 399 * 6
+
+
+def test_duplicates():
+    log = AssociationLog(3)
+    log.record(report_of(1, [0, 1, 2, 3], [2, 2, 2, 2], [0, 1, 2, 3]), np.array([0, 0, 1, -1]))
+    assert log.duplicates(np.array([0, 1, 2, 3])) == 1
+    assert log.duplicates(np.array([1, 2, 3])) == 0
+    assert log.duplicates(np.empty(0, np.int64)) == 0
+
+
+def test_nees_of_the_pose():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(3, 3))
+    cov, error = a @ a.T + np.eye(3), rng.normal(size=3)
+    assert kernels.pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
+    assert kernels.pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
+    assert kernels.pose_nees(error, -cov) == kernels.pose_nees(error, np.zeros((3, 3))) == 1e9
+    assert kernels.pose_nees(error, np.full((3, 3), np.nan)) == 1e9
+
+
+def test_the_pose_error_is_measured_in_the_map_frame(truth):
+    start = np.array(truth.outline.starts[0])
+    metrics = EpisodeMetrics.begin(truth, start)
+    moved = compose(start, np.array([1.0, 0.5, 3.0]))
+    metrics.T_map_robot = metrics.in_map(moved)
+    assert np.allclose(metrics.T_map_robot, [1.0, 0.5, 3.0])
+    belief = Belief(
+        np.array([1.03, 0.46, -3.2]), np.eye(3) * 0.01, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
+    )
+    metrics._compare_pose(belief)
+    assert metrics.pose_error_m == pytest.approx(0.05)
+    assert metrics.heading_error_rad == pytest.approx(2 * math.pi - 6.2)
+
+
+def perfect_map(truth, T_world_map, resolution=0.1):
+    """The grid, graph and belief of somebody who knows everything; the map frame is turned against the world's."""
+    x0, y0, x1, y1 = truth.outline.bounds
+    corners = np.array([[x, y] for x in (x0, x1) for y in (y0, y1)])
+    p_map = np.array([compose(inverse(T_world_map), np.array([*corner, 0.0]))[:2] for corner in corners])
+    origin = p_map.min(axis=0) - 0.5
+    cols, rows = np.ceil((p_map.max(axis=0) + 0.5 - origin) / resolution).astype(int)
+    y, x = np.mgrid[0:rows, 0:cols]
+    cells = origin + (np.stack([x, y], axis=-1) + 0.5) * resolution
+    c, s = math.cos(T_world_map[2]), math.sin(T_world_map[2])
+    world = T_world_map[:2] + cells @ np.array([[c, s], [-s, c]])
+    index = np.floor((world - truth.corner) / CELL_M).astype(int)
+    inside = (index >= 0).all(axis=-1) & (index < np.array(truth.free.shape[::-1])).all(axis=-1)
+    index[~inside] = 0
+    free = truth.free[index[..., 1], index[..., 0]] & inside
+    room = np.where(free, truth.room[index[..., 1], index[..., 0]], -1).astype(np.int16)
+    grid = SemanticGrid(free.astype(np.uint8), free, room, origin, resolution, 1)
+    outline = truth.outline
+    half = (
+        0.5 * outline.doors.width[:, None] * np.stack([-np.sin(outline.doors.normal), np.cos(outline.doors.normal)], 1)
+    )
+    jambs = np.concatenate([outline.doors.centre - half, outline.doors.centre + half])
+    p_jambs = np.array([compose(inverse(T_world_map), np.array([*jamb, 0.0]))[:2] for jamb in jambs]).reshape(-1, 2)
+    n, d = len(p_jambs), len(outline.doors)
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(n), p_jambs, np.zeros((n, 2, 2)))
+    doors = tuple(Door(i, (i, d + i), None, tuple(outline.doors.rooms[i].tolist()), 3) for i in range(d))
+    graph = RoomGraph(0, False, tuple(range(len(outline.rooms))), doors, (), {})
+    return Report(grid=grid, graph=graph, belief=belief)
+
+
+@pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
+def test_a_perfect_map_gets_full_marks(truth, T_world_map):
+    report = perfect_map(truth, T_world_map)
+    assert rooms_found(truth, report, T_world_map) == (len(truth.outline.rooms), 0)
+    assert doors_found(truth, report, T_world_map) == (len(truth.outline.doors), 0)
+    assert grid_iou(truth, report.grid, T_world_map) > 0.95
+
+
+def test_false_doors_and_rooms_are_counted_once(truth):
+    report = perfect_map(truth, np.zeros(3))
+    doors = (
+        *report.graph.doors,
+        Door(99, report.graph.doors[0].jambs, None, (0, 1), 3),
+        Door(98, (900, 901), None, (0, 1), 1),
+    )
+    report.graph = RoomGraph(0, False, report.graph.rooms, doors, (), {})
+    assert doors_found(truth, report, np.zeros(3)) == (len(truth.outline.doors), 2)
+    room = report.grid.room.copy()
+    room[room == 1] = 0
+    rows, cols = np.nonzero(room == 0)
+    room[rows[: len(rows) // 4], cols[: len(cols) // 4]] = 77  # one room in two pieces, another one missing
+    grid = SemanticGrid(report.grid.label, report.grid.polygon, room, report.grid.origin, 0.1, 2)
+    graph = RoomGraph(0, False, (*range(len(truth.outline.rooms)), 77, 78), (), (), {})
+    found, false = rooms_found(truth, Report(grid=grid, graph=graph), np.zeros(3))
+    assert found < len(truth.outline.rooms) + 1
+    assert found + false == len(truth.outline.rooms)  # room 1 and room 78 have no cell
+
+
+def test_the_centre_of_a_room_is_one_of_its_cells():
+    room = np.full((20, 20), -1, np.int16)
+    room[2:18, 2:5] = room[2:5, 2:18] = 3  # an L: the mean of its cells lies outside
+    grid = SemanticGrid(np.ones((20, 20), np.uint8), room >= 0, room, np.array([10.0, -5.0]), 0.5, 1)
+    (x, y), nothing = room_centres(grid, np.array([3, 4]))
+    assert room[int((y + 5.0) / 0.5), int((x - 10.0) / 0.5)] == 3
+    assert np.isnan(nothing).all()
+    assert room_centres(grid, np.empty(0, np.int64)).shape == (0, 2)
+
+
+def chamfer(room: np.ndarray) -> np.ndarray:
+    """Twin of the depths: 3 beside a cell of another room, from there 3 a straight step and 4 a slanted one."""
+    height, width = room.shape
+    depth = np.full((height, width), 10**6)
+    beside = np.pad(room, 1, constant_values=-9)
+    for di, dj in ((0, 1), (1, 0), (1, 2), (2, 1)):
+        depth[beside[di : di + height, dj : dj + width] != room] = 3
+    for _ in range(height + width):
+        around = np.pad(depth, 1, constant_values=10**6)
+        for di, dj in ((i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)):
+            step = 4 if di != 1 and dj != 1 else 3
+            depth = np.minimum(depth, around[di : di + height, dj : dj + width] + step)
+    return depth
+
+
+def test_the_centre_of_a_room_lies_as_deep_in_it_as_any_cell():
+    """A U around another room: the cell nearest to its mean lay on the border, and counted for the room inside."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        room = np.full((40, 30), -1, np.int16)
+        for number in range(4):
+            row, column = rng.integers(1, 20, 2)
+            room[row : row + rng.integers(4, 18), column : min(column + rng.integers(4, 18), 29)] = number
+        grid = SemanticGrid(np.ones(room.shape, np.uint8), room >= 0, room, np.zeros(2), 1.0, 1)
+        depth = chamfer(room)
+        for number in np.unique(room[room >= 0]).tolist():
+            (x, y), *_ = room_centres(grid, np.array([number]))
+            assert room[int(y), int(x)] == number
+            assert depth[int(y), int(x)] == depth[room == number].max()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pairs_are_counted_as_they_are_found(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.random((int(rng.integers(0, 9)), 2)), rng.random((int(rng.integers(0, 9)), 2))
+    a[:1] = np.nan
+    assert kernels.count_pairs(a, b, 0.3) == len(nearest_pairs(distances(a, b), 0.3))
+
+
+def test_the_centre_of_a_door_takes_both_faces():
+    belief = Belief(
+        np.zeros(3),
+        np.eye(3),
+        np.array([4, 7, 9, 2]),
+        np.array([[0, 0], [1, 0], [0, 2], [1, 2.0]]),
+        np.zeros((4, 2, 2)),
+    )
+    doors = (Door(0, (4, 7), (9, 2), (0, 1), 1), Door(1, (4, 7), None, (0, 1), 1), Door(2, (40, 1), None, (0, 1), 1))
+    centres = door_centres(doors, belief)
+    assert centres[:2].tolist() == [[0.5, 1.0], [0.5, 0.0]]
+    assert np.isnan(centres[2]).all()
+    assert door_centres((), belief).shape == (0, 2)
+
+
+def test_an_episode_adds_up():
+    env = make()
+    env.reset(seed=1)
+    base = env.unwrapped
+    errors = []
+    for _ in range(10):
+        _, _, _, _, info = env.step(np.array([0.5, 0.3], np.float32))
+        errors.append(info["pose_error_m"])
+    summary = base.summary()
+    assert summary["periods"] == 10
+    assert summary["pose_error_final_m"] == errors[-1]
+    assert summary["pose_error_worst_m"] >= max(errors)
+    assert summary["metres"] == pytest.approx(info["metres"])
+    assert 0.5 < summary["metres"] < 10 * 0.4 * 0.75 * 0.6
+    assert 0.0 < summary["polygon_cover"] <= summary["grid_cover"] + 0.05
+    assert 0.0 <= summary["door_error_m"] < 0.05
+    assert 0.0 < summary["grid_iou"] <= 1.0
+    free = build_outline(load_layout("two_rooms")).free_area.area
+    assert summary["free_area_m2"] == pytest.approx(free, rel=0.02)
+    assert all(math.isfinite(value) for value in summary.values())
+
+
+def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_moves(truth):
+    metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
+    corner = truth.outline.corners.p_world[0]
+    for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
+        metrics._tread(truth, place[None])
+    metrics.association.features[3:5, 0] = 0
+    at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
+    p_map = to_map(inverse(metrics.T_world_map), at)
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(5), p_map, np.zeros((5, 2, 2)))
+    assert metrics.landmarks_on_movers(truth, belief) == 2
+    assert EpisodeMetrics.begin(truth, np.zeros(3)).landmarks_on_movers(truth, belief) == 0
+
+
+def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
+    pose, box, size = np.array([2.0, 2.0, 0.0]), np.array([[2.8, 2.0, 0.0]]), np.array([[0.4, 0.4]])
+    at = box_corners(box, size)
+    others = Others(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
+    seen = Report(z=np.column_stack([np.hypot(*(at - pose[:2]).T), np.arctan2(at[:, 1] - 2.0, at[:, 0] - 2.0)]))
+    count = len(truth.outline.corners)
+    assert sorted(truth.identify(seen, pose, others)) == [-1, -1, count, count + 3]
+    assert (truth.identify(seen, pose) == -1).all()

@@ -1,0 +1,292 @@
+"""Plan files of strangers: whatever is in them, one clear LayoutError with the file, and soon."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from mecp_env.core.errors import LayoutError
+from mecp_env.floorplans import load_plan
+from mecp_env.world.layout import load_layout
+from tests.floorplans import plans
+from tests.floorplans.strangers import MEGABYTES, SECONDS, costs, plan
+
+
+def png(width: int, height: int, data: bytes, colour: int = 0, bits: int = 8) -> bytes:
+    """A PNG file that claims to be of a size; colour 0 is grey, 6 is RGBA."""
+    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", data), (b"IEND", b""))
+    chunks = (struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in parts)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def house(**changes: Any) -> bytes:
+    return json.dumps(plans.house() | changes).encode()
+
+
+def sheet(**fields: str) -> bytes:
+    """A map_server yaml for the image map.pgm beside it, with some fields as they are given."""
+    given = {"image": "map.pgm", "resolution": "0.05", "origin": "[0, 0, 0]"} | fields
+    return "".join(f"{key}: {value}\n" for key, value in given.items()).encode()
+
+
+def as_png(picture: np.ndarray[Any, Any]) -> Callable[[Path], None]:
+    return lambda path: Image.fromarray(picture).save(path)
+
+
+def noise(size: int, share: float) -> np.ndarray[Any, Any]:
+    return ((np.random.default_rng(0).random((size, size)) > share) * 255).astype(np.uint8)
+
+
+def with_a_palette(path: Path) -> None:
+    """Bars over all that an image may be, in a palette of which one colour is clear: decoded it is four times as large.
+
+    Seen: 256 MB for such a file of 22 kB.
+    """
+    image = Image.fromarray(np.tile(np.arange(4096) // 64 % 3, (4096, 1)).astype(np.uint8))
+    image.putpalette([0, 0, 0, 255, 255, 255, 90, 90, 90])
+    image.save(path, transparency=2)
+
+
+ZEROS = zlib.compress(bytes(1000))
+STAR = [[float((50 + 20 * (i % 2)) * f(i / 1500)) for f in (np.cos, np.sin)] for i in range(9000)]
+BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
+    "wrong ending": ("plan.txt", b"", r"ends in \.json, \.yaml.*given '\.txt'"),
+    "nothing in it": ("plan.json", b"", r"no JSON"),
+    "no UTF-8": ("plan.json", b"\xff\xfe\x00", r"no JSON"),
+    "a list": ("plan.json", b"[1]", r"expected an object, given list"),
+    "nested too deep": ("plan.json", b"[" * 900_000, r"nested too deeply, at most 32"),
+    "nested too deep inside": ("plan.json", b'{"verts":' + b"[" * 40 + b"]" * 40 + b"}", r"nested too deeply"),
+    "too large a file": ("plan.json", b" " * 2_000_001, r"2000001 bytes, at most 2000000"),
+    "a key twice": ("plan.json", b'{"verts": [], "verts": []}', r"verts: given twice"),
+    "layout with a wrong field": ("plan.json", b'{"name": 3}', r"layout\.name"),
+    "no points": ("plan.json", house(verts=[]), r"verts: a list of 3 to 20000 points"),
+    "points are text": ("plan.json", house(verts="0 0"), r"verts: .*'0 0'"),
+    "point of three": ("plan.json", house(verts=[[0, 0], [1, 0, 0], [1, 1]]), r"verts\.1: 2 numbers .*\[1, 0, 0\]"),
+    "nan": ("plan.json", house(verts=[[0, 0], [1, 0], [1, float("nan")]]), r"verts\.2\.1: .*-1000 to 1000.*nan"),
+    "infinity": ("plan.json", house(verts=[[0, 0], [1, 0], [1, float("inf")]]), r"verts\.2\.1: .*inf"),
+    "truth value": ("plan.json", house(verts=[[0, 0], [1, 0], [1, True]]), r"verts\.2\.1: .*True"),
+    "huge number": ("plan.json", house(verts=[[0, 0], [1, 0], [1, 10**400]]), r"verts\.2\.1: a number"),
+    "far away": ("plan.json", house(verts=[[0, 0], [1e5, 0], [1, 1]]), r"verts\.1\.0: .*100000"),
+    "million points": ("plan.json", b'{"verts":[' + b"1," * 300_000 + b"1]}", r"verts: a list of 3 to 20000"),
+    "crosses itself": ("plan.json", house(verts=[[0, 0], [5, 5], [5, 0], [0, 5]]), r"not a simple .*Self-inter"),
+    "all points on a line": ("plan.json", house(verts=[[0, 0], [5, 5], [2, 2]]), r"not a simple|no floor is wide"),
+    "one place only": ("plan.json", house(verts=[[1, 1], [1, 1], [1, 1]]), r"not a simple|no floor is wide"),
+    "random points": ("plan.json", house(verts=(noise(200, 0.5)[:4500, :2] * 0.1).tolist()), r"verts"),
+    "a narrow slot": ("plan.json", house(verts=[[0, 0], [9, 0], [9, 0.3], [0, 0.3]]), r"no floor is wide enough"),
+    "a star": ("plan.json", house(verts=STAR), r"vertices, at most|not a simple"),
+    "box of three": ("plan.json", house(room_category={"a": [[0, 0, 1]]}), r"room_category\.a\.0: 4 numbers"),
+    "boxes as a list": ("plan.json", house(room_category=[[0, 0, 1, 1]]), r"room_category: names with lists"),
+    "too many boxes": ("plan.json", house(room_category={"a": [[0, 0, 1, 1]] * 501}), r"501 boxes, at most 500"),
+    "image of 100,000 a side": ("plan.png", png(100_000, 100_000, ZEROS), r"image: .*at most 16777216 pixels"),
+    "image of 10,000 a side": ("plan.png", png(10_000, 10_000, ZEROS), r"image: 10000 x 10000 pixels, at most"),
+    "pixmap of 100,000 a side": ("plan.pgm", b"P5 100000 100000 255\n", r"image: .*at most 16777216 pixels"),
+    "header that lies": ("plan.png", png(4000, 4000, ZEROS), r"image: damaged.*header"),
+    "pixmap that lies": ("plan.pgm", b"P5 4000 4000 255\n" + bytes(500), r"image: damaged.*header"),
+    "decompression bomb": ("plan.png", png(4096, 4096, zlib.compress(bytes(4096 * 16385), 9), 6), r"one grey level"),
+    "no pixels": ("plan.png", png(0, 0, ZEROS), r"image: no PNG or PGM"),
+    "16 bits a pixel": ("plan.png", png(3, 1, zlib.compress(bytes(7)), 0, 16), r"image: mode I;16"),
+    "text as image": ("plan.png", b"hello", r"image: no PNG or PGM"),
+    "other image format": ("plan.png", b"GIF89a" + bytes(50), r"image: no PNG or PGM"),
+    "endless header": ("plan.pgm", b"P5 " + b"#" * 5_000_000, r"image: the header is longer than 2000 bytes"),
+    "many digits": ("plan.pgm", b"P2 2000 2000 255 " + b"1 " * 500, r"image: 2000 x 2000 pixels, at most 1000000"),
+    "one grey": ("plan.png", as_png(np.full((50, 50), 7, dtype=np.uint8)), r"image: all its pixels have one grey"),
+    "only dust": ("plan.png", as_png(noise(1000, 0.5)), r"no floor is wide enough"),
+    "dust on the floor": ("plan.png", as_png(noise(1900, 0.02)), r"image: \d+ pieces of wall, at most 20000"),
+    "floor too large": ("plan.png", as_png(noise(4096, 0.3)), r"the floor spans 4096 x 4096 pixels, at most 4000000"),
+    "palette with transparency": ("plan.png", with_a_palette, r"the floor spans 3904 x 4096 pixels, at most 4000000"),
+    "no yaml": ("map.yaml", b"image: [", r"no yaml"),
+    "yaml of another kind": ("map.yaml", b"- 1\n- 2\n", r"a mapping with image, resolution, origin .*list"),
+    "yaml with a tag": ("map.yaml", sheet(mode="!!python/object/apply:os.getcwd []"), r"yaml with tags is refused"),
+    "yaml with its own tag": ("map.yaml", sheet(mode="! trinary"), r"yaml with tags is refused"),
+    "yaml with an alias": ("map.yaml", sheet(mode="&a trinary", other="*a"), r"anchors or aliases is refused"),
+    "billion laughs": ("map.yaml", b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", r"anchors or aliases is refused"),
+    "yaml nested deep": ("map.yaml", b"a: " + b"[" * 9000, r"nested deeper than 4|no yaml"),
+    "yaml too large": ("map.yaml", b"#" * 20_001, r"20001 bytes, at most 20000"),
+    "yaml of many parts": ("map.yaml", b"- " * 5000, r"nested deeper than 4 or has more than 500 parts"),
+    "two documents": ("map.yaml", sheet() + b"---\n" + sheet(), r"no yaml"),
+    "no resolution": ("map.yaml", b"image: map.pgm\norigin: [0, 0, 0]\n", r"resolution: missing"),
+    "resolution of 0": ("map.yaml", sheet(resolution="0.0"), r"resolution: a number from 0\.005 to 1 .*0\.0"),
+    "resolution below 0": ("map.yaml", sheet(resolution="-0.05"), r"resolution: .*-0\.05"),
+    "resolution nan": ("map.yaml", sheet(resolution=".nan"), r"resolution: .*nan"),
+    "resolution as text": ("map.yaml", sheet(resolution="'0.05'"), r"resolution: .*'0\.05'"),
+    "resolution of many digits": ("map.yaml", sheet(resolution="0x" + "f" * 15_000), r"resolution: a number"),
+    "origin of one": ("map.yaml", sheet(origin="[1]"), r"origin: x, y and yaw"),
+    "origin infinite": ("map.yaml", sheet(origin="[0, .inf, 0]"), r"origin\.1: .*inf"),
+    "origin far away": ("map.yaml", sheet(origin="[0, 0, 1000]"), r"origin\.2: .*1000"),
+    "unknown mode": ("map.yaml", sheet(mode="colourful"), r"mode: one of trinary, scale, raw .*'colourful'"),
+    "negate 3": ("map.yaml", sheet(negate="3"), r"negate: 0 or 1 .*3"),
+    "thresholds crossed": ("map.yaml", sheet(free_thresh="0.7"), r"free_thresh: 0\.7 is not below occupied_thresh"),
+    "threshold 2": ("map.yaml", sheet(occupied_thresh="2"), r"occupied_thresh: a number from 0 to 1 .*2"),
+    "no image": ("map.yaml", sheet(image="other.pgm"), r"map\.yaml: image: 'other\.pgm': no such file"),
+    "image is none": ("map.yaml", sheet(image="map.yaml"), r"map\.yaml: image: 'map\.yaml': no PNG or PGM"),
+    "mode is told before the image": ("map.yaml", sheet(image="other.pgm", mode="x"), r"mode: one of"),
+    "yaml with a field twice": ("map.yaml", sheet() + b"resolution: 0.1\n", r"map\.yaml: resolution: given twice"),
+    "yaml with a field quoted": ("map.yaml", sheet() + b"'image': b.pgm\n", r"map\.yaml: image: given twice"),
+    "yaml with a field three times": ("map.yaml", b"a: 1\na: 2\na: 3\n" + sheet(), r"map\.yaml: a: given 3 times"),
+    "yaml with a field within twice": ("map.yaml", sheet(other="[{a: 1, a: 2}]"), r"map\.yaml: a: given twice"),
+    "image is a number": ("map.yaml", sheet(image="3"), r"image: the name of a file"),
+    "image is a folder": ("map.yaml", sheet(image="."), r"no such file|cannot be read"),
+    "path that leaves": ("map.yaml", sheet(image="../../etc/passwd"), r"image: .*passwd' leaves the folder"),
+    "absolute path": ("map.yaml", sheet(image="/etc/hostname"), r"image: '/etc/hostname' leaves the folder"),
+    "NUL in the path": ("map.yaml", sheet(image='"a\\0b"'), r"image: the name of a file"),
+}  # fmt: skip
+
+
+def written(folder: Path, name: str) -> Path:
+    """The file of a case, a sound map.pgm beside it."""
+    plans.save(plans.two_rooms_picture(), folder / "map.pgm")
+    file, content, _ = BAD[name]
+    path = folder / file
+    if callable(content):
+        content(path)
+    else:
+        path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_refused_with_file_field_and_bound(name: str, tmp_path: Path) -> None:
+    path = written(tmp_path, name)
+    with pytest.raises(LayoutError, match=BAD[name][2]) as caught:
+        load_plan(path, resolution_m=0.05)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert len(str(caught.value)) < 600 + len(str(path))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    (tmp_path / "folder.json").mkdir()
+    for name in ("missing.json", "missing.png", "missing.yaml", "folder.json", "nul\0.json"):
+        with pytest.raises(LayoutError, match=r"no such file|cannot be read"):
+            load_plan(tmp_path / name, resolution_m=0.05)
+
+
+def test_a_link_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    plans.save(plans.two_rooms_picture(), tmp_path / "map.pgm")
+    (inside / "map.pgm").symlink_to(tmp_path / "map.pgm")
+    (inside / "map.yaml").write_bytes(sheet())
+    with pytest.raises(LayoutError, match="leaves the folder"):
+        load_plan(inside / "map.yaml")
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"), [("map.pgm", "houseexpo"), ("map.yaml", "image"), ("house.json", "layout"), ("map.pgm", "plan")]
+)
+def test_a_kind_that_the_file_is_not_is_refused(file: str, kind: Any, tmp_path: Path) -> None:
+    plans.map_pair(tmp_path, plans.two_rooms_picture())
+    (tmp_path / "house.json").write_bytes(house())
+    with pytest.raises(LayoutError, match=f"kind: .*{kind}"):
+        load_plan(tmp_path / file, kind=kind, resolution_m=0.05)
+
+
+def test_labelled_images_that_are_none(tmp_path: Path) -> None:
+    touching, door = plans.labelled_picture(), plans.labelled_picture()
+    touching[40:50, 92:94] = (200, 30, 30)
+    door[5:9, 30:40] = 255
+    colours = np.random.default_rng(1).integers(0, 255, (200, 200, 3), dtype=np.uint8)
+    mixed = np.random.default_rng(1).integers(0, 9, (1900, 1900, 1), dtype=np.uint8) * np.array(
+        [20, 3, 9], dtype=np.uint8
+    )
+    begun = time.thread_time()
+    cases = {
+        "two rooms touch at column": touching,
+        "joins 0 rooms": door,
+        "more than 2000 colours": colours,
+        "lie across": mixed,
+    }
+    for message, picture in cases.items():
+        with pytest.raises(LayoutError, match=message):
+            load_plan(plans.save(picture, tmp_path / "plan.png"), kind="labelled", resolution_m=0.05)
+    assert time.thread_time() - begun < 10.0 * SECONDS
+
+
+@pytest.mark.slow
+def test_bad_files_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) -> None:
+    """The issue states both bounds."""
+    sound = plans.map_pair(tmp_path, plans.two_rooms_picture())
+    files = []
+    for name in BAD:
+        folder = tmp_path / name
+        folder.mkdir()
+        files.append(written(folder, name))
+    rows = costs(plan, str(sound), files)
+    assert all(letters for _, _, letters, _ in rows)
+    for column, most in enumerate((SECONDS, MEGABYTES)):
+        assert max((row[column], row[-1]) for row in rows) < (most, "")
+
+
+def sources() -> list[Path]:
+    if plans.REAL is None:
+        return []
+    return [plans.real(f"ros_map/skirk.{e}") for e in ("png", "yaml")] + sorted((plans.REAL / "houseexpo").glob("*"))
+
+
+PIECES = [b"-", b"0", b"9" * 8, b"e9", b"[", b"}", b"nan", b"&a ", b"!!x "]
+
+
+def spoilt(data: bytes, draw: st.DataObject) -> bytes:
+    """`data` with a few places cut, overwritten or doubled."""
+    for _ in range(draw.draw(st.integers(1, 4))):
+        at = draw.draw(st.integers(0, max(0, len(data) - 1)))
+        piece = draw.draw(
+            st.one_of(st.binary(max_size=4), st.sampled_from([b"-", b"0", b"9" * 8, b"e9", b"[", b"}", b"nan"]))
+        )
+        cut = draw.draw(st.sampled_from([0, 0, 1, 2, 20, 2000]))
+        data = data[:at] + piece + data[at + cut :]
+    return data
+
+
+@pytest.mark.parametrize("kind", ["house.json", "map.yaml", "map.pgm", "plan.png", "real"])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(draw=st.data())
+def test_mutated_files_raise_nothing_but_layout_errors(kind: str, tmp_path_factory: Any, draw: st.DataObject) -> None:
+    folder: Path = tmp_path_factory.mktemp("fuzz")
+    plans.map_pair(folder, plans.two_rooms_picture())
+    (folder / "house.json").write_bytes(house())
+    plans.save(plans.two_rooms_picture(), folder / "plan.png")
+    files = [folder / kind] if kind != "real" else sources()
+    if not files:
+        pytest.skip("shared/data/plans is not beside the repository")
+    source = draw.draw(st.sampled_from(files))
+    path = folder / source.name
+    path.write_bytes(spoilt(source.read_bytes(), draw))
+    start = time.thread_time()
+    try:
+        layout = load_plan(path, resolution_m=0.05)
+    except LayoutError as error:
+        refusal = str(error)
+    else:
+        refusal = f"{path}: none"
+        assert load_layout(json.loads(layout.to_json())) == layout
+    assert refusal.startswith(f"{path}: ")
+    assert time.thread_time() - start < 10.0 * SECONDS
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), walls=st.integers(0, 25), turn=st.sampled_from([0, 0, 17, 45]))
+def test_any_drawing_becomes_a_sound_layout_or_is_refused(
+    seed: int, walls: int, turn: int, tmp_path_factory: Any
+) -> None:
+    """`load_plan` checks what it makes; a floor that is wide enough is never refused."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((160, 160), 255, dtype=np.uint8)
+    for x, y, width, height in rng.integers(0, 160, (walls, 4)).tolist():
+        picture[y : y + (3 if width > height else height), x : x + (width if width > height else 3)] = 0
+    picture[60:100, 60:100] = 255
+    turned = np.asarray(Image.fromarray(picture).rotate(turn))
+    path = plans.save(turned, tmp_path_factory.mktemp("drawn") / "plan.png")
+    layout = load_plan(path, resolution_m=0.05, free_above=100)
+    assert layout.rooms

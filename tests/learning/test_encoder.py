@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mecp_env  # noqa: F401
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sb3_contrib")
+
+from mecp_env.learning import tables  # noqa: E402
+from mecp_env.learning.compact import compact, compact_space  # noqa: E402
+from mecp_env.learning.models import make_policy, observation_space  # noqa: E402
+from mecp_env.policies.gain import Gain  # noqa: E402
+from mecp_env.policies.nearest import Nearest  # noqa: E402
+from tests.learning.training import quick  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Observations of an exploration that has goals to choose from."""
+    env = gym.make("mecp_env/Rooms-v0", difficulty="medium", split="validation", actions="goal")
+    found = [env.reset(seed=1, options={"building": 3})[0]]
+    found += [env.step(0)[0] for _ in range(8)]
+    return [observation for observation in found if observation["goals"][:, 8].sum() > 1]
+
+
+def batch(observation, goals=True):
+    return {name: torch.as_tensor(values[None]) for name, values in compact(observation, goals).items()}
+
+
+def scores(policy, observation):
+    with torch.no_grad():
+        return policy.get_distribution(batch(observation)).distribution.logits[0]
+
+
+def shaken(algorithm="maskable_ppo"):
+    """A policy in which everything has an influence."""
+    torch.manual_seed(0)
+    policy = make_policy(quick(algorithm))
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return policy
+
+
+def test_compact_observations_are_in_their_space_and_means_of_the_grid(seen):
+    env = gym.make("mecp_env/Rooms-v0", difficulty="easy")
+    space = compact_space(env.observation_space, goals=True)
+    assert space == observation_space(quick())
+    for observation in seen:
+        made = compact(observation, goals=True)
+        assert space.contains(made)
+        blocks = observation["grid"].reshape(8, 24, 4, 24, 4).astype(float).mean((2, 4))
+        assert np.abs(made["coarse"] - blocks).max() <= 1.0
+        assert np.array_equal(made["near"], observation["grid"][:, 32:64, 32:64])
+
+
+def test_the_order_of_goals_permutes_their_scores_and_nothing_else(seen):
+    policy = shaken()
+    for observation in seen:
+        order = np.random.default_rng(0).permutation(32)
+        other = observation | {"goals": observation["goals"][order]}
+        valid = other["goals"][:, 8] > 0.5
+        before, after = scores(policy, observation)[order], scores(policy, other)
+        assert torch.allclose(before[valid] - before[valid][0], after[valid] - after[valid][0], atol=1e-4)
+        with torch.no_grad():
+            mine, theirs = (policy.predict_values(batch(given)) for given in (observation, other))
+        assert torch.allclose(mine, theirs, atol=1e-4)
+
+
+def test_the_order_of_landmarks_changes_nothing(seen):
+    policy = shaken()
+    for observation in seen:
+        other = observation | {"landmarks": np.random.default_rng(1).permutation(observation["landmarks"])}
+        assert torch.allclose(scores(policy, observation), scores(policy, other), atol=1e-4)
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
+def test_rows_that_hold_nothing_have_no_influence(algorithm, seen):
+    policy = shaken(algorithm)
+    rng = np.random.default_rng(2)
+    for observation in seen:
+        goals, landmarks = observation["goals"].copy(), observation["landmarks"].copy()
+        for rows in (goals, landmarks):
+            empty = rows[:, -1] < 0.5
+            rows[empty, :-1] = rng.uniform(0, 3, (int(empty.sum()), rows.shape[1] - 1))
+        other = observation | {"goals": goals, "landmarks": landmarks}
+        with torch.no_grad():
+            given = (batch(each, algorithm == "maskable_ppo") for each in (observation, other))
+            mine, theirs = (policy.extract_features(each) for each in given)
+        assert torch.equal(mine, theirs)
+
+
+@pytest.mark.parametrize(("prior", "explorer"), [("nearest", Nearest()), ("gain", Gain())])
+def test_an_untrained_policy_does_as_the_explorer_it_begins_with(prior, explorer, seen):
+    policy = make_policy(quick(network={"width": 16, "grid_channels": 4, "prior": prior}))
+    for observation in seen:
+        valid = observation["goals"][:, 8] > 0.5
+        row, _ = policy.predict(compact(observation, goals=True), action_masks=valid, deterministic=True)
+        assert row == explorer.act(observation, valid)
+
+
+def test_the_grid_is_read_where_the_goal_lies():
+    """A cell that is set 3 m ahead and 2 m to the left shows at a goal there, and at none elsewhere."""
+    grid = np.zeros((8, 96, 96), np.uint8)
+    grid[3, 48 - 15 - 2 : 48 - 15 + 2, 48 - 10 - 2 : 48 - 10 + 2] = 255
+    goals = np.zeros((1, 32, 9), np.float32)
+    goals[0, :3, :2] = (3.0, 2.0), (3.0, -2.0), (30.0, 0.0)
+    coarse = compact({"grid": grid, **dict.fromkeys(("pose", "pose_cov", "landmarks", "goals"), goals)}, goals=False)[
+        "coarse"
+    ]
+    shown = tables.at_goals(torch.as_tensor(coarse[None] / 255.0).float(), torch.as_tensor(goals))[0, :3]
+    assert shown[0, 3] > 0.5
+    assert shown[1, 3] == 0.0
+    assert shown[:, 8].tolist() == [1.0, 1.0, 0.0]
+
+
+def test_all_inputs_of_the_network_are_of_size_one(seen):
+    for observation in seen:
+        given = batch(observation)
+        rows, valid = tables.goal_rows(given["goals"])
+        landmarks, _ = tables.landmark_rows(given["landmarks"])
+        pose = tables.pose_row(given["pose"], given["pose_cov"])
+        assert rows.shape[-1] == tables.GOAL_COLUMNS
+        assert landmarks.shape[-1] == tables.LANDMARK_COLUMNS
+        assert pose.shape[-1] == tables.POSE_COLUMNS
+        assert max(float(part.abs().max()) for part in (landmarks, pose)) < 5.0
+        assert rows.abs().max() <= 5.0  # a goal counts as 10 m wide at most, which is exactly 5
+        assert valid.sum() == observation["goals"][:, 8].sum()

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+import json
+import pickle
+import struct
+import zipfile
+
+import pytest
+
+torch = pytest.importorskip("torch")
+contrib = pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from mecp_env.core.errors import ConfigError  # noqa: E402
+from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning.files import WeightError  # noqa: E402
+from mecp_env.learning.learned import Args, load, main  # noqa: E402
+from mecp_env.learning.models import make_policy  # noqa: E402
+from mecp_env.learning.run_folder import save_policy, write_json  # noqa: E402
+from mecp_env.policies.registry import WEIGHTS, shipped  # noqa: E402
+from tests.learning.training import quick  # noqa: E402
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The folder of a run with an untrained policy."""
+    config = quick()
+    write_json(tmp_path / "config.json", config.to_dict())
+    save_policy(tmp_path, make_policy(config), config.algorithm, {})
+    return tmp_path
+
+
+def weights(folder):
+    return next(folder.glob("policy-*.safetensors"))
+
+
+def test_weights_survive_the_way_through_a_file(folder):
+    torch.manual_seed(1)
+    policy = make_policy(quick())
+    save_policy(folder, policy, "maskable_ppo", {})
+    again = load(folder).policy
+    assert all(torch.equal(a, b) for a, b in zip(policy.parameters(), again.parameters(), strict=True))
+    assert len(list(folder.glob("policy-*.safetensors"))) == 1
+
+
+def test_a_damaged_file_is_refused(folder):
+    path = weights(folder)
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(WeightError, match=r"SHA-256 is .*, expected"):
+        load(folder)
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(folder, monkeypatch):
+    monkeypatch.setattr("mecp_env.learning.learned.MOST_BYTES", 100)
+    with pytest.raises(WeightError, match="at most 100"):
+        load(folder)
+
+
+@pytest.mark.parametrize("change", [{"width": 32}, {"attention": False}, {"grid_channels": 8}])
+def test_weights_of_another_architecture_are_refused(change, folder):
+    config = quick(network={"width": 16, "grid_channels": 4, "lstm": 8} | change)
+    write_json(folder / "config.json", config.to_dict())
+    with pytest.raises(WeightError, match="another architecture"):
+        load(folder)
+
+
+def test_weights_of_another_algorithm_are_refused(folder):
+    write_json(folder / "config.json", quick("ppo").to_dict())
+    with pytest.raises(WeightError, match="maskable_ppo"):
+        load(folder)
+
+
+def test_weights_that_are_not_finite_are_refused(folder):
+    policy = make_policy(quick())
+    with torch.no_grad():
+        next(policy.parameters()).fill_(float("nan"))
+    save_policy(folder, policy, "maskable_ppo", {})
+    with pytest.raises(WeightError, match="not finite"):
+        load(folder)
+
+
+def test_bytes_that_are_no_tensors_are_refused_whatever_their_checksum(folder):
+    for data in (b"", b"\x00" * 7, struct.pack("<Q", 2**60), b"PK\x03\x04" + bytes(100), pickle.dumps({"a": 1})):
+        (folder / "policy-0.safetensors").write_bytes(data)
+        about = {"algorithm": "maskable_ppo", "file": "policy-0.safetensors", "sha256": files.checksum(data)}
+        write_json(folder / "policy.json", about)
+        with pytest.raises(WeightError, match="no safetensors file"):
+            load(folder)
+
+
+@pytest.mark.parametrize("name", ["../x.safetensors", "/x", None, 3, "a\0b.safetensors", "\ud800.safetensors", "x.zip"])
+def test_policy_json_may_name_only_a_file_beside_it(name, folder):
+    write_json(folder / "policy.json", {"algorithm": "maskable_ppo", "file": name, "sha256": "0"})
+    with pytest.raises(WeightError, match="no file of this folder"):
+        load(folder)
+
+
+def test_a_typo_in_the_configuration_of_a_run_is_refused_with_the_nearest_name(folder):
+    fields = json.loads((folder / "config.json").read_text())
+    fields["network"]["widht"] = 16
+    write_json(folder / "config.json", fields)
+    with pytest.raises(ConfigError, match="did you mean 'width'"):
+        load(folder)
+
+
+def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
+    with pytest.raises(ConfigError, match="no folder of a run"):
+        load("nothing")
+    with pytest.raises(ConfigError, match=r"config\.json"):
+        load(tmp_path)
+    write_json(tmp_path / "config.json", quick().to_dict())
+    with pytest.raises(WeightError, match="no policy yet"):
+        load(tmp_path)
+    with pytest.raises(ConfigError, match="name the folder"):
+        load(tmp_path / "policy-0.safetensors")
+    assert main(Args("nothing")) == 2
+    assert "nothing" in capsys.readouterr().err
+    assert shipped()
+
+
+def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
+    assert main(Args(str(folder), difficulty="easy")) == 0
+    assert "coverage" in capsys.readouterr().out
+
+
+def test_the_policy_that_comes_with_the_repository_loads_and_is_small(capsys):
+    assert "maskable_ppo" in shipped()
+    found = list((WEIGHTS / "maskable_ppo").glob("policy-*.safetensors"))
+    assert len(found) == 1
+    assert found[0].stat().st_size < 1.9e6
+    assert load("maskable_ppo").actions == "goal"
+    assert main(Args("maskable_ppo", difficulty="easy")) == 0
+
+
+class Payload:
+    """Unpickled, it leaves a file behind."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+def crafted(folder, mark):
+    """A model file of Stable-Baselines3 whose pickle runs code."""
+    import base64
+
+    code = base64.b64encode(pickle.dumps(Payload(mark))).decode()
+    data = {"policy_class": {":type:": "x", ":serialized:": code, "__module__": "sb3_contrib.common.maskable.policies"}}
+    path = folder / "model.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps(data))
+    return path
+
+
+def test_a_crafted_zip_does_not_run(tmp_path):
+    mark = tmp_path / "it_ran"
+    path = crafted(tmp_path, mark)
+    with pytest.raises(ConfigError, match="--trust"):
+        load(path)
+    assert main(Args(str(path))) == 2
+    renamed = path.rename(tmp_path / "weights.bin")
+    with pytest.raises(ConfigError, match="--trust"):
+        load(renamed)
+    assert not mark.exists()
+
+
+def test_a_crafted_zip_in_the_place_of_weights_does_not_run(folder):
+    mark = folder / "it_ran"
+    data = crafted(folder, mark).read_bytes()
+    weights(folder).write_bytes(data)
+    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
+    write_json(folder / "policy.json", about)
+    with pytest.raises(WeightError):
+        load(folder)
+    assert not mark.exists()
+
+
+def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"no zip")
+    with pytest.raises(WeightError, match="no model file"):
+        load(path, trust=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "[" * 200_000)
+    with pytest.raises(WeightError, match="no model file"):
+        load(path, trust=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
+    with pytest.raises(WeightError, match="cannot be loaded"):
+        load(path, trust=True)
+    monkeypatch.setattr("mecp_env.learning.foreign.MOST_UNPACKED", 1000)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", " " * 100_000)
+    with pytest.raises(WeightError, match="unpacked"):
+        load(path, trust=True)
+
+
+def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
+    import gymnasium as gym
+
+    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal")
+    model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    model.save(tmp_path / "model.zip")
+    agent = load(tmp_path / "model.zip", trust=True)
+    observation, _ = env.reset(seed=0)
+    mask = env.get_wrapper_attr("action_masks")()
+    assert mask[agent.act(observation, mask)]
+    assert agent.actions == "goal"
+
+
+def test_a_trained_policy_that_there_is_not_gets_a_guess():
+    with pytest.raises(ConfigError, match=r"maskable_pp is none of maskable_ppo.*did you mean 'maskable_ppo'\?"):
+        load("maskable_pp")

@@ -1,0 +1,353 @@
+from __future__ import annotations
+
+import csv
+import json
+import random
+import signal
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
+
+from agents import learned  # noqa: E402
+from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning.checkpoints import Checkpoints, Progress, read  # noqa: E402
+from mecp_env.learning.config import ALGORITHMS  # noqa: E402
+from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
+from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.learning.models import DriveBuffer, check_size, make_model  # noqa: E402
+from mecp_env.learning.report import Report  # noqa: E402
+from mecp_env.learning.trainer import Trainer  # noqa: E402
+from mecp_env.learning.warm_start import imitate  # noqa: E402
+from tests.learning.training import QUICK, quick, run, start, write_config  # noqa: E402
+
+
+def rows(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path):
+    folder, code = run(tmp_path, algorithm=algorithm)
+    assert code == 0
+    config = quick(algorithm)
+    assert json.loads((folder / "config.json").read_text()) == config.to_dict()
+    about = json.loads((folder / "run.json").read_text())[0]
+    assert about["versions"]["torch"] == torch.__version__
+    assert {"command", "commit", "time", "system"} <= about.keys()
+    updates, evaluations = rows(folder / "progress.csv"), rows(folder / "evaluation.csv")
+    assert [int(float(row["decisions"])) for row in updates] == [12, 24]
+    assert all(float(row["periods_per_s"]) > 0 and 0 <= float(row["waiting_share"]) <= 1 for row in updates)
+    assert all(float(row[name]) == float(row[name]) for row in evaluations for name in FIGURES)
+    agent = load(folder)
+    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions=agent.actions)
+    observation, _ = env.reset(seed=0)
+    agent.reset(0)
+    for _ in range(2):
+        mask = env.get_wrapper_attr("action_masks")() if agent.actions == "goal" else None
+        action = agent.act(observation, mask)
+        assert mask is None or mask[action]
+        observation, *_ = env.step(action)
+
+
+def test_the_same_seed_trains_the_same_policy(tmp_path):
+    folders = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        folders.append(run(tmp_path / name)[0])
+    checks = [json.loads((folder / "policy.json").read_text())["sha256"] for folder in folders]
+    last = [read(Checkpoints(folder / "checkpoints", 3).paths()[-1]) for folder in folders]
+    assert checks[0] == checks[1]
+    assert all(torch.equal(last[0][name], last[1][name]) for name in last[0] if name.startswith("policy."))
+
+
+def test_a_warm_start_imitates_its_teacher(tmp_path, capsys):
+    folder, code = run(tmp_path, warm_start={"teacher": "bfs", "decisions": 16, "epochs": 2})
+    assert code == 0
+    assert "decisions of bfs, agrees with" in capsys.readouterr().out
+    assert (folder / "policy.json").exists()
+
+
+def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
+    given = {"teacher": "gain", "decisions": 16, "epochs": 2, "imitate": False}
+    config = quick(warm_start=given)
+    venv = VecNormalize(make_many(config, 0), norm_obs=False)
+    model = make_model(config, venv, 0)
+    before = model.policy.mlp_extractor.score[-1].weight.clone()
+    untrained = model.policy.value_net.weight.clone()
+    with Report(tmp_path, config) as report:
+        imitate(model, venv, config, report)
+    assert torch.equal(model.policy.mlp_extractor.score[-1].weight, before)
+    assert not torch.equal(model.policy.value_net.weight, untrained)
+    assert float(venv.ret_rms.var) > 0.0
+    venv.close()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
+        ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs chooses goals, ppo velocities"),
+        ({"buildings": {"difficulty": ["mediun"]}}, "none of"),
+        ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
+        ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
+        ({"buildings": {"layout": "nowhere"}}, "buildings.layout: nowhere: no such file"),
+        ({"buildings": {"layout": "a\x1b[31mb"}}, "buildings.layout: a?[31mb: no such file"),
+        ({"ppo": {"epoch": 1}}, "did you mean 'epochs'"),
+        ({"network": {"width": 640}}, "network.width: 640 (grid_channels 16, lstm 128) makes a file of 24"),
+        ({"algorithm": "recurrent_ppo", "network": {"lstm": 1024}}, "bytes of weights, at most 16000000"),
+    ],
+)
+def test_wrong_input_is_said_before_anything_is_written(fields, said, tmp_path, capsys):
+    folder, code = run(tmp_path, **fields)
+    assert code == 2
+    assert said in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
+    """A wide network trained to the end; then neither its checkpoints nor its policy could be read."""
+    config = quick(network={"width": 500})
+    check_size(config)
+    assert learned.MOST_BYTES >= files.MOST_POLICY_BYTES
+    venv = make_many(config, 0)
+    model = make_model(config, venv, 0)
+    sum(weight.sum() for weight in model.policy.parameters()).backward()
+    model.policy.optimizer.step()  # from now on Adam has its memory
+    path = Checkpoints(tmp_path, 1).save(model, Progress())
+    size = sum(weight.numel() * 4 for weight in model.policy.parameters())
+    assert size > 0.9 * files.MOST_POLICY_BYTES
+    assert path.stat().st_size < files.MOST_BYTES
+    assert read(path)
+    venv.close()
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
+    folder, _ = run(tmp_path)
+    before = (folder / "policy.json").read_bytes()
+    assert run(tmp_path)[1] == 2
+    assert "--resume" in capsys.readouterr().err
+    assert (folder / "policy.json").read_bytes() == before
+
+
+def wait_for_checkpoint(process, checkpoints, beyond=-1):
+    """Wait until a run has written a checkpoint after more decisions than that."""
+    give_up = time.monotonic() + 300
+    while process.poll() is None and time.monotonic() < give_up:
+        if any(int(path.stem) > beyond for path in checkpoints.paths()):
+            return
+        time.sleep(0.02)
+    raise AssertionError(f"no checkpoint: {process.communicate()[0]}")
+
+
+def resumed_after(process):
+    """The decisions after which a run says that it goes on."""
+    said = ""
+    for line in process.stdout:
+        said += line
+        if line.startswith("resumed after"):
+            return int(line.split()[2].replace(",", ""))
+    raise AssertionError(f"did not resume: {said}")
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+    """`kill -9` in the middle of training; the tables have every update once."""
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=96)
+    checkpoints = Checkpoints(folder / "checkpoints", 3)
+    process = start("--config", str(config), "--out", str(folder))
+    wait_for_checkpoint(process, checkpoints, beyond=12)
+    process.kill()
+    process.communicate()
+    last = int(checkpoints.paths()[-1].stem)
+    again = start("--resume", str(folder))
+    said, _ = again.communicate(timeout=300)
+    assert again.returncode == 0, said
+    assert f"resumed after {last}" in said
+    assert [int(float(row["decisions"])) for row in rows(folder / "progress.csv")] == list(range(12, 97, 12))
+    assert [event["event"] for event in json.loads((folder / "run.json").read_text())] == ["begun", "resumed"]
+    assert load(folder)
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_times_it_always_goes_on(tmp_path):
+    """One run, killed again and again: nothing that was saved is ever lost."""
+    rng = random.Random(0)
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
+    checkpoints = Checkpoints(folder / "checkpoints", 3)
+    process, reached = start("--config", str(config), "--out", str(folder)), 0
+    for _ in range(20):
+        wait_for_checkpoint(process, checkpoints, beyond=reached)
+        time.sleep(rng.uniform(0.0, 1.5))
+        process.kill()
+        process.communicate()
+        newest = int(checkpoints.paths()[-1].stem)
+        process = start("--resume", str(folder))
+        assert resumed_after(process) == newest > reached
+        reached = newest
+    process.kill()
+    process.communicate()
+    assert load(folder)
+
+
+def test_ctrl_c_saves_and_says_where(tmp_path):
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
+    process = start("--config", str(config), "--out", str(folder))
+    wait_for_checkpoint(process, Checkpoints(folder / "checkpoints", 3))
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=300)
+    assert process.returncode == 130, said
+    assert f"--resume {folder}" in said.replace("\n", "")
+    assert Checkpoints(folder / "checkpoints", 3).paths()
+
+
+def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path, capsys):
+    folder, _ = run(tmp_path, steps=60)
+    paths = Checkpoints(folder / "checkpoints", 3).paths()
+    assert len(paths) == 3
+    assert not list((folder / "checkpoints").glob(".*"))
+    paths[-1].write_bytes(paths[-1].read_bytes()[:-100])
+    config = quick(steps=60)
+    venv = make_many(config, 0)
+    model = make_model(config, venv, 0)
+    progress = Checkpoints(folder / "checkpoints", 3).load(model)
+    assert progress is not None
+    assert progress.decisions == int(paths[-2].stem)
+    assert "SHA-256" in capsys.readouterr().err
+    venv.close()
+
+
+def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres():
+    env = make_env(quick(ppo={"discount_m": 5.0}))
+    env.reset(seed=0)
+    before = env.unwrapped.summary()["metres"]
+    _, reward, _, _, info = env.step(0)
+    metres = env.unwrapped.summary()["metres"] - before
+    assert info["discount"] == pytest.approx(np.exp(-metres / 5.0))
+    plain = make_env(quick(ppo={"discount_m": 1e6}))
+    plain.reset(seed=0)
+    _, undiscounted, *_ = plain.step(0)
+    assert reward != undiscounted
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
+def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
+    """With the value of going on added to it, losing the map was worth as much as keeping it."""
+    for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_periods": 2}, False)):
+        venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
+        venv.reset()
+        dones = np.zeros(2, np.bool_)
+        for _ in range(20):
+            _, _, dones, infos = venv.step(onward(venv))
+            if dones.any():
+                break
+        info = infos[int(np.flatnonzero(dones)[0])]
+        assert info["TimeLimit.truncated"] is not terminal
+        assert info["figures"]["terminated"] == 0.0
+        assert (info["figures"]["reward_divergence"] < 0.0) is terminal
+        venv.close()
+
+
+def onward(venv):
+    """An action for each environment: the first goal, or full speed ahead."""
+    many = [0, 0] if isinstance(venv.action_space, gym.spaces.Discrete) else [[1.0, 0.0]] * 2
+    return np.array(many, venv.action_space.dtype)
+
+
+def test_what_comes_after_a_time_limit_is_discounted_by_the_drive_and_added_once(tmp_path, monkeypatch):
+    """The reward that the buffer gets is that of the environment and the value there, by the discount of the drive."""
+    steps, added = [], []
+    plain, add = Trainer.note, DriveBuffer.add
+
+    def note(self, rewards, infos):
+        before, cut = rewards.copy(), [info["TimeLimit.truncated"] for info in infos]
+        onward = plain(self, rewards, infos)
+        for row in np.flatnonzero(cut):
+            there = self.model.policy.obs_to_tensor(infos[row]["terminal_observation"])[0]
+            value = float(self.model.policy.predict_values(there).detach())
+            assert value != 0.0
+            assert infos[row]["discount"] < 1.0
+            before[row] += infos[row]["discount"] * value
+        steps.append((before, any(cut)))
+        return onward
+
+    def keep(self, *args, **kwargs):
+        added.append(args[2].copy())
+        add(self, *args, **kwargs)
+
+    monkeypatch.setattr(Trainer, "note", note)
+    monkeypatch.setattr(DriveBuffer, "add", keep)
+    run(tmp_path, env=QUICK["env"] | {"max_periods": 40}, log=QUICK["log"] | {"evaluate_buildings": 0})
+    assert any(cut for _, cut in steps)
+    np.testing.assert_allclose(added, [rewards for rewards, _ in steps], rtol=1e-6)
+
+
+def test_advantages_of_drives_are_those_of_the_definition():
+    """Against the plain sums, over an end of an episode in the middle."""
+    config = quick()
+    venv = make_many(config, 0)
+    rng = np.random.default_rng(0)
+    buffer = DriveBuffer(6, venv.observation_space, venv.action_space, "cpu", 0.9, 1.0, n_envs=2)
+    venv.close()
+    buffer.rewards, buffer.values = (rng.normal(size=(6, 2)).astype(np.float32) for _ in range(2))
+    buffer.discounts = rng.uniform(0.5, 1.0, (6, 2)).astype(np.float32)
+    buffer.episode_starts[3, 0] = 1.0
+    last, dones = rng.normal(size=2).astype(np.float32), np.array([False, True])
+    buffer.compute_returns_and_advantage(torch.as_tensor(last), dones)
+    for column in range(2):
+        for row in range(6):
+            expected, weight = 0.0, 1.0
+            for k in range(row, 6):
+                ends = buffer.episode_starts[k + 1, column] if k < 5 else dones[column]
+                ahead = buffer.values[k + 1, column] if k < 5 else last[column]
+                onward = buffer.discounts[k, column] * (1.0 - ends)
+                expected += weight * (buffer.rewards[k, column] + onward * ahead - buffer.values[k, column])
+                weight *= onward * 0.9
+            assert buffer.advantages[row, column] == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch):
+    from mecp_env.learning.trainer import Trainer
+    from mecp_env.vector import WorkerDied
+
+    def run_into_trouble(self):
+        raise WorkerDied("worker 0 (environments 0 to 1) was killed by SIGKILL")
+
+    monkeypatch.setattr(Trainer, "run", run_into_trouble)
+    folder, code = run(tmp_path)
+    said = capsys.readouterr().out.replace("\n", "")
+    assert code == 1
+    assert "killed by SIGKILL" in said
+    assert f"--resume {folder}" in said
+
+
+def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsys, monkeypatch):
+    def ruin(self):
+        with torch.no_grad():
+            next(self.policy.parameters()).fill_(float("nan"))
+
+    monkeypatch.setattr("sb3_contrib.MaskablePPO.train", ruin)
+    folder, code = run(tmp_path)
+    assert code == 1
+    assert "is not finite any more" in capsys.readouterr().out.replace("\n", " ")
+    assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()] == ["000000000000"]
+    assert load(folder)
+
+
+@pytest.mark.parametrize("workers", ["batch", "processes"])
+def test_workers_learn_the_same_as_one_process(workers, tmp_path):
+    """Where the environments live changes no bit of what is learned."""
+    checks = []
+    for name in ("here", workers):
+        (tmp_path / name).mkdir()
+        folder, code = run(tmp_path / name, workers=name, steps=12)
+        assert code == 0
+        checks.append(read(Checkpoints(folder / "checkpoints", 3).paths()[-1]))
+    assert all(torch.equal(checks[0][key], checks[1][key]) for key in checks[0] if key.startswith("policy."))

@@ -1,0 +1,197 @@
+"""How a training ends before its time: Ctrl-C, a process that dies, a reader that goes, another training."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Future
+from functools import partial
+from itertools import count
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from agents import train  # noqa: E402
+from mecp_env.learning import warm_start  # noqa: E402
+from mecp_env.learning.checkpoints import Checkpoints  # noqa: E402
+from mecp_env.learning.processes import Processes  # noqa: E402
+from mecp_env.learning.run_folder import RunFolder, Table  # noqa: E402
+from mecp_env.vector import WorkerDied  # noqa: E402
+from tests.learning.training import QUICK, ROOT, quick, run  # noqa: E402
+
+
+def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
+    def interrupted(order):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(train, "train", interrupted)
+    assert run(tmp_path)[1] == 130
+    assert capsys.readouterr().err == "train: interrupted\n"
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path, capsys, monkeypatch):
+    """While the teacher plays, and between two epochs: a resumed run begins it anew, as if nothing had been."""
+    asked, imitate = count(), warm_start.imitate
+
+    def stopped(model, venv, config, report, stop):
+        def pressed():
+            if next(asked) == after:
+                signal.raise_signal(signal.SIGINT)
+            return stop()
+
+        return imitate(model, venv, config, report, pressed)
+
+    monkeypatch.setattr("mecp_env.learning.trainer.imitate", stopped)
+    folder, code = run(tmp_path, warm_start={"teacher": "bfs", "decisions": 16, "epochs": 2})
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert code == 130
+    assert "a warm start is whole or begins again" in said
+    assert not Checkpoints(folder / "checkpoints", 3).paths()
+    assert not (folder / "policy.json").exists()
+
+
+def test_results_come_in_order_until_somebody_stops():
+    work = [Future() for _ in range(5)]
+    for number in (0, 1, 3):
+        work[number].set_result(number)
+    answers = iter([False, False, False, False, True])  # the third result never comes
+    assert list(warm_start.in_order(iter(work), 3, lambda: next(answers))) == [0, 1]
+
+
+def test_a_teacher_whose_process_dies_is_named(monkeypatch):
+    def die(begun, ahead, stop):
+        raise warm_start.BrokenProcessPool("a child process terminated abruptly")
+        yield
+
+    monkeypatch.setattr(warm_start, "in_order", die)
+    with pytest.raises(WorkerDied, match="of the warm start: a child process terminated"):
+        list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), warm_start.never))
+
+
+@pytest.fixture
+def pair():
+    venv = Processes([partial(gym.make, "CartPole-v1")] * 2)
+    venv.reset()
+    yield venv
+    venv.close()
+
+
+def test_the_process_of_an_environment_that_dies_is_named_and_nobody_waits(pair):
+    """A step waited for ever, or ended in a bare EOFError, and so did closing."""
+    pair.processes[1].kill()
+    pair.processes[1].join()
+    begun = time.monotonic()
+    with pytest.raises(WorkerDied, match="environment 1 was killed by SIGKILL"):
+        pair.step(np.array([0, 0]))
+    pair.close()
+    assert time.monotonic() - begun < 5.0
+    assert not any(process.is_alive() for process in pair.processes)
+
+
+def test_processes_interrupted_in_a_step_are_closed_at_once(pair):
+    pair.step_async(np.array([0, 0]))
+    pair.remotes[0].recv()  # Ctrl-C comes when one answer has been taken
+    pair.close()
+    assert not any(process.is_alive() for process in pair.processes)
+
+
+def test_an_environment_that_cannot_be_made_in_its_process_is_named():
+    with pytest.raises(WorkerDied, match="environment 0 ended with exit code 1"):
+        Processes([no_environment])
+
+
+def no_environment():
+    raise RuntimeError("none")
+
+
+def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
+    """`train ... | head -1` ended in the middle with exit code 0."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as output:
+        monkeypatch.setattr("sys.stdout", output)
+        folder, code = run(tmp_path, steps=12)
+    assert code == 0
+    assert capsys.readouterr().err.count("nobody reads the output any more") == 1
+    assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()][-1] == "000000000012"
+
+
+def test_a_broken_pipe_from_elsewhere_is_a_failure(tmp_path, capsys, monkeypatch):
+    def broken(order):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(train, "train", broken)
+    assert run(tmp_path)[1] == 1
+    assert "Broken pipe" in capsys.readouterr().err
+
+
+HOLD = "import sys; from pathlib import Path; from mecp_env.learning.files import lock; "
+HOLD += "held = lock(Path(sys.argv[1])); print('held', flush=True); input()"
+
+
+def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(tmp_path, capsys):
+    folder, _ = run(tmp_path, steps=12)
+    words = [sys.executable, "-c", HOLD, str(folder / ".lock")]
+    other = subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert other.stdout.readline() == "held\n"
+    assert train.main(["--resume", str(folder)]) == 2
+    assert "is being trained by another process" in capsys.readouterr().err
+    other.kill()
+    other.communicate()
+    RunFolder(folder, quick()).hold()
+
+
+def test_an_evaluation_in_one_building_is_said_without_an_error(tmp_path, capsys):
+    """It was "+- 0.0000", as if it were known exactly."""
+    run(tmp_path, steps=6, log=QUICK["log"] | {"evaluate_buildings": 2})
+    assert "+-" in capsys.readouterr().out
+    run(tmp_path, "--out", str(tmp_path / "one"), steps=6)
+    assert "+-" not in capsys.readouterr().out
+
+
+def test_a_finished_run_that_is_resumed_is_not_evaluated_again(tmp_path):
+    folder, _ = run(tmp_path, steps=12)
+    before = (folder / "evaluation.csv").read_text()
+    assert train.main(["--resume", str(folder)]) == 0
+    assert (folder / "evaluation.csv").read_text() == before
+
+
+def test_a_run_that_is_resumed_for_less_than_it_has_made_is_refused_and_stays_as_it_is(tmp_path, capsys):
+    """It said "48/10 ... done", and kept the 10 in its configuration."""
+    folder, _ = run(tmp_path, steps=12)
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert train.main(["--resume", str(folder), "--steps", "10"]) == 2
+    assert capsys.readouterr().err == f"train: steps: 10, but the run in {folder} has made 12 decisions already\n"
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_path):
+    folder, _ = run(tmp_path, steps=10)
+    checkpoints = Checkpoints(folder / "checkpoints", 3)
+    assert checkpoints.decisions() == 12
+    assert train.main(["--resume", str(folder), "--steps", "10"]) == 0
+    (checkpoints.folder / "9x.safetensors").write_bytes(b"of somebody else")
+    for path in checkpoints.paths():
+        path.write_bytes(b"damaged")
+    assert checkpoints.decisions() == 0
+
+
+@pytest.mark.parametrize("tail", ["\0" * 40, "3,1", "3,1\0\0\n"], ids=["zeros", "cut", "both"])
+def test_a_table_with_a_torn_tail_keeps_its_whole_rows(tail, tmp_path):
+    table = Table(tmp_path / "table.csv", ["decisions", "auc"])
+    table.cut(0)
+    for decisions in (1, 2):
+        table.add({"decisions": decisions, "auc": 0.5})
+    with table.path.open("a") as file:
+        file.write(tail)
+    table.cut(5)
+    assert [row["decisions"] for row in table.rows()] == ["1", "2"]

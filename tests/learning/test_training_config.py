@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
+from mecp_env.learning.line import parse
+from mecp_env.world.generator.spec import GeneratorSpec
+
+
+def test_every_field_of_environment_and_algorithm_is_an_option():
+    line = "maskable_ppo --steps 50 --env.estimator truth --env.laser.max-range-m 12 --ppo.no-anneal --network.width 32"
+    config = parse(line.split()).config
+    assert (config.steps, config.env.estimator, config.env.laser.max_range_m) == (50, "truth", 12.0)
+    assert (config.ppo.anneal, config.network.width, config.actions) == (False, 32, "goal")
+
+
+def test_what_the_line_does_not_name_still_follows_from_other_fields():
+    config = parse(["ppo", "--env.laser.preset", "lms200"]).config
+    assert config.env.estimator_config.sensor.range_sigma_m == 0.01
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
+    line = [algorithm, "--seed", "3", "--env.crowd.people", "2", "--buildings.difficulty", "easy", "hard"]
+    config = parse(line).config
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps(config.to_dict()))
+    again = parse(["--config", str(path)]).config
+    assert again == config
+    assert again.env.estimator_config == config.env.estimator_config
+
+
+def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
+    assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
+    assert parse(["ppo", "--env.max-periods", "90"]).config.env.max_periods == 90
+
+
+def test_a_building_may_be_specified_by_numbers_ranges_and_words(tmp_path):
+    spec = {"rooms": 12, "door_width_m": [0.7, 0.9], "shapes": ["L", "T"], "pieces": "box", "turned_deg": [-30, 30]}
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "ppo", "buildings": {"spec": spec}}))
+    config = parse(["--config", str(path)]).config
+    words = "rooms 12 door_width_m 0.7 0.9 shapes L T pieces box turned-deg -30 30"
+    assert parse(["ppo", "--buildings.spec", *words.split()]).config == config
+    assert TrainConfig.build(config.to_dict()) == config
+    above = parse(["--config", str(path), "--buildings.spec", "door_width_m", "0.8"]).config
+    assert above.buildings.spec == config.buildings.spec | {"door_width_m": 0.8}
+
+
+def test_the_words_of_a_specification_reach_the_buildings():
+    config = TrainConfig.build({"algorithm": "ppo", "buildings": {"spec": {"rooms": 5, "shapes": "U"}}})
+    made = GeneratorSpec.preset(config.buildings.difficulty[0], **config.buildings.spec)
+    assert (made.rooms, made.shapes, made.loops) == (5, ("U",), 1)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("12 rooms", "the name of a field comes first"), ("rooms 12 loops", "loops: a value is missing")],
+)
+def test_a_specification_that_cannot_be_read_from_the_line_ends_it(line, said, capsys):
+    with pytest.raises(SystemExit):
+        parse(["ppo", "--buildings.spec", *line.split()])
+    assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_a_word_of_the_line_that_a_building_does_not_know_is_told_with_a_guess():
+    config = parse(["ppo", "--buildings.spec", "rooms", "3", "pieces", "boxes", "loops", "0"]).config
+    with pytest.raises(ConfigError, match="did you mean 'box'"):
+        GeneratorSpec.preset("medium", **config.buildings.spec)
+
+
+def test_options_stand_above_the_file(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}}))
+    config = parse(["--config", str(path), "--seed", "5"]).config
+    assert (config.algorithm, config.seed, config.ppo.epochs) == ("ppo", 5, 9)
+
+
+def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_little():
+    configs = {name: TrainConfig.build({"algorithm": name}) for name in ALGORITHMS}
+    assert {name: config.actions for name, config in configs.items()} == {
+        "ppo": "velocity",
+        "maskable_ppo": "goal",
+        "recurrent_ppo": "velocity",
+    }
+    assert configs["ppo"].ppo.discount < 1.0 == configs["maskable_ppo"].ppo.discount
+    assert configs["ppo"].env.reward.contact == configs["recurrent_ppo"].env.reward.contact == -0.01
+    assert TrainConfig.build({"env": {"reward": {"time": -0.01}}}).env.reward.completion == 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"ppo": {"epoch": 3}}, "did you mean 'epochs'"),
+        ({"env": {"lasr": {}}}, "did you mean 'laser'"),
+        ({"env": {"laser": {"beems": 90}}}, "did you mean 'beams'"),
+        ({"stepps": 3}, "did you mean 'steps'"),
+        ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
+        ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
+        ({"algorithm": "dqn"}, "none of ppo, maskable_ppo, recurrent_ppo"),
+        ({"algorithm": "maskable_pp"}, "none of ppo, .*did you mean 'maskable_ppo'"),
+        ({"ppo": {"clip": float("nan")}}, "finite"),
+        ({"env": {"layout": "paper"}}, r"env\.layout: .*buildings\.layout"),
+        ({"env": {"actions": "goal"}}, r"env\.actions: follows from the algorithm"),
+        ({"steps": "10"}, r"steps: Input should be a number \(given: '10'"),
+        ({"ppo": {"learning_rate": True}}, "learning_rate: Input should be a number"),
+        ({"ppo": {"target_kl": "0.1"}}, "target_kl: Input should be a number"),
+        ({"ppo": {"anneal": "yes"}}, "anneal: Input should be true or false"),
+        ({"log": {"tensorboard": 0}}, "tensorboard: Input should be true or false"),
+        ({"buildings": {"spec": {"rooms": "3"}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"rooms": [2, 3]}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"estimator": 1}}}, "spec: estimator is no field of GeneratorSpec"),
+        ({"buildings": {"spec": {"split": 1}}}, "spec: split is no field of GeneratorSpec"),
+        ({"buildings": {"layout": "paper", "spec": {"rooms": 3}}}, "'paper' is one building"),
+        ({"buildings": {"spec": {"rooms": True}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"rooms": None}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"rooms": float("inf")}}}, "rooms: Input should be a finite number"),
+        ({"buildings": {"spec": {"rooms": 10**400}}}, "rooms: Input should be a valid number"),
+        ({"buildings": {"spec": {"door_width_m": "0.8"}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"door_width_m": ["0.8", 0.9]}}}, "spec: Input should be a number"),
+        ({"buildings": {"spec": {"door_width_m": [0.7, 0.8, 0.9]}}}, "a number or a range of two"),
+        ({"buildings": {"spec": {"shapes": 3}}}, "shapes: one word or more expected"),
+        ({"buildings": {"spec": {"shapes": ["L", 3]}}}, "shapes: one word or more expected"),
+        ({"buildings": {"spec": {"shape": "L"}}}, "did you mean 'shapes'"),
+        ({"buildings": {"spec": 3}}, "spec: Input should be a valid dictionary"),
+    ],
+)
+def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(json.dumps({"algorithm": "maskable_ppo"} | fields))
+    with pytest.raises(ConfigError, match=said):
+        parse(["--config", str(path)])
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "recurrent_ppo"])
+def test_a_last_batch_of_one_decision_is_refused_with_a_size_that_will_do(algorithm):
+    """sb3-contrib divides by the deviation of its one advantage: after the update every weight was NaN."""
+    sizes = {"algorithm": algorithm, "environments": 1, "ppo": {"steps": 7, "batch": 6}}
+    with pytest.raises(ConfigError, match=r"ppo\.batch: 6 leaves a last batch of 1 of the 7 decisions.*ppo\.batch 7"):
+        TrainConfig.build(sizes)
+    with pytest.raises(ConfigError, match=r"ppo\.batch 5 does not"):
+        TrainConfig.build(sizes | {"environments": 3, "ppo": {"steps": 3, "batch": 4}})
+    assert TrainConfig.build(sizes | {"ppo": {"steps": 7, "batch": 7}}).ppo.batch == 7
+    assert TrainConfig.build(sizes | {"algorithm": "ppo"}).ppo.batch == 6
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, "\x00"])
+def test_a_file_that_is_no_configuration_is_refused(text, tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"config\.json"):
+        read_config(path)
+
+
+def test_a_key_that_is_given_twice_in_a_file_is_refused_by_name(tmp_path):
+    path = tmp_path / "config.json"
+    path.write_text('{"seed": 1, "ppo": {"epochs": 3, "batch": 8, "epochs": 4}}')
+    with pytest.raises(ConfigError, match=r"config\.json: epochs: given 2 times in one object"):
+        read_config(path)
+
+
+def test_an_algorithm_that_there_is_not_and_none_at_all_list_those_there_are():
+    for line in (["sac"], ["--seed", "1"]):
+        with pytest.raises(ConfigError, match="ppo, maskable_ppo, recurrent_ppo"):
+            parse(line)
+
+
+def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "ppo", "steps": 10}))
+    assert parse(["--resume", str(tmp_path), "--steps", "20"]).config.steps == 20
+    for line in (["--seed", "1"], ["--out", "elsewhere"], ["--ppo.epochs", "2"]):
+        with pytest.raises(ConfigError, match="only --steps"):
+            parse(["--resume", str(tmp_path), *line])
+    with pytest.raises(ConfigError, match="No such file"):
+        parse(["--resume", str(tmp_path / "nothing")])

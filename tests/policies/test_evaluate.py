@@ -1,0 +1,335 @@
+"""The evaluator: the same buildings for all, the same result again, wrong input, what fails, what is interrupted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import os
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mecp_env.core.intervals import estimate
+from mecp_env.policies import evaluate, pool
+from mecp_env.policies.comparison import Row, compare, difference, rows_of
+from mecp_env.policies.episode import LEAST_LOG_DET, End, Episode, Log, Task, is_complete, log_det, measure, play
+from mecp_env.policies.evaluate import Args, main, result_of, tasks_of
+from mecp_env.policies.page import cell, page
+from mecp_env.policies.pool import Failure, attempt, finished
+from mecp_env.policies.worlds import Setting
+
+EASY = Setting("easy", "validation", "slam", 150)
+
+
+def args_of(tmp_path: Path, *policies: str, **options: Any) -> Args:
+    small: dict[str, Any] = {"split": "validation", "difficulty": "easy", "episodes": 2, "max_periods": 150}
+    return Args(policies or ("nearest", "random_goal"), out=tmp_path / "out", **(small | options))
+
+
+def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> Episode:
+    """An episode of which only the area under the curve matters."""
+    log, final = Log(), dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0)
+    log.curve.add(0.0, 0, auc)
+    log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
+    final |= {"coverage": auc, "metres": 5.0, "periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0}
+    final |= {"duplicates": 0.0, "contacts": 1.0}
+    figures = measure(log, End(terminated=True, decisions=3, act_s=0.5), final, 100)
+    return Episode(Task(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
+
+
+def test_the_same_task_gives_the_same_bits_and_another_seed_another_start() -> None:
+    first, again, other = (play(Task("random_goal", building, EASY)) for building in (0, 0, 1))
+    assert first.figures == again.figures
+    assert (first.curve.metres, first.curve.coverage) == (again.curve.metres, again.curve.coverage)
+    assert first.curve.coverage[0] != other.curve.coverage[0]
+
+
+def test_all_policies_begin_in_the_same_building_at_the_same_place() -> None:
+    episodes = [play(Task(name, 1, EASY)) for name in ("bfs", "random_goal", "random_walk")]
+    assert len({episode.figures["free_area_m2"] for episode in episodes}) == 1
+    assert len({episode.figures["budget_m"] for episode in episodes}) == 1
+    assert len({episode.curve.coverage[0] for episode in episodes}) == 1
+
+
+def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) -> None:
+    results = []
+    for jobs in (1, 2):
+        args = args_of(tmp_path, "gain", "nearest", jobs=jobs, max_periods=60)
+        evaluation = evaluate.evaluate(args)
+        result = result_of(evaluation, rows_of(evaluation.episodes, evaluation.order))
+        results.append({name: result[name] for name in set(result) - {"timing", "date", "command"}})
+    assert json.dumps(results[0], sort_keys=True) == json.dumps(results[1], sort_keys=True)
+
+
+def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = args_of(tmp_path, record=True, json=tmp_path / "kept" / "policies.json", max_periods=80)
+    assert main(args) == 0
+    assert {path.name for path in args.out.iterdir()} == {
+        "results.json",
+        "page.md",
+        "episodes.csv",
+        "curves.png",
+        "side_by_side.gif",
+    }
+    result = json.loads((tmp_path / "kept/policies.json").read_text())
+    assert [(row["policy"], row["estimator"]) for row in result["rows"]] == [
+        ("nearest", "slam"),
+        ("random_goal", "slam"),
+        ("nearest", "truth"),
+        ("random_goal", "truth"),
+    ]
+    assert (tmp_path / "kept/policies.md").read_text() in capsys.readouterr().out
+    with (args.out / "episodes.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 8
+    mean = np.mean([float(line["auc"]) for line in lines if (line["policy"], line["estimator"]) == ("nearest", "slam")])
+    assert result["rows"][0]["figures"]["auc"]["value"] == pytest.approx(mean)
+    assert (args.out / "side_by_side.gif").stat().st_size < 2e6
+    with Image.open(args.out / "side_by_side.gif") as film:
+        assert film.n_frames > 3
+        assert film.size == (640, 290)
+
+
+def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
+    episode = play(Task("nearest", 0, Setting("easy", "validation", "truth", 100)))
+    assert episode.figures["pose_error_mean_m"] < 1e-6
+    assert episode.figures["log_det_mean"] <= -50.0
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"policies": ("nearst",)}, "nearst.*nearest"),
+        ({"policies": ()}, "policies"),
+        ({"split": "tests"}, "train, validation, test"),
+        ({"difficulty": "medum"}, "medium"),
+        ({"estimator": "slm"}, "estimator"),
+        ({"episodes": 0}, "episodes: 0"),
+        ({"episodes": 1001}, "1000"),
+        ({"episodes": 5000}, "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
+        ({"reference": "gian"}, "one of nearest, bfs, gain, random_goal, random_walk; did you mean 'gain'"),
+        ({"jobs": 0}, "jobs: 0"),
+        ({"max_periods": 0}, "max_periods"),
+        ({"reference": "nerest"}, "reference: 'nerest'"),
+        ({"json": Path(__file__).parent}, "json: .*agents: expected the name of a file"),
+        ({"json": Path("page.md")}, "json: page.md: expected"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_is_written(
+    options: dict[str, Any], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policies = options.pop("policies", ("nearest",))
+    args = Args(policies, **({"out": tmp_path / "out", "difficulty": "easy"} | options))
+    assert main(args) == 2
+    said = capsys.readouterr().err
+    assert re.search(named, said), said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert main(Args(("nearest",), out=tmp_path / "file" / "out", difficulty="easy", episodes=1)) == 2
+    assert "out" in capsys.readouterr().err
+    assert main(Args(("nearest",), out=tmp_path, json=tmp_path / "file" / "a.json", difficulty="easy", episodes=1)) == 2
+
+
+def test_without_the_reference_it_says_that_nothing_is_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(Args(("gain",), out=tmp_path, difficulty="easy", episodes=1, max_periods=10, truth=False)) == 0
+    assert "nearest is not among the policies" in capsys.readouterr().err
+
+
+def test_ctrl_c_before_the_first_episode_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(args: Args) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "check", interrupted)
+    assert main(args_of(tmp_path)) == 130
+    assert capsys.readouterr().err == "evaluate: interrupted\n"
+
+
+def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fragile(task: Task) -> Episode:
+        if task.building == 1 and task.policy == "random_goal":
+            raise RuntimeError("no way")
+        return play(task)
+
+    monkeypatch.setattr(pool, "play", fragile)
+    args = args_of(tmp_path, truth=False, episodes=3, max_periods=40)
+    assert main(args) == 1
+    said = capsys.readouterr()
+    assert "policy random_goal" in said.err
+    assert "building and seed 1" in said.err
+    assert "RuntimeError: no way" in said.err
+    assert "2 buildings" in said.out  # of which all policies have an episode
+    assert "no way" in said.out
+
+
+def test_a_process_that_dies_is_named_and_replaced() -> None:
+    tasks = [Task("nearest", number, Setting("easy", "validation", "slam", 20)) for number in range(3)]
+    results = run_and_kill(tasks)
+    killed = [result for result in results if isinstance(result, Failure)]
+    assert [result.task.building for result in results] == [0, 1, 2]
+    assert len(killed) == 1
+    assert "ended with code" in str(killed[0])
+    assert "policy nearest" in str(killed[0])
+
+
+def run_and_kill(tasks: list[Task]) -> list[Episode | Failure]:
+    """Play on one worker process that is killed once, while it works."""
+    worker, results = pool.Worker(), []
+    for row, task in enumerate(tasks):
+        worker.begin(task)
+        if row == 1:
+            os.kill(worker.process_id, signal.SIGKILL)
+        assert pool.ready([worker]) == [worker]
+        results.append(worker.end())
+    worker.stop()
+    return results
+
+
+def test_ctrl_c_keeps_what_is_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(tasks: list[Task], jobs: int) -> Iterator[Episode]:
+        yield from (toy(task.policy, task.building, 0.5) for task in tasks[:5])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "finished", interrupted)
+    args = args_of(tmp_path, truth=False, episodes=9)
+    assert main(args) == 130
+    result = json.loads((args.out / "results.json").read_text())
+    assert result["interrupted"]
+    assert result["buildings"] == 2  # the third was finished by one policy only
+    said = capsys.readouterr()
+    assert "| nearest | 0.500" in said.out
+    assert "evaluate: 4 of 18 episodes" in said.err
+
+
+def test_an_exception_ends_the_processes() -> None:
+    before = set(multiprocessing.active_children())
+    tasks = [Task("nearest", number, Setting("easy", "validation", "slam", 5)) for number in range(6)]
+    results = finished(tasks, 2)
+    assert isinstance(next(results), Episode)
+    assert len(set(multiprocessing.active_children()) - before) == 2
+    with pytest.raises(KeyboardInterrupt):
+        results.throw(KeyboardInterrupt)
+    assert set(multiprocessing.active_children()) <= before
+
+
+def test_rows_are_over_the_buildings_that_every_policy_has_done() -> None:
+    episodes = [toy("a", 0, 0.5), toy("a", 2, 0.7), toy("b", 2, 0.6), toy("b", 1, 0.9)]
+    rows = rows_of(episodes, [("a", "slam"), ("b", "slam"), ("c", "slam")])
+    assert [(row.policy, row.values("auc").tolist()) for row in rows] == [("a", [0.7]), ("b", [0.6])]
+    assert rows_of([], [("a", "slam")]) == []
+
+
+def test_differences_are_paired_by_building() -> None:
+    noise = np.random.default_rng(0).uniform(0.1, 0.8, 30)
+    first = Row("a", "slam", tuple(toy("a", i, x + 0.05) for i, x in enumerate(noise)))
+    other = Row("b", "slam", tuple(toy("b", i, x) for i, x in enumerate(noise)))
+    gap = difference(first, other)["auc"]
+    assert gap["value"] == pytest.approx(0.05)
+    assert gap["high"] - gap["low"] < 1e-9
+    alone = estimate(first.values("auc"))
+    assert alone["high"] - alone["low"] > 0.1
+
+
+def test_each_row_is_compared_with_the_reference_and_with_itself_unsure() -> None:
+    episodes = [toy(name, 0, x, e) for name, x, e in [("a", 0.5, "slam"), ("b", 0.6, "slam"), ("b", 0.9, "truth")]]
+    a, b, sure = compare(rows_of(episodes, [("a", "slam"), ("b", "slam"), ("b", "truth")]), "a")
+    assert "against_reference" not in a
+    assert b["against_reference"]["auc"]["value"] == pytest.approx(0.1)
+    assert "against_reference" not in sure  # the reference was not played with a known pose
+    assert sure["with_the_pose_known"]["auc"]["value"] == pytest.approx(0.3)
+    assert "with_the_pose_known" not in b
+    assert sure["figures"]["log_det_mean"]["value"] is None
+
+
+def test_the_bootstrap_interval_of_a_paired_difference_covers_it_about_95_times_in_100() -> None:
+    rng, covered = np.random.default_rng(3), 0
+    for _ in range(300):
+        building = rng.normal(0.7, 0.2, 30)
+        gap = estimate((building + rng.normal(0.03, 0.05, 30)) - (building + rng.normal(0.0, 0.05, 30)))
+        covered += gap["low"] <= 0.03 <= gap["high"]
+    assert 0.90 <= covered / 300 <= 0.98
+
+
+def test_complete_is_found_seen_and_ended_by_itself() -> None:
+    final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97}
+    assert is_complete(End(terminated=True), final)
+    assert not is_complete(End(terminated=False), final)
+    for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}):
+        assert not is_complete(End(terminated=True), final | lacking)
+
+
+def test_the_log_det_is_that_of_the_matrix() -> None:
+    root = np.random.default_rng(2).normal(size=(3, 3))
+    cov = root @ root.T
+    six = cov[np.triu_indices(3)]
+    assert log_det(six) == pytest.approx(np.linalg.slogdet(cov)[1])
+    assert log_det(np.zeros(6)) == LEAST_LOG_DET
+
+
+def test_a_building_never_seen_to_90_percent_counts_with_three_budgets_and_is_not_reached() -> None:
+    never = toy("a", 0, 0.5).figures
+    assert never["reached_90%"] == 0.0
+    assert never["metres_to_90%"] == pytest.approx(3 * never["budget_m"])
+    assert never["periods_to_90%"] == 100.0
+    at_once = toy("a", 0, 0.95).figures
+    assert (at_once["reached_90%"], at_once["metres_to_90%"], at_once["reached_99%"]) == (1.0, 0.0, 0.0)
+
+
+def test_tasks_go_building_by_building_and_a_policy_named_twice_plays_once(tmp_path: Path) -> None:
+    tasks = tasks_of(args_of(tmp_path, "bfs", "nearest", "bfs"))
+    assert [(task.building, task.setting.estimator, task.policy) for task in tasks[:5]] == [
+        (0, "slam", "bfs"),
+        (0, "slam", "nearest"),
+        (0, "truth", "bfs"),
+        (0, "truth", "nearest"),
+        (1, "slam", "bfs"),
+    ]
+    assert {task.setting.estimator for task in tasks_of(args_of(tmp_path, estimator="truth"))} == {"truth"}
+
+
+def test_the_page_has_a_line_a_row_and_readable_intervals(tmp_path: Path) -> None:
+    assert cell({"value": 0.5, "low": 0.25, "high": 0.75}, ".0f", 100.0) == "50 [25, 75]"
+    assert cell({"value": 1e-9, "low": -1e-9, "high": 2.0}, "+.1f", 1.0) == "0.0 [0.0, +2.0]"
+    assert cell({"value": None, "low": None, "high": None}, ".0f", 1.0) == "-"
+    evaluation = evaluate.Evaluation(args_of(tmp_path), [("nearest", "slam"), ("x", "truth")])
+    evaluation.episodes = [toy("nearest", 0, 0.5), toy("x", 0, 0.6, "truth")]
+    text = page(result_of(evaluation, rows_of(evaluation.episodes, evaluation.order)))
+    assert "| nearest | 0.500 [0.500, 0.500] |" in text
+    assert "| x, pose known | 0.600" in text
+    assert "1 buildings of the validation split of `easy`" in text
+
+
+def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluation = evaluate.Evaluation(args_of(tmp_path), [("a\x1b[31mb", "slam")])
+    evaluation.args.out.mkdir()
+    evaluation.episodes = [toy("a\x1b[31mb", 0, 0.5)]
+    evaluate.write(evaluation)
+    said = capsys.readouterr().out
+    assert "| a?[31mb | 0.500" in said
+    assert "\x1b" not in said
+
+
+def test_failures_are_told_with_their_place() -> None:
+    failure = attempt(Task("nearest", 2_000_000, EASY))
+    assert isinstance(failure, Failure)
+    assert "ConfigError: building: 2000000" in str(failure)
+    assert next(iter(finished([failure.task], 1))).task == failure.task

@@ -1,0 +1,380 @@
+"""Corners of hand-made scans: kinds, signatures, doors, and the joint covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.line_ends import write_end
+from mecp_env.slam.frontend.line_intersections import Walls, cross_lines, empty_found, write_crossing
+from mecp_env.slam.messages import CornerKind
+from tests.slam.scans import (
+    EXACT,
+    LMS200,
+    PAPER,
+    ROOM,
+    blank_scan,
+    chain,
+    corners_of,
+    front_end,
+    ring,
+    take_scan,
+    turned,
+)
+
+FAR_ROOM = 4.0 * ROOM
+DEG = math.pi / 180.0
+
+
+def at(points, x, y, within=0.1):
+    """Index of the one corner at (x, y)."""
+    near = np.flatnonzero(np.hypot(points[:, 0] - x, points[:, 1] - y) < within)
+    assert len(near) == 1, f"{len(near)} corners at ({x}, {y})"
+    return int(near[0])
+
+
+@pytest.mark.parametrize("sensor", [PAPER, LMS200, EXACT])
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_a_room_has_four_concave_crossings_in_order_of_bearing(sensor, sweeps):
+    corners, points = corners_of(ROOM, sensor, sweeps=sweeps)
+    expected = [(-2.0, -1.5), (3.0, -1.5), (3.0, 2.0), (-2.0, 2.0)]
+    np.testing.assert_allclose(points, expected, atol=0.05)
+    assert (corners.kind == CornerKind.CROSSING).all()
+    assert not corners.convex.any()
+    assert corners.sites.all()
+    normals = np.array([[0.0, 90.0], [90.0, 180.0], [180.0, -90.0], [-90.0, 0.0]]) * DEG
+    np.testing.assert_allclose(np.exp(1j * corners.normals), np.exp(1j * normals), atol=0.05)
+
+
+@pytest.mark.parametrize("angle", np.linspace(-math.pi, math.pi, 9))
+def test_turning_the_robot_turns_the_corners_also_over_the_wrap(angle):
+    _, points = corners_of(turned(ROOM, angle), EXACT)
+    _, straight = corners_of(ROOM, EXACT)
+    expected = turned(straight[:, None], angle)[:, 0]
+    assert len(points) == 4
+    for p in expected:
+        at(points, *p, within=0.01)
+
+
+def test_a_box_shows_a_convex_crossing_and_free_ends():
+    box = turned(ring((-0.3, -0.3), (-0.3, 0.3), (0.3, 0.3), (0.3, -0.3)), 45 * DEG) + np.array([2.0, 0.0])
+    half = 0.3 * math.sqrt(2.0)
+    for seed in range(10):
+        corners, points = corners_of(np.concatenate([box, FAR_ROOM]), PAPER, seed)
+        tip = at(points, 2.0 - half, 0.0)
+        left, right = at(points, 2.0, half), at(points, 2.0, -half)
+        assert corners.convex[[tip, left, right]].all()
+        assert corners.kind[tip] == CornerKind.CROSSING
+        np.testing.assert_allclose(corners.normals[tip] / DEG, [-135.0, 135.0], atol=15.0)
+        assert corners.kind[left] == corners.kind[right] == CornerKind.FREE_END
+        assert corners.normals[left, 0] / DEG == pytest.approx(135.0, abs=15.0)  # the face before the corner
+        assert np.isnan(corners.normals[left, 1])
+        assert np.isnan(corners.normals[right, 0])
+
+
+def test_an_end_that_something_nearer_hides_is_no_corner():
+    wall = chain((3.0, -2.0), (3.0, 2.0))
+    screen = chain((1.5, 0.0), (1.5, 3.0))
+    for seed in range(10):
+        _, points = corners_of(np.concatenate([wall, screen, FAR_ROOM]), PAPER, seed)
+        at(points, 3.0, -2.0, within=0.2)
+        assert not (np.hypot(points[:, 0] - 3.0, points[:, 1]) < 0.5).any()
+
+
+def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
+    post = ring((1.5, -0.05), (1.5, 0.05), (1.6, 0.05), (1.6, -0.05))
+    for seed in range(10):
+        corners, _ = corners_of(np.concatenate([post, ROOM]), PAPER, seed)
+        assert len(corners) == 4
+
+
+@pytest.mark.parametrize("sensor", [PAPER, LMS200])
+@pytest.mark.parametrize("sweeps", [1, 4])
+@pytest.mark.parametrize("end", [(2.0, 1.0), (1.2, 1.5), (3.0, -0.4)])
+def test_a_free_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
+    """A wall 0.15 m thick; from the third end its end face is seen, hardly longer than the noise."""
+    solid = chain((end[0], -3.0), end, (end[0] + 0.15, end[1]), (end[0] + 0.15, -3.0))
+    faces = np.concatenate([solid, FAR_ROOM])
+    nis, errors = [], []
+    for seed in range(150):
+        corners, points = corners_of(faces, sensor, seed, sweeps)
+        i = at(points, *end, within=0.3)
+        nu = corners.z[i] - np.array([math.hypot(*end), math.atan2(end[1], end[0])])
+        nis.append(nu @ np.linalg.solve(corners.R[i], nu))
+        errors.append(nu[1])
+    assert np.mean(nis) < 2.9
+    # without bearing noise the same beams pass the edge every time: half their spacing remains
+    half_spacing = 0.0 if sensor.bearing_sigma_deg else 0.25 * DEG / sweeps
+    assert abs(np.mean(errors)) < half_spacing + 0.12 * DEG + 3.0 * np.std(errors) / math.sqrt(150)
+
+
+def test_an_end_face_within_the_noise_does_not_move_the_end():
+    """A wall 0.12 m thick beside the robot: the beams of its end face lie near the wall's extension."""
+    solid = chain((1.5, -4.5), (1.5, -1.2), (1.62, -1.2), (1.62, -4.5))
+    errors = []
+    for seed in range(60):
+        _, points = corners_of(np.concatenate([solid, FAR_ROOM]), PAPER, seed)
+        errors.append(points[at(points, 1.5, -1.2, within=0.25)] - [1.5, -1.2])
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.02
+
+
+def test_a_face_too_short_for_a_segment_still_makes_a_corner():
+    """A room corner whose second wall is hidden but for 0.2 m: concave, with both normals."""
+    room = ring((3.0, -3.0), (3.0, 1.0), (-2.0, 1.0), (-2.0, -3.0))
+    screen = chain((1.4, 0.50), (1.4, 0.9))  # hides the left wall but for its last 0.2 m, shadow from x = 1.6 to 2.8
+    found = 0
+    for seed in range(20):
+        corners, points = corners_of(np.concatenate([room, screen]), LMS200, seed)
+        near = np.flatnonzero(np.hypot(points[:, 0] - 3.0, points[:, 1] - 1.0) < 0.05)
+        for i in near:
+            assert not corners.convex[i]
+            np.testing.assert_allclose(np.exp(1j * corners.normals[i]), [-1.0, -1.0j], atol=0.2)
+        found += len(near)
+    assert found >= 18
+
+
+def with_door(width=0.9, thickness=0.12, x=2.0):
+    """A wall at x with a door in the middle, a room behind it, one around the robot."""
+    half = width / 2
+    right = chain((x, -2.0), (x, -half), (x + thickness, -half), (x + thickness, -2.0), (x + 3.0, -2.0))
+    left = chain((x + 3.0, 2.0), (x + thickness, 2.0), (x + thickness, half), (x, half), (x, 2.0))
+    behind = chain((x + 3.0, -2.0), (x + 3.0, 2.0))
+    return np.concatenate([right, behind, left, chain((x, 2.0), (-2.0, 2.0), (-2.0, -2.0), (x, -2.0))])
+
+
+@pytest.mark.parametrize("sensor", [PAPER, LMS200, EXACT])
+@pytest.mark.parametrize("angle", [0.0, 90 * DEG, math.pi, -100 * DEG])
+def test_a_door_is_a_pair_of_jambs_also_over_the_wrap(sensor, angle):
+    corners, points = corners_of(turned(with_door(), angle), sensor)
+    assert len(corners.doorways.jambs) == 1
+    right, left = corners.doorways.jambs[0]
+    np.testing.assert_allclose(
+        points[[right, left]], turned(np.array([[[2.0, -0.45], [2.0, 0.45]]]), angle)[0], atol=0.08
+    )
+    assert (corners.kind[[right, left]] == CornerKind.JAMB).all()
+    assert corners.doorways.width[0] == pytest.approx(0.9, abs=0.1)
+    assert corners.doorways.confirmable[0]
+    assert corners.convex[[right, left]].all()
+    assert not corners.sites[[right, left]].any()
+    assert corners.sites.sum() == 4  # the room's own corners
+
+
+def test_corners_behind_the_door_are_marked_and_no_sites():
+    faces = np.concatenate([with_door(), ring((4.0, -0.2), (4.0, 0.2), (4.4, 0.2), (4.4, -0.2))])
+    for seed in range(10):
+        corners, points = corners_of(faces, LMS200, seed)
+        i = at(points, 4.0, 0.2)
+        assert corners.beyond[i] == 0
+        assert not corners.sites[i]
+        near = points[:, 0] < 2.0
+        assert (corners.beyond[near] == -1).all()
+
+
+@pytest.mark.parametrize("width", [0.5, 2.1])
+def test_a_gap_that_is_no_door_width_is_no_door(width):
+    corners, _ = corners_of(with_door(width))
+    assert len(corners.doorways.jambs) == 0
+
+
+@pytest.mark.parametrize("width", [0.65, 1.2, 1.6, 1.9])
+def test_doors_of_homes_are_as_narrow_and_as_wide(width):
+    corners, _ = corners_of(with_door(width))
+    assert corners.doorways.width == pytest.approx([width], abs=0.1)
+    assert corners.doorways.confirmable.all()
+
+
+def test_one_width_of_doors_can_be_asked_for():
+    narrow = SlamConfig(corners=CornerConfig(door_width_m=(0.75, 1.05)))
+    for width, doors in ((0.65, 0), (0.9, 1), (1.4, 0)):
+        assert len(front_end(take_scan(with_door(width)), config=narrow)[-1].doorways.jambs) == doors
+
+
+def niche(width, depth):
+    """A room with a niche of the wall at x = 2."""
+    half, back = width / 2, 2.0 + depth
+    return ring(
+        (2.0, -2.0), (2.0, -half), (back, -half), (back, half), (2.0, half), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)
+    )
+
+
+@pytest.mark.parametrize(("width", "depth"), [(0.9, 0.2), (0.9, 0.5), (1.6, 1.0)])
+def test_a_niche_is_no_door(width, depth):
+    for seed in range(10):
+        assert len(corners_of(niche(width, depth), PAPER, seed)[0].doorways.jambs) == 0
+
+
+@pytest.mark.parametrize("aside", [-1.0, 0.0, 1.0])
+def test_the_mouth_of_a_corridor_is_no_door(aside):
+    """Seen in a plan: rooms were parted where a passage of 1.6 m begins."""
+    for width in (0.9, 1.6):
+        faces = niche(width, 6.0) + np.array([0.0, aside if width > 1.0 else 0.0])
+        for seed in range(5):
+            assert len(corners_of(faces, PAPER, seed)[0].doorways.jambs) == 0
+
+
+def beside_a_side_wall(stub):
+    """A room whose door of 0.95 m begins `stub` metres from the wall at y = 2, and a larger room behind it."""
+    left, right = 2.0 - stub, 1.05 - stub
+    near = chain((2.0, left), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0), (2.0, -2.0), (2.0, right), (2.12, right))
+    return np.concatenate(
+        [
+            near,
+            chain((2.12, right), (2.12, -3.0), (5.0, -3.0), (5.0, 3.0), (2.12, 3.0), (2.12, left)),
+            chain((2.12, left), (2.0, left)),
+        ]
+    )
+
+
+def test_a_door_beside_a_wall_too_short_to_be_one_is_bounded_by_the_corner_of_the_room():
+    """Seen in a home: a bedroom was taken for its corridor, since its door is 0.18 m from the side wall."""
+    found = 0
+    for seed in range(10):
+        corners, points = corners_of(beside_a_side_wall(0.18), LMS200, seed)
+        for right, left in corners.doorways.jambs:
+            found += 1
+            assert points[left] == pytest.approx([2.0, 2.0], abs=0.1)
+            assert points[right] == pytest.approx([2.0, 0.87], abs=0.1)
+            assert corners.kind[right] == CornerKind.JAMB
+            assert corners.kind[left] == CornerKind.CROSSING
+            assert corners.sites[left]
+            assert not corners.sites[right]
+    assert found >= 8
+    for seed in range(10):  # a wall of that length has an end of its own, which is the jamb
+        corners, points = corners_of(beside_a_side_wall(0.8), LMS200, seed)
+        assert corners.convex[corners.doorways.jambs].all()
+
+
+def test_a_door_may_stand_at_an_angle_to_one_of_the_walls_beside_it():
+    """Seen in a home: the walls beside the door of a kitchen run off at 45 degrees."""
+    end, away, thick = np.array([2.0, 0.6]), np.array([-1.5, 1.5]), np.array([0.12, 0.05])
+    wall = chain(end + away, end, end + thick, end + thick + away)
+    straight = chain((2.0, -2.0), (2.0, -0.6), (2.12, -0.6), (2.12, -2.0))
+    faces = np.concatenate([straight, wall, ring((-3.0, -3.0), (6.0, -3.0), (6.0, 4.0), (-3.0, 4.0))])
+    found = sum(len(corners_of(faces, LMS200, seed)[0].doorways.jambs) for seed in range(10))
+    assert found >= 8
+
+
+def test_ends_at_different_depths_are_no_door():
+    faces = np.concatenate([chain((2.0, -2.0), (2.0, -0.45)), chain((2.6, 0.45), (2.6, 2.5)), FAR_ROOM])
+    assert len(corners_of(faces)[0].doorways.jambs) == 0
+
+
+def test_far_or_slanted_doors_are_jambs_but_no_sighting():
+    config = SlamConfig(corners=CornerConfig(door_range_m=3.0, door_incidence_deg=30.0))
+    slanted = with_door() - np.array([0.0, 1.7])  # 40 degrees
+    for faces, good in ((with_door(), True), (with_door(x=3.5), False), (slanted, False)):
+        corners = front_end(take_scan(faces, LMS200), LMS200, config)[-1]
+        assert corners.doorways.confirmable.tolist() == [good]
+
+
+def test_scans_with_next_to_nothing():
+    for scan in (blank_scan(), take_scan(chain((2.0, -0.01), (2.0, 0.01)), EXACT), blank_scan(1, 8)):
+        corners = front_end(scan)[-1]
+        assert len(corners) == 0
+        assert corners.cov.shape == (0, 0)
+        assert corners.R.shape == (0, 2, 2)
+        assert corners.doorways.jambs.shape == (0, 2)
+
+
+def truth_of(corners, points):
+    """z (2n,) of the true corners of ROOM in the order found."""
+    true = np.round(points * 2.0) / 2.0
+    return np.column_stack([np.hypot(*true.T), np.arctan2(true[:, 1], true[:, 0])]).ravel()
+
+
+@pytest.mark.parametrize("sensor", [PAPER, LMS200])
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_joint_covariance_of_corners_that_share_walls(sensor, sweeps):
+    """All four corners of a room at once: 8 degrees of freedom; taken as independent they would be over-confident."""
+    joint, alone, whitened = [], [], []
+    for seed in range(300):
+        corners, points = corners_of(ROOM, sensor, seed, sweeps)
+        nu = corners.z.ravel() - truth_of(corners, points)
+        nu[1::2] = (nu[1::2] + math.pi) % (2 * math.pi) - math.pi
+        whitened.append(np.linalg.solve(np.linalg.cholesky(corners.cov), nu))
+        joint.append(whitened[-1] @ whitened[-1])
+        pairs = nu.reshape(4, 2, 1)
+        alone.append(np.mean(pairs.transpose(0, 2, 1) @ np.linalg.solve(corners.R, pairs)))
+    assert 7.0 < np.mean(joint) < 9.3
+    assert 1.6 < np.mean(alone) < 2.4
+    spread = np.linalg.eigvalsh(np.cov(np.array(whitened).T))  # one in every direction, if all is right
+    assert spread.min() > 0.55
+    assert spread.max() < 1.9
+    sigma = np.sqrt(np.diag(corners.cov))
+    across = (corners.cov / np.outer(sigma, sigma)) * (1.0 - np.kron(np.eye(4), np.ones((2, 2))))
+    assert np.abs(across).max() > 0.3  # corners of one wall do depend on each other
+
+
+def test_joint_covariance_is_symmetric_and_positive():
+    for seed in range(5):
+        corners, _ = corners_of(with_door(), PAPER, seed)
+        np.testing.assert_array_equal(corners.cov, corners.cov.T)
+        assert np.linalg.eigvalsh(corners.cov).min() > 0.0
+
+
+def lone_walls(line):
+    """Walls that only have lines."""
+    n = len(line)
+    none = np.zeros(n, np.int64)
+    return Walls(np.zeros((n, 2, 2)), np.array(line), np.tile(np.eye(2), (n, 1, 1)), none, none, none)
+
+
+def test_derivatives_of_a_crossing_against_finite_differences():
+    base = np.array([[0.3, 2.0], [1.7, 1.5]])
+    found = empty_found(1)
+    assert write_crossing(found, 0, lone_walls(base), (0, 1), cross_lines(base, 0, 1))
+    for slot in range(2):
+        for parameter in range(2):
+            ends = []
+            for sign in (1.0, -1.0):
+                line = base.copy()
+                line[slot, parameter] += sign * 1e-6
+                x, y = cross_lines(line, 0, 1)
+                ends.append((math.hypot(x, y), math.atan2(y, x)))
+            slope = (np.array(ends[0]) - np.array(ends[1])) / 2e-6
+            np.testing.assert_allclose(found.jacobian[0, slot, :, parameter], slope, rtol=1e-6, atol=1e-8)
+
+
+def test_derivatives_of_an_end_against_finite_differences():
+    found, line, bearing = empty_found(1), (0.4, 2.0), 0.9
+    write_end(found, 0, 0, line, (bearing, 1e-4))
+    for parameter in range(2):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = list(line)
+            moved[parameter] += sign * 1e-6
+            ends.append(moved[1] / math.cos(bearing - moved[0]))
+        assert found.jacobian[0, 0, 0, parameter] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
+    by_bearing = (line[1] / math.cos(bearing + 1e-6 - line[0]) - line[1] / math.cos(bearing - 1e-6 - line[0])) / 2e-6
+    assert found.own[0, 0, 0] == pytest.approx(by_bearing**2 * 1e-4, rel=1e-6)
+    assert found.own[0, 0, 1] == pytest.approx(by_bearing * 1e-4, rel=1e-6)
+
+
+def test_the_smallest_angle_of_a_crossing_is_a_setting():
+    obtuse = ring((3.0, -2.0), (3.0, 0.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0))  # a bend of 27 degrees at (3, 0)
+    scan = take_scan(obtuse, LMS200)
+    beams, _, segments, corners = front_end(scan, LMS200)
+    at(polar_to_points(corners.z), 3.0, 0.0)
+    strict = extract_corners(beams, segments, CornerConfig(min_angle_deg=40.0), LMS200)
+    assert len(strict) == len(corners) - 1
+
+
+def test_constant_sigmas_of_the_paper():
+    config = SlamConfig(corners=CornerConfig(covariance="sensor"))
+    corners = front_end(take_scan(ROOM), PAPER, config)[-1]
+    np.testing.assert_allclose(corners.cov, np.diag([0.05**2, (0.3 * DEG) ** 2] * 4))
+
+
+def test_short_faces_can_be_left_out():
+    room = ring((3.0, -3.0), (3.0, 1.0), (-2.0, 1.0), (-2.0, -3.0))
+    scan = take_scan(np.concatenate([room, chain((1.4, 0.50), (1.4, 0.9))]), LMS200, seed=1)
+    with_faces, without = (
+        front_end(scan, LMS200, SlamConfig(corners=CornerConfig(short_faces=short)))[-1] for short in (True, False)
+    )
+    at(polar_to_points(with_faces.z), 3.0, 1.0)
+    assert not (np.hypot(*(polar_to_points(without.z) - [3.0, 1.0]).T) < 0.3).any()

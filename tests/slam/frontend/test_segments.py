@@ -1,0 +1,166 @@
+"""Straight segments: where they are cut, the line through them and its covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.frontend.circles import circle_cost
+from mecp_env.slam.frontend.noise import Noise
+from mecp_env.slam.frontend.split_and_merge import beam_points, break_cluster, stretch_cost
+from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
+
+
+def segments_of(faces, sensor=PAPER, seed=0, sweeps=4):
+    return front_end(take_scan(faces, sensor, seed, sweeps), sensor)[2]
+
+
+def lengths(segments):
+    return np.hypot(*(segments.points[:, 1] - segments.points[:, 0]).T)
+
+
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_a_flat_wall_is_one_segment(sweeps):
+    for seed in range(20):
+        segments = segments_of(chain((2.0, -3.0), (2.0, 3.0)), seed=seed, sweeps=sweeps)
+        assert len(segments.line) == 1
+        alpha, rho = segments.line[0]
+        assert abs(alpha) < 4.0 * math.sqrt(segments.cov[0, 0, 0])
+        assert abs(rho - 2.0) < 4.0 * math.sqrt(segments.cov[0, 1, 1])
+        assert lengths(segments)[0] == pytest.approx(6.0, abs=0.3)
+
+
+def test_a_room_has_its_walls_in_order_of_bearing():
+    segments = segments_of(ROOM)
+    by_normal = {round(math.degrees(a) / 90.0) % 4: rho for a, rho in segments.line}
+    assert by_normal == pytest.approx({0: 3.0, 1: 2.0, 2: 2.0, 3: 1.5}, abs=0.02)
+    assert (np.diff(segments.first) > 0).all()
+    assert (segments.first[1:] > segments.last[:-1]).all()
+    points = segments.points
+    assert (points[:, 0, 0] * points[:, 1, 1] > points[:, 0, 1] * points[:, 1, 0]).all()  # counter-clockwise
+
+
+def test_the_normal_points_from_the_robot_to_the_wall():
+    for angle in np.linspace(-3.0, 3.0, 7):
+        segments = segments_of(turned(chain((2.0, -1.0), (2.0, 1.0)), angle), EXACT)
+        np.testing.assert_allclose(segments.line, [[angle, 2.0]], atol=1e-4)
+
+
+def test_a_wall_across_the_wrap_is_one_segment():
+    segments = segments_of(chain((-2.0, 2.0), (-2.0, -2.0)), LMS200)
+    assert len(segments.line) == 1
+    assert abs(abs(segments.line[0, 0]) - math.pi) < 0.01
+    assert lengths(segments)[0] == pytest.approx(4.0, abs=0.05)
+
+
+def test_what_is_too_short_or_has_too_few_beams_is_no_segment():
+    assert len(segments_of(chain((2.0, -0.1), (2.0, 0.1))).line) == 0
+    assert len(segments_of(chain((12.0, -0.2), (12.0, 0.2))).line) == 0
+    assert len(segments_of(chain((2.0, -0.3), (2.0, 0.3))).line) == 1
+
+
+def test_scans_with_next_to_nothing():
+    for scan in (blank_scan(), take_scan(chain((2.0, -0.001), (2.0, 0.001)))):
+        segments = front_end(scan)[2]
+        assert segments.points.shape == (0, 2, 2)
+        assert segments.cov.shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.45])
+@pytest.mark.parametrize("distance", [1.0, 2.0, 4.0])
+def test_a_round_pillar_is_no_wall(radius, distance):
+    angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+    pillar = ring(*(distance + radius * np.cos(angles) + 1j * radius * np.sin(angles)).view(float).reshape(-1, 2))
+    found = 0
+    for seed in range(20):
+        points = segments_of(np.concatenate([pillar, 4.0 * ROOM]), seed=seed).points
+        found += (np.hypot(points[..., 0] - distance, points[..., 1]) < radius + 0.2).any()
+    assert found <= (0 if radius > 0.3 else 6)  # a thin one at 4 m is met by eleven beams
+
+
+def test_a_box_is_no_pillar():
+    box = turned(ring((1.5, -0.3), (1.5, 0.3), (2.1, 0.3), (2.1, -0.3)), 0.0)
+    box = turned(box - np.array([1.8, 0.0]), 0.8) + np.array([1.8, 0.0])
+    found = [len(segments_of(np.concatenate([box, 4.0 * ROOM]), seed=seed).line) - 4 for seed in range(10)]
+    assert np.mean(np.array(found) >= 2) >= 0.9
+
+
+@pytest.mark.parametrize("sensor", [PAPER, LMS200])
+@pytest.mark.parametrize("wall", [((2.0, -1.0), (2.0, 1.0)), ((1.0, 0.5), (4.0, 1.0)), ((3.0, -0.4), (3.2, 0.4))])
+def test_covariance_of_the_line(sensor, wall):
+    (x0, y0), (x1, y1) = wall
+    alpha = math.atan2(x0 - x1, y1 - y0)
+    rho = x0 * math.cos(alpha) + y0 * math.sin(alpha)
+    alpha, rho = (alpha, rho) if rho > 0 else (math.remainder(alpha + math.pi, 2 * math.pi), -rho)
+    nees = []
+    for seed in range(300):
+        segments = segments_of(chain(*wall), sensor, seed)
+        error = segments.line[0] - np.array([alpha, rho])
+        nees.append(error @ np.linalg.solve(segments.cov[0], error))
+    assert 1.4 < np.mean(nees) < 2.8  # 2 expected; 300 runs have a 95 % band of +-0.23, the rest is for approximations
+
+
+def plain_cost(points, cov, first, last):
+    """n S / sum of variances for the total-least-squares line, by eigenvectors."""
+    p = points[first : last + 1, :2] - points[first : last + 1, :2].mean(axis=0)
+    values, vectors = np.linalg.eigh(p.T @ p)
+    normal = vectors[:, 0]
+    return len(p) * values[0] / sum(normal @ cov[i] @ normal for i in range(first, last + 1))
+
+
+def random_beams(seed):
+    rng = np.random.default_rng(seed)
+    bearing = np.linspace(-1.0, 1.0, 80)
+    polar = np.column_stack([3.0 + np.cumsum(rng.normal(0.0, 0.05, 80)), bearing, rng.integers(1, 5, 80)])
+    noise = Noise(0.05, 0.005)
+    cov = []
+    for r, theta, count in polar:
+        u, v = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
+        cov.append((noise.range_m**2 * np.outer(u, u) + (r * noise.bearing) ** 2 * np.outer(v, v)) / count)
+    points, sums = beam_points(np.ascontiguousarray(polar.T), noise)
+    return points, sums, np.array(cov)
+
+
+def test_chi_square_of_a_stretch_against_a_plain_twin():
+    points, sums, cov = random_beams(0)
+    for first, last in ((0, 79), (3, 10), (40, 42), (20, 60)):
+        assert stretch_cost(sums, first, last) == pytest.approx(plain_cost(points.T, cov, first, last))
+    assert stretch_cost(sums, 5, 6) == 0.0
+
+
+def plain_breaks(points, cov, low, high, sigmas):
+    """Ramer-Douglas-Peucker by recursion: the last positions of the stretches."""
+    chord = points[high, :2] - points[low, :2]
+    normal = np.array([-chord[1], chord[0]]) / np.hypot(*chord)
+    off = [abs(normal @ (points[i, :2] - points[low, :2])) for i in range(low + 1, high)]
+    sigma = [math.sqrt(normal @ cov[i] @ normal) for i in range(low + 1, high)]
+    if not off or max(o / s for o, s in zip(off, sigma, strict=True)) <= sigmas:
+        return [high]
+    split = low + 1 + int(np.argmax(np.array(off) / np.array(sigma)))
+    return plain_breaks(points, cov, low, split, sigmas) + plain_breaks(points, cov, split, high, sigmas)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ramer_douglas_peucker_against_a_plain_twin(seed):
+    points, _, cov = random_beams(seed)
+    ends = np.empty(80, np.int64)
+    size = break_cluster(points, 0, 79, 3.0, ends)
+    assert ends[:size].tolist() == plain_breaks(points.T, cov, 0, 79, 3.0)
+
+
+def test_a_ring_of_points_has_no_chord_and_is_broken_all_the_same():
+    bearing = np.linspace(0.0, 2.0 * math.pi, 60)
+    points, _ = beam_points(np.stack([np.full(60, 2.0), bearing, np.ones(60)]), Noise(0.01, 0.0))
+    points[:, 59] = points[:, 0]
+    assert break_cluster(points, 0, 59, 3.0, np.empty(60, np.int64)) > 4
+
+
+def test_circle_through_points_of_a_circle_costs_nothing():
+    bearing = np.linspace(-0.09, 0.09, 20)
+    r = 2.0 * np.cos(bearing) - np.sqrt(0.2**2 - (2.0 * np.sin(bearing)) ** 2)
+    points, _ = beam_points(np.stack([r, bearing, np.ones(20)]), Noise(0.01, 0.001))
+    assert circle_cost(points, 0, 19) < 0.1
+    straight, _ = beam_points(np.stack([2.0 / np.cos(bearing), bearing, np.ones(20)]), Noise(0.01, 0.001))
+    assert circle_cost(straight, 0, 19) == math.inf

@@ -1,0 +1,288 @@
+"""The semantic grid against the truth: bounds, thin walls, rooms, and what a moved landmark does to it."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import compose, to_map
+from mecp_env.slam.config import GridConfig
+from mecp_env.slam.grid.door_sight import split_outline
+from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.messages import Cell, RoomGraph
+from tests.toy import HERE, LANDMARKS, Toy, free_iou, is_free, labels_at, layer_at, look
+
+TOUR = [(1.0, 2.0), (3.0, 1.0), (5.0, 2.0), (5.5, 1.95), (6.06, 1.95), (6.6, 1.95), (8.0, 2.5)]
+TOUR += [(x, 1.2 if x < 13.0 else 2.6) for x in np.arange(9.0, 32.0, 1.5)]
+
+
+def drive(toy: Toy, places: list[tuple[float, float]] = TOUR) -> Toy:
+    for step, (x, y) in enumerate(places):
+        toy.T_world_robot = np.array([x, y, 0.7 * step])
+        toy.last = toy.report()
+    return toy
+
+
+@pytest.fixture(scope="module")
+def tour() -> Toy:
+    return drive(Toy(np.array([1.0, 2.0, 0.0])))
+
+
+def test_a_long_map_is_free_where_the_floor_is(tour: Toy) -> None:
+    assert tour.last.grid.label.shape[1] > 256 > tour.last.grid.label.shape[0]
+    assert free_iou(tour.last.grid) > 0.97
+
+
+def test_axes_are_not_swapped(tour: Toy) -> None:
+    grid = tour.last.grid
+    assert grid.label.shape[1] > 4 * grid.label.shape[0]  # the world is long in x: columns
+    assert labels_at(grid, np.array([[30.0, 2.0], [2.0, 30.0]])).tolist() == [Cell.FREE, Cell.UNKNOWN]
+
+
+@pytest.mark.parametrize("T_map_world", [np.array([-3.0, 7.0, 0.4]), np.array([2.03, -1.51, -2.2])])
+def test_any_map_frame_will_do(T_map_world: np.ndarray) -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0]), T_map_world))
+    assert free_iou(toy.last.grid, T_map_world) > 0.96
+
+
+def test_nothing_is_free_behind_the_outer_wall(tour: Toy) -> None:
+    x = np.arange(0.0, 32.0, 0.05)
+    for y in (-0.15, 4.15):
+        assert not (labels_at(tour.last.grid, np.stack([x, np.full_like(x, y)], axis=1)) == Cell.FREE).any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_thin_wall_stays_closed_under_noise(seed: int) -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.3 * seed]), 0.05, 0.02, seed=seed), TOUR[:9] * 2)
+    assert free_iou(toy.last.grid, toy.T_map_world, (0.0, 0.0, 8.0, 4.0)) > 0.95
+    for y in np.concatenate([np.arange(0.1, 1.4, 0.02), np.arange(2.5, 3.9, 0.02)]):
+        across = np.stack([np.arange(5.85, 6.27, 0.01), np.full(42, y)], axis=1)
+        assert (labels_at(toy.last.grid, to_map(toy.T_map_world, across)) == Cell.OCCUPIED).any(), y
+
+
+def test_the_door_is_a_door_and_can_be_passed(tour: Toy) -> None:
+    p = np.stack([np.full(7, 6.06), np.linspace(1.6, 2.3, 7)], axis=1)
+    assert (labels_at(tour.last.grid, p) == Cell.DOOR).all()
+    p = np.stack([np.linspace(5.0, 7.0, 41), np.full(41, 1.95)], axis=1)
+    assert np.isin(labels_at(tour.last.grid, p), (Cell.FREE, Cell.DOOR)).all()
+
+
+def test_rooms_end_at_the_door(tour: Toy) -> None:
+    grid = tour.last.grid
+    x, y = np.meshgrid(np.arange(0.2, 31.9, 0.2), np.arange(0.2, 3.9, 0.2))
+    p = np.stack([x.ravel(), y.ravel()], axis=1)
+    p = p[(labels_at(grid, p) == Cell.FREE) & (np.abs(p[:, 0] - 6.06) > 0.3)]
+    assert len(p) > 2000
+    assert (layer_at(grid, grid.room, p) == (p[:, 0] > 6.06)).all()
+
+
+def test_what_is_seen_through_a_door_belongs_to_no_room_yet() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])), [(1.0, 2.0), (2.0, 1.95), (3.0, 1.95)])
+    p = np.array([[8.0, 1.95], [9.0, 2.0]])
+    assert (labels_at(toy.last.grid, p) == Cell.FREE).all()
+    assert (layer_at(toy.last.grid, toy.last.grid.room, p) == -1).all()
+
+
+def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None:
+    toy = Toy(np.array([2.0, 1.95, 0.0]))
+    beams, segments = look(toy.T_world_robot)
+    nothing = RoomGraph(0, False, (0,), (), (), {})
+    behind, before = np.array([[8.0, 1.95]]), np.array([[5.0, 1.95]])
+    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), nothing)
+    assert layer_at(grid, grid.room, behind) == [0]
+    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), toy.graph())
+    assert layer_at(grid, grid.room, behind) == [-1]
+    assert layer_at(grid, grid.room, before) == [0]
+
+
+def test_merged_rooms_get_one_name(tour: Toy) -> None:
+    toy = copy.deepcopy(tour)
+    beams, segments = look(toy.T_world_robot)
+    graph = toy.graph()
+    merged = RoomGraph(0, False, (0,), graph.doors, (), {1: 0})
+    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), merged)
+    assert set(np.unique(grid.room)) == {-1, 0}
+
+
+def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    one = RoomGraph(0, False, (0,), (), (), {})
+    for x in (1.0, 3.0, 8.0, 9.0):
+        toy.T_world_robot = np.array([x, 2.0, 0.0])
+        toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), one)
+    graph = RoomGraph(1, False, (0, 1), toy.graph().doors, (), {}, {1: (0, 3)})
+    grid = toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), graph)
+    assert layer_at(grid, grid.room, np.array([[1.0, 1.0], [3.0, 3.0], [7.5, 1.0], [9.0, 3.0]])).tolist() == [
+        0,
+        0,
+        1,
+        1,
+    ]
+
+
+def test_polygons_cover_their_interior_and_bring_their_room() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    toy.add_polygon([0, 1, 2, 3], 0)
+    grid = toy.report().grid
+    area = grid.polygon.sum() * grid.resolution_m**2
+    assert area == pytest.approx(24.0, rel=0.02)
+    toy.polygons.clear()
+    assert not toy.report().grid.polygon.any()
+
+
+def test_a_polygon_waits_for_its_landmarks() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    all_landmarks, toy.p_map = toy.p_map, toy.p_map[:2]
+    toy.confirmed = False
+    toy.add_polygon([0, 1, 2, 3], 0)
+    beams, segments = look(toy.T_world_robot)
+    graph = RoomGraph(0, False, (0,), (), (), {})
+    known = tuple(toy.polygons)
+    assert not toy.painter.paint(toy.belief(), beams, segments, np.arange(2), known, graph).polygon.any()
+    toy.p_map = all_landmarks
+    assert toy.painter.paint(toy.belief(), beams, segments, np.arange(12), known, graph).polygon.any()
+
+
+def test_a_loop_closure_redraws_the_map() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
+    toy.add_polygon([0, 1, 2, 3], 0)
+    toy.report()
+    shift = np.array([0.9, -0.4, 0.05])
+    toy.T_map_world, toy.p_map = shift, to_map(shift, LANDMARKS)
+    grid = toy.report().grid
+    assert free_iou(grid, shift) > 0.96
+    assert labels_at(grid, to_map(shift, np.array([[6.06, 1.95]]))) == [Cell.DOOR]
+    corners = to_map(shift, np.array([[0.1, 0.1], [5.9, 3.9], [6.3, 2.0]]))
+    assert layer_at(grid, grid.polygon, corners).tolist() == [1, 1, 0]
+
+
+def test_only_what_hangs_on_a_moved_landmark_moves() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
+    before = toy.last.grid
+    toy.p_map[8:] += 0.02  # less than half a cell
+    assert (toy.report().grid.label == before.label).all()
+
+
+def test_votes_taken_back_leave_nothing() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.3]), np.array([0.37, 0.11, 0.2])))
+    there, back = toy.p_map + np.array([5.03, 2.01]), toy.p_map.copy()
+    label = toy.last.grid.label.copy()
+    toy.painter.p_landmark = np.empty((0, 2))
+    for landmarks in (there, back):
+        toy.p_map = landmarks
+        grid = toy.report().grid
+    offset = np.round((toy.last.grid.origin - grid.origin) / grid.resolution_m).astype(int)
+    again = grid.label[offset[1] : offset[1] + label.shape[0], offset[0] : offset[0] + label.shape[1]]
+    assert (again != label).mean() < 1e-3
+    assert (grid.label != 0).sum() == pytest.approx((label != 0).sum(), abs=20)
+
+
+def test_scans_whose_landmarks_are_gone_are_dropped() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
+    beams, segments = look(toy.T_world_robot)
+    belief = toy.belief()
+    emptied = type(belief)(belief.T_map_robot, belief.pose_cov, belief.ids[:0], belief.p_map[:0], belief.covs[:0])
+    graph = RoomGraph(1, False, (0, 1), (), (), {})
+    grid = toy.painter.paint(emptied, beams, segments, belief.ids[:0], (), graph)
+    assert labels_at(grid, np.array([[2.0, 2.0]])) == [Cell.UNKNOWN]
+    assert len(toy.painter.scans.room) == 1
+
+
+def test_a_pocket_of_a_completed_room_is_filled(tour: Toy) -> None:
+    toy = copy.deepcopy(tour)
+    pillar = np.array([[12.2, 2.0]])
+    assert labels_at(toy.report().grid, pillar) == [Cell.UNKNOWN]
+    assert labels_at(toy.report(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
+    p = np.stack([np.arange(-0.9, 33.0, 0.1), np.full(339, 4.9)], axis=1)
+    assert (labels_at(toy.report(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # outside is no pocket
+
+
+def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
+    toy = copy.deepcopy(tour)
+    first = toy.report().grid
+    assert toy.report().grid is first
+    toy.p_map = toy.p_map + 0.3
+    assert toy.report().grid.version > first.version
+
+
+def test_published_grids_are_never_written_to() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    first = toy.report().grid
+    copied = first.label.copy(), first.room.copy(), first.polygon.copy()
+    drive(toy)
+    assert (first.label == copied[0]).all()
+    assert (first.room == copied[1]).all()
+    assert (first.polygon == copied[2]).all()
+
+
+def test_a_pickled_painter_goes_on_the_same() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0]), pose_sigma=0.02), TOUR[:6])
+    other = pickle.loads(pickle.dumps(toy))
+    for twin in (toy, other):
+        twin.p_map = twin.p_map + 0.04
+        drive(twin, TOUR[6:])
+    assert (toy.last.grid.label == other.last.grid.label).all()
+    assert (toy.last.grid.room == other.last.grid.room).all()
+    assert toy.last.grid.version == other.last.grid.version
+
+
+def test_an_empty_map_is_painted_before_there_are_landmarks() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    beams, segments = look(toy.T_world_robot)
+    belief = toy.belief()
+    empty = type(belief)(belief.T_map_robot, belief.pose_cov, belief.ids[:0], belief.p_map[:0], belief.covs[:0])
+    graph = RoomGraph(0, False, (0,), (), (), {})
+    painter = GridPainter(GridConfig())
+    grid = painter.paint(empty, beams, segments, belief.ids[:0], (), graph)
+    assert labels_at(grid, np.array([[1.0, 2.0]])) == [Cell.FREE]
+    assert (painter.scans.anchor == -1).all()
+    painter.paint(belief, beams, segments, belief.ids, (), graph)
+    assert (painter.scans.anchor >= 0).all()
+
+
+def test_free_space_is_cut_at_a_door() -> None:
+    angle = np.linspace(-np.pi, np.pi, 361)[1:]
+    outline = 5.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + 1.0
+    eye, door = np.ones(2), np.array([[3.0, 0.5], [3.0, 1.7]])
+    for ends in (door, door[::-1].copy()):
+        front, behind = split_outline(outline, eye, ends)
+        assert area(front) + area(behind) == pytest.approx(area(outline), rel=1e-9)
+        inner = 0.5 * 2.0 * 1.2
+        wedge = area(outline) * (np.arctan2(0.7, 2.0) + np.arctan2(0.5, 2.0)) / (2 * np.pi)
+        assert area(behind) == pytest.approx(wedge - inner, rel=1e-3)
+    unseen = np.array([[9.0, 0.5], [9.0, 1.7]])
+    assert len(split_outline(outline, eye, unseen)[1]) == 0
+
+
+def test_a_door_on_the_line_of_a_wall_divides_by_nothing() -> None:
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)  # the candidate lies on the face of the wall
+    for heading in np.arange(-3.0, 3.0, 0.25):
+        toy.T_world_robot = np.array([1.0 + heading / 5.0, 1.0, heading])
+        toy.painter = type(toy.painter)(GridConfig())
+        grid = toy.report().grid
+        assert layer_at(grid, grid.room, np.array([[8.0, 2.8]])) == [-1]
+
+
+def area(ring: np.ndarray) -> float:
+    x, y = ring[:, 0], ring[:, 1]
+    return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+
+
+def test_the_toy_tells_floor_from_wall() -> None:
+    places = np.array([[1.0, 1.0], [6.06, 2.0], [6.06, 1.0], [12.2, 2.0], [31.0, 3.9], [33.0, 1.0]])
+    assert is_free(places).tolist() == [True, True, False, False, True, False]
+    assert compose(HERE, HERE).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
+    toy = Toy(np.array([2.0, 2.0, 0.0]))
+    drive(toy, [(2.0, 2.0)])
+    scans = len(toy.painter.scans.room)
+    toy.painter.look_again()
+    drive(toy, [(2.0, 2.0)])
+    assert len(toy.painter.scans.room) == scans + 1
+    drive(toy, [(2.0, 2.0)])
+    assert len(toy.painter.scans.room) == scans + 1

@@ -1,0 +1,182 @@
+"""What moves is no landmark: hits on floor seen free, landmarks seen through, walls that go on past a landmark."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.config import SlamConfig, TransientConfig
+from mecp_env.slam.landmark_map.dynamic_objects import find_transient, passing, shun_transients, without_transients
+from mecp_env.slam.landmark_map.pruning import refuted
+from mecp_env.slam.messages import Belief, Candidate, Decision, Door, FeatureTable, Match, Reason, SemanticGrid
+from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
+from tests.slam.drives import scripted_drive
+from tests.slam.scans import front_end, ring, take_scan
+
+CONFIG = TransientConfig()
+ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
+ORIGIN = np.array([-4.0, -3.0])
+
+
+def disc(x, y, radius=0.25):
+    angles = -np.arange(16) * (2.0 * math.pi / 16)
+    return ring(*np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)]))
+
+
+def box(x, y, half):
+    return ring((x - half, y - half), (x - half, y + half), (x + half, y + half), (x + half, y - half))
+
+
+def empty_room():
+    """The grid of ROOM as a robot has it that saw it empty: floor up to the walls, walls, unknown beyond."""
+    x, y = (ORIGIN[a] + (np.arange(n) + 0.5) * 0.1 for a, n in ((0, 90), (1, 70)))
+    x, y = np.meshgrid(x, y)
+    label = np.where((x > -3.0) & (x < 4.0) & (y > -2.0) & (y < 3.0), 1, 0).astype(np.uint8)
+    wall = (np.abs(x + 3.05) < 0.06) | (np.abs(x - 4.05) < 0.06) | (np.abs(y + 2.05) < 0.06) | (np.abs(y - 3.05) < 0.06)
+    label[wall] = 2
+    shape = label.shape
+    return SemanticGrid(label, np.zeros(shape, bool), np.zeros(shape, np.int16), ORIGIN, 0.1, 1)
+
+
+def belief(*p_map, sigma=0.01):
+    n = len(p_map)
+    covs = np.tile(1e-6 * np.eye(2), (n, 1, 1))
+    pose_cov = np.diag([sigma**2 / 2, sigma**2 / 2, 1e-8])
+    return Belief(np.zeros(3), pose_cov, np.arange(n), np.array(p_map, float).reshape(n, 2), covs)
+
+
+def features(normals):
+    """One row a landmark, never seen again since."""
+    n = len(normals)
+    return replace(
+        FeatureTable(), normals=np.array(normals, float), doubts=np.zeros(n, int), last_period=np.zeros(n, int)
+    )
+
+
+def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
+    """In which period the landmark is refuted, or None."""
+    table, where = features([normals]), belief(landmark)
+    for period in range(1, scans + 1):
+        beams, _, segments, _ = front_end(take_scan(faces, seed=period))
+        if period in seen_in:
+            table.last_period[0] = period
+        if len(refuted(beams, segments, where, table, period, config)):
+            return period
+    return None
+
+
+def test_somebody_on_floor_seen_free_is_transient_with_all_of_his_rim():
+    beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
+    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
+    points = np.column_stack([beams.ranges * np.cos(beams.bearings), beams.ranges * np.sin(beams.bearings)])
+    on_him = np.hypot(*(points - (1.5, 0.5)).T) < 0.4
+    assert transient[on_him].mean() > 0.95
+    assert not transient[~on_him].any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_empty_room_accuses_nobody(seed):
+    beams, _, segments, _ = front_end(take_scan(ROOM, seed=seed))
+    assert find_transient(beams, segments, belief(), empty_room(), CONFIG) is None
+
+
+def test_an_uncertain_pose_and_the_letter_of_the_paper_accuse_nobody():
+    beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
+    assert find_transient(beams, segments, belief(sigma=0.2), empty_room(), CONFIG) is None
+    assert find_transient(beams, segments, belief(), empty_room(), SlamConfig.paper().transients) is None
+
+
+def test_his_lines_are_no_walls_and_his_beams_paint_none():
+    faces = np.concatenate([ROOM, box(1.5, 0.5, 0.25)])
+    beams, _, segments, _ = front_end(take_scan(faces))
+    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
+    left = without_transients(segments, transient)
+    assert len(left.first) < len(segments.first)
+    assert all(np.hypot(*(ends.mean(axis=0) - (1.5, 0.5))) > 0.5 for ends in left.points)
+    assert not (passing(beams, transient).hit & transient).any()
+    assert without_transients(segments, None) is segments
+    assert passing(beams, None) is beams
+
+
+def test_a_long_line_is_a_wall_whatever_the_map_says():
+    beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, box(1.8, 0.0, 0.8)])))
+    assert find_transient(beams, segments, belief(), empty_room(), CONFIG) is None
+
+
+def test_his_corners_are_ignored_and_those_of_the_room_are_not():
+    beams, _, segments, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
+    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
+    n = len(corners)
+    new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1, False)
+    match = shun_transients(new, corners, beams, transient)
+    points = np.column_stack([corners.z[:, 0] * np.cos(corners.z[:, 1]), corners.z[:, 0] * np.sin(corners.z[:, 1])])
+    his = np.hypot(*(points - (1.5, 0.5)).T) < 0.5
+    assert his.any()
+    assert (match.decision[his] == Decision.IGNORED).all()
+    assert (match.reason[his] == Reason.TRANSIENT).all()
+    assert (match.decision[~his] == Decision.NEW).all()
+
+
+def test_a_landmark_is_forgotten_when_beams_pass_well_beyond_it():
+    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan)) == CONFIG.refutations
+
+
+def test_one_that_is_seen_again_is_not():
+    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan), seen_in=(3, 6)) is None
+
+
+def test_one_that_is_hidden_is_not():
+    assert judged(np.concatenate([ROOM, disc(1.0, 0.33)]), (1.5, 0.5), (math.pi, np.nan)) is None
+
+
+@pytest.mark.parametrize("corner", [(-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0)])
+def test_corners_of_a_room_stay(corner):
+    towards = (0.0 if corner[0] < 0.0 else math.pi, math.pi / 2.0 if corner[1] < 0.0 else -math.pi / 2.0)
+    assert judged(ROOM, corner, towards, scans=30) is None
+
+
+@pytest.mark.parametrize("x", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("y", [-0.9, 0.1, 1.1])
+@pytest.mark.parametrize("turn", [0.0, 0.4, 0.785])
+def test_corners_of_things_that_stand_in_the_room_stay(x, y, turn):
+    c, s = math.cos(turn), math.sin(turn)
+    standing = box(0.0, 0.0, 0.15) @ np.array([[c, s], [-s, c]]) + (x, y)
+    normals = np.arctan2(*(standing.mean(axis=1) - (x, y)).T[::-1])
+    for k in range(4):
+        faces = np.concatenate([ROOM, standing])
+        assert judged(faces, standing[k, 0], (normals[k - 1], normals[k]), scans=8) is None
+
+
+def test_a_corner_against_a_wall_is_forgotten_when_the_wall_is_seen_whole():
+    assert judged(ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0)) == CONFIG.refutations
+
+
+def test_a_corner_on_the_other_side_of_the_wall_stays():
+    assert judged(ROOM, (4.04, 0.5), (0.0, -math.pi / 2.0), scans=30) is None
+
+
+def test_switched_off_nothing_is_refuted():
+    off = TransientConfig(refutations=0)
+    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan), config=off) is None
+
+
+def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
+    book = DoorMap(sightings={(0, 1): 4, (4, 5): 3}, candidates=[Candidate(np.zeros((2, 2)), (4, 9), 0, 1, 1)])
+    book.set_doors(
+        [Door(0, (0, 1), (2, 3), (0, 1), 5), Door(1, (4, 5), None, (0, -1), 3), Door(2, (6, 7), (8, 9), (0, 2), 3)]
+    )
+    forget_jambs(book, np.array([0, 4]))
+    assert [(door.id, door.jambs, door.other_face) for door in book.doors] == [(0, (2, 3), None), (2, (6, 7), (8, 9))]
+    assert (0, 1) not in book.sightings
+    assert not book.candidates
+
+
+def test_nothing_is_transient_and_nothing_refuted_in_a_static_world():
+    still = SlamConfig(transients=TransientConfig(margin_m=0.0, refutations=0))
+    drive = scripted_drive(seed=3)
+    for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):
+        assert watched.belief.p_map.tobytes() == plain.belief.p_map.tobytes()
+        assert not (watched.match.reason == Reason.TRANSIENT).any()

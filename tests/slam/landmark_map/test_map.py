@@ -1,0 +1,240 @@
+"""What is kept between scans: tracks, polygons, duplicates."""
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.config import TrackConfig
+from mecp_env.slam.landmark_map.map_polygons import PolygonStore
+from mecp_env.slam.landmark_map.merging import find_duplicate
+from mecp_env.slam.landmark_map.tracks import ends_of_bodies, forget, mark_seen, record_sightings, room_unseen_since
+from mecp_env.slam.messages import (
+    Belief,
+    Corners,
+    Decision,
+    Doorways,
+    FeatureState,
+    FeatureTable,
+    Match,
+    Polygon,
+    RoomGraph,
+)
+
+SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+def corners_at(points, kind=0):
+    points = np.asarray(points, float)
+    n = len(points)
+    z = np.stack((np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])), axis=1)
+    no_doors = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
+    return Corners(
+        z,
+        np.eye(2 * n) * 1e-4,
+        np.full(n, kind, np.int64),
+        np.zeros(n, np.bool_),
+        np.zeros((n, 2)),
+        np.full(n, -1, np.int64),
+        np.ones(n, np.bool_),
+        no_doors,
+    )
+
+
+def match_of(decisions, ids=None):
+    n = len(decisions)
+    ids = np.full(n, -1, np.int64) if ids is None else np.array(ids, np.int64)
+    return Match(ids, np.array(decisions, np.int64), np.zeros(n, np.int64), np.full(n, np.nan), -1, -1, False)
+
+
+def graph_of(current=0, merged=None, in_doorway=False):
+    return RoomGraph(current, in_doorway, (0, 1), (), (), merged or {})
+
+
+def see(table, points, period, kind=0, config=None):
+    config = config or TrackConfig()
+    forget(table, period, config)
+    match = match_of([Decision.NEW] * len(points))
+    match, ripe = record_sightings(table, corners_at(points, kind), match, ORIGIN, 0, config)
+    mark_seen(table, match.ids[match.ids >= 0], period)
+    return match, ripe
+
+
+def test_a_corner_becomes_a_landmark_in_its_third_scan():
+    table = FeatureTable()
+    for period, (decision, ripe) in enumerate(
+        [(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]
+    ):
+        match, found = see(table, [[2.0, 1.0]], period)
+        assert match.decision.tolist() == [int(decision)]
+        assert match.ids.tolist() == [0]
+        assert len(found) == ripe
+
+
+def test_a_jamb_needs_two():
+    table = FeatureTable()
+    assert [len(see(table, [[2.0, 1.0]], period, kind=2)[1]) for period in range(2)] == [0, 1]
+
+
+def test_a_track_not_seen_again_dies_and_its_id_never_returns():
+    table = FeatureTable()
+    see(table, [[2.0, 1.0]], 0)
+    assert see(table, [[-2.0, 1.0]], 30)[0].ids.tolist() == [1]
+    assert table.state.tolist() == [FeatureState.DEAD, FeatureState.TRACK]
+    assert see(table, [[2.0, 1.0]], 31)[0].ids.tolist() == [2]
+
+
+def test_a_track_is_not_followed_across_the_room():
+    table = FeatureTable()
+    see(table, [[2.0, 1.0]], 0)
+    assert see(table, [[2.0, 1.5]], 1)[0].ids.tolist() == [1]
+
+
+def test_two_corners_never_follow_one_track():
+    table = FeatureTable()
+    see(table, [[2.0, 1.0]], 0)
+    ids = see(table, [[2.0, 1.02], [2.0, 0.98]], 1)[0].ids.tolist()
+    assert sorted(ids) == [0, 1]
+
+
+def test_a_room_unseen_for_a_while_is_told_apart():
+    room, state = np.array([0, 0, 1]), np.ones(3, np.int64)
+    last = np.array([5, 95, 40])
+    assert not room_unseen_since(np.array([0]), room, state, last, 90)
+    assert room_unseen_since(np.array([2]), room, state, last, 90)
+    assert room_unseen_since(np.array([1, 2]), room, state, last, 90)
+
+
+def doubted(ids, places, last=(100, 100, 5, 5), nis=1.0):
+    """The corners to doubt; features 0 and 1 are of room 0, 2 and 3 of room 1, which was not seen lately."""
+    found = np.empty(len(ids), np.int64)
+    decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
+    z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
+    features = np.array([0, 0, 1, 1]), np.full(4, int(FeatureState.LANDMARK)), np.array(last)
+    return found[: ends_of_bodies((np.array(ids), decision, np.full(len(ids), nis)), z, *features, 90, found)].tolist()
+
+
+def test_a_room_is_not_recognised_by_one_side_of_somebody():
+    here, jamb, side = (-2.0, 0.0), (3.0, 1.0), (3.0, 1.35)
+    assert doubted([0, 2, -1], [here, jamb, side]) == [1]
+    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
+    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.6)]) == []
+    assert doubted([0, 2], [here, jamb], nis=10.0) == [1]  # nobody beside it, but it fits badly
+    assert doubted([0, 2, 1], [here, jamb, side]) == []  # both are known
+    assert doubted([2, 3, -1], [here, jamb, side]) == []  # two landmarks of the room
+    assert doubted([0, 2, -1], [here, jamb, side], last=(100, 100, 5, 95)) == []  # a room seen all the while
+
+
+def landmarks(rooms):
+    table = FeatureTable()
+    see(table, np.concatenate((SQUARE, SQUARE * 2.0))[: len(rooms)], 0)
+    table.state[:] = FeatureState.LANDMARK
+    table.room[:] = rooms
+    return table
+
+
+def ring(*vertices):
+    k = len(vertices)
+    intervals = np.array([[edge, 0.0, 1.0, edge % 3] for edge in range(k)], float)
+    return Polygon(np.array(vertices, np.int64), intervals)
+
+
+def remember(store, table, polygon, graph, ids=range(8)):
+    match = match_of([Decision.LANDMARK] * 8, list(ids))
+    return store.remember((polygon,), match, table, graph, 1)
+
+
+def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():
+    store, table = PolygonStore(32), landmarks([0] * 8)
+    remember(store, table, ring(2, 3, 0, 1), graph_of())
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    assert len(store.polygons) == 1
+    assert store.polygons[0].ids.tolist() == [0, 1, 2, 3]
+    assert store.polygons[0].seen == 2
+    assert store.rings[4].ids.tolist() == [[0, 1, 2, 3]]
+
+
+def test_edge_intervals_stay_with_their_edge():
+    store, table = PolygonStore(32), landmarks([0] * 8)
+    polygon = ring(2, 3, 0, 1)  # its edge 2 is the one from vertex 0 to vertex 1
+    remember(store, table, polygon, graph_of())
+    labels = {int(edge): label for edge, _, _, label in polygon.intervals}
+    assert [label for *_, label in store.polygons[0].intervals] == [labels[2], labels[3], labels[0], labels[1]]
+    assert store.polygons[0].intervals[:, 0].tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("graph", [graph_of(current=1), graph_of(in_doorway=True)])
+def test_no_polygon_of_another_room_or_from_a_doorway(graph):
+    store = PolygonStore(32)
+    remember(store, landmarks([0] * 8), ring(0, 1, 2, 3), graph)
+    assert not store.polygons
+
+
+def test_no_polygon_over_two_rooms_even_after_a_merge():
+    """Fig. 6: polygons of different rooms share no vertex; landmarks that moved, or rooms merged, keep it so."""
+    store, table = PolygonStore(32), landmarks([0] * 4 + [1] * 4)
+    remember(store, table, ring(0, 1, 2, 7), graph_of())
+    assert not store.polygons
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    remember(store, table, ring(4, 5, 6, 7), graph_of(current=1))
+    table.room[3] = 1  # it was seen through a door
+    store.prune(table, graph_of())
+    assert [p.ids.tolist() for p in store.polygons] == [[4, 5, 6, 7]]
+    table.room[table.room == 1] = 0
+    store.prune(table, graph_of(merged={1: 0}))
+    assert [p.room for p in store.polygons] == [0]
+
+
+def test_polygons_of_dead_tracks_go():
+    store, table = PolygonStore(32), landmarks([0] * 8)
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    table.state[2] = FeatureState.DEAD
+    store.prune(table, graph_of())
+    assert not store.polygons
+    assert not store.rings
+
+
+def test_the_cap_keeps_those_seen_most():
+    store, table = PolygonStore(1), landmarks([0] * 8)
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    assert remember(store, table, ring(4, 5, 6, 7), graph_of())
+    store.prune(table, graph_of())
+    assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
+
+
+def test_fused_landmarks_leave_no_polygon_with_a_vertex_twice():
+    store, table = PolygonStore(32), landmarks([0] * 8)
+    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    remember(store, table, ring(1, 2, 3, 4), graph_of())
+    store.rename(keep=0, drop=4)
+    store.prune(table, graph_of())
+    assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
+    store.rename(keep=0, drop=1)
+    store.prune(table, graph_of())
+    assert not store.polygons
+
+
+def believed(offset):
+    table = landmarks([0, 0])
+    p_map = np.array([[2.0, 1.0], [2.0 + offset, 1.0]])
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(2), p_map, np.tile(np.eye(2) * 1e-3, (2, 1, 1)))
+    return table, belief
+
+
+def test_two_landmarks_on_one_corner_are_found():
+    table, belief = believed(0.03)
+    seen = match_of([Decision.LANDMARK], [1])
+    assert find_duplicate(table, belief, seen, TrackConfig()) == (0, 1)
+
+
+def test_two_faces_of_a_wall_are_no_duplicates():
+    table, belief = believed(0.03)
+    table.normals[1] += np.pi
+    assert find_duplicate(table, belief, match_of([Decision.LANDMARK], [1]), TrackConfig()) is None
+
+
+@pytest.mark.parametrize(("offset", "ids"), [(0.2, [1]), (0.03, [0, 1])])
+def test_landmarks_apart_or_seen_side_by_side_are_two(offset, ids):
+    table, belief = believed(offset)
+    match = match_of([Decision.LANDMARK] * len(ids), ids)
+    assert find_duplicate(table, belief, match, TrackConfig()) is None

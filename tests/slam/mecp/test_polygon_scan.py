@@ -1,0 +1,258 @@
+"""The polygons of a scan: what the paper claims of them, the guard against walls, and the intervals of their edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.config import PolygonConfig
+from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.messages import Clusters, CornerKind, EdgeLabel
+from tests.slam.mecp.polygon_rooms import (
+    BOX,
+    ROOMS,
+    beams_of,
+    corners_of,
+    poses_in,
+    sees,
+    to_world,
+    wall_inside,
+    walls_of,
+)
+
+CONFIG = PolygonConfig()
+UNGUARDED = PolygonConfig(guard=False)
+RECTANGLE = np.array(ROOMS["rectangle"], float)
+
+
+def rooms():
+    """Name, faces, corners, poses of each room, one of them with a box in it."""
+    for name, ring in ROOMS.items():
+        yield name, walls_of(ring), np.array(ring, float), poses_in(ring, 40, np.random.default_rng(len(ring)))
+    ring = ROOMS["rectangle"]
+    poses = poses_in(ring, 40, np.random.default_rng(9), holes=(BOX,))
+    yield "box", walls_of(ring, BOX), np.array([*ring, *BOX], float), poses
+
+
+def room_with_door():
+    """A 6 x 4 m room, wall 0.15 m, a door of 0.9 m in its right wall into a second room: faces and jambs."""
+    inner = [(6, 0), (6, 1.5), (6.15, 1.5), (6.15, 0), (10, 0), (10, 4), (6.15, 4), (6.15, 2.4), (6, 2.4), (6, 4)]
+    return walls_of([(0, 0), *inner, (0, 4)]), np.array([(6.0, 1.5), (6.0, 2.4)])
+
+
+def ring_of(polygon, corners, pose):
+    return to_world(pose, corners.z[polygon.corners])
+
+
+@pytest.mark.parametrize(
+    ("name", "walls", "points", "poses"), list(rooms()), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, walls, points, poses):
+    """The theorem of derivations 1.5, without guard; the guard changes nothing then."""
+    for pose in poses:
+        corners = corners_of(points[sees(walls, pose[:2], points)], pose)
+        beams = beams_of(walls, pose)
+        polygons = find_polygons(corners, beams, UNGUARDED)
+        assert polygons
+        for polygon in polygons:
+            assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.02
+        guarded = find_polygons(corners, beams, CONFIG)
+        assert [p.corners.tolist() for p in polygons] == [p.corners.tolist() for p in guarded]
+
+
+@pytest.mark.parametrize("name", ["L", "T", "cross"])
+def test_every_vertex_is_visible_from_everywhere_in_the_polygon(name):
+    """Eq. 1: visibility(P, V) = 1."""
+    walls, points = walls_of(ROOMS[name]), np.array(ROOMS[name], float)
+    rng = np.random.default_rng(1)
+    for pose in poses_in(ROOMS[name], 15, rng):
+        corners = corners_of(points[sees(walls, pose[:2], points)], pose)
+        for polygon in find_polygons(corners, beams_of(walls, pose), CONFIG):
+            ring = ring_of(polygon, corners, pose)
+            for weights in rng.dirichlet(np.ones(len(ring)), 10):
+                assert sees(walls, weights @ ring, ring).all()
+
+
+def test_all_corners_of_the_room_as_sites_would_let_walls_in():
+    """Why sites are the corners seen in this scan (derivations 1.5, first row of the table)."""
+    walls, points = walls_of(ROOMS["T"]), np.array(ROOMS["T"], float)
+    crossed = 0
+    for pose in poses_in(ROOMS["T"], 60, np.random.default_rng(2)):
+        corners = corners_of(points, pose)
+        beams = beams_of(walls, pose)
+        crossed += any(
+            wall_inside(walls, ring_of(p, corners, pose)) > 0.3 for p in find_polygons(corners, beams, UNGUARDED)
+        )
+        for polygon in find_polygons(corners, beams, CONFIG):
+            assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.3
+    assert crossed > 5
+
+
+def test_the_guard_keeps_walls_out_where_corners_were_missed():
+    rng = np.random.default_rng(3)
+    crossed = 0
+    for name in ("L", "T", "Z", "cross"):
+        walls, points = walls_of(ROOMS[name]), np.array(ROOMS[name], float)
+        for pose in poses_in(ROOMS[name], 60, rng):
+            seen = sees(walls, pose[:2], points) & (rng.random(len(points)) > 0.2)
+            corners, beams = corners_of(points[seen], pose), beams_of(walls, pose)
+            for polygon in find_polygons(corners, beams, UNGUARDED):
+                crossed += wall_inside(walls, ring_of(polygon, corners, pose)) > 0.3
+            for polygon in find_polygons(corners, beams, CONFIG):
+                assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.3
+    assert crossed > 10
+
+
+def test_a_pillar_is_no_wall_and_does_not_kill_the_rooms_polygon():
+    pillar = [(2.0 + 0.2 * np.cos(t), 2.0 + 0.2 * np.sin(t)) for t in np.linspace(0, 2 * np.pi, 16, endpoint=False)]
+    walls, pose = walls_of(ROOMS["rectangle"], pillar[::-1]), np.array([3.0, 2.0, 0.4])
+    corners, beams = corners_of(RECTANGLE, pose), beams_of(walls, pose)
+    p_world = to_world(pose, np.column_stack([beams.ranges, beams.bearings]))
+    wall = np.hypot(*(p_world - (2.0, 2.0)).T) > 0.25
+    (polygon,) = find_polygons(corners, beams, CONFIG, wall)
+    assert len(polygon.corners) == 4
+    assert polygon.intervals[:, 3].tolist() == [EdgeLabel.WALL] * 4
+    assert find_polygons(corners, beams, CONFIG) == ()  # every beam taken for a wall's
+
+
+def test_beams_on_walls_are_those_of_clusters_with_lines():
+    clusters = Clusters(718, np.array([0, 10]), np.array([5, 12]), np.array([0, 1]))
+    beams = beams_of(walls_of(RECTANGLE), np.array([1.0, 1.0, 0.0]))
+    assert np.flatnonzero(beams_on_walls(clusters, beams)).tolist() == [0, 1, 2, 3, 718, 719]
+
+
+def test_a_closed_room_has_wall_on_every_edge_whatever_the_noise():
+    rng = np.random.default_rng(4)
+    walls = walls_of(RECTANGLE)
+    for pose in poses_in(RECTANGLE, 40, rng, margin=0.4):
+        corners = corners_of(RECTANGLE + rng.normal(0, 0.02, (4, 2)), pose, sigma=0.02)
+        (polygon,) = find_polygons(corners, beams_of(walls, pose, rng, 0.025), CONFIG)
+        assert polygon.corners.tolist() == [0, 1, 2, 3]
+        np.testing.assert_array_equal(polygon.intervals, [[e, 0, 1, EdgeLabel.WALL] for e in range(4)])
+
+
+@pytest.mark.parametrize("detected", [True, False])
+def test_a_wall_with_a_door_is_wall_gap_wall(detected):
+    walls, jambs = room_with_door()
+    pose = np.array([3.0, 2.0, 2.9])
+    kinds = [CornerKind.CROSSING] * 4 + [CornerKind.JAMB] * 2
+    corners = corners_of([*RECTANGLE, *jambs], pose, kinds=kinds, doors=[(4, 5)] if detected else [])
+    (polygon,) = find_polygons(corners, beams_of(walls, pose), CONFIG)
+    ring = ring_of(polygon, corners, pose)
+    (edge,) = [e for e in range(4) if np.allclose(ring[e], (6, 0)) and np.allclose(ring[(e + 1) % 4], (6, 4))]
+    rows = polygon.intervals[polygon.intervals[:, 0] == edge]
+    assert rows[:, 3].tolist() == [EdgeLabel.WALL, EdgeLabel.GAP, EdgeLabel.WALL]
+    np.testing.assert_allclose(rows[:, 1:3] * 4.0, [[0, 1.5], [1.5, 2.4], [2.4, 4]], atol=0.06)
+    others = polygon.intervals[polygon.intervals[:, 0] != edge]
+    assert (others[:, 3] == EdgeLabel.WALL).all()
+
+
+def test_an_edge_across_free_space_is_open_and_the_goal_beyond_it_free():
+    walls, points = walls_of(ROOMS["L"]), np.array(ROOMS["L"], float)
+    pose = np.array([1.8, 1.0, -2.0])
+    corners = corners_of(points, pose)
+    (polygon,) = find_polygons(corners, beams_of(walls, pose), CONFIG)
+    ring = ring_of(polygon, corners, pose)
+    ((edge, start, end, _),) = polygon.intervals[polygon.intervals[:, 3] != EdgeLabel.WALL]
+    a, b = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
+    assert polygon.intervals[:, 3].max() == EdgeLabel.OPEN
+    assert (end - start) * np.hypot(*(b - a)) > 3.5
+    outward = np.array([b[1] - a[1], a[0] - b[0]]) / np.hypot(*(b - a))
+    goal = a + 0.5 * (start + end) * (b - a) + 0.4 * outward
+    assert sees(walls, pose[:2], goal[None]).all()
+
+
+def test_intervals_cover_each_edge_without_overlap():
+    rng = np.random.default_rng(5)
+    for _, walls, points, poses in rooms():
+        for pose in poses[:15]:
+            corners = corners_of(points[sees(walls, pose[:2], points)], pose)
+            for polygon in find_polygons(corners, beams_of(walls, pose, rng, 0.02), CONFIG):
+                for edge in range(len(polygon.corners)):
+                    rows = polygon.intervals[polygon.intervals[:, 0] == edge]
+                    assert rows[0, 1] == 0.0
+                    assert rows[-1, 2] == 1.0
+                    np.testing.assert_array_equal(rows[1:, 1], rows[:-1, 2])
+                    assert (rows[:, 2] > rows[:, 1]).all()
+
+
+def test_of_equally_many_vertices_the_two_largest_polygons_are_kept():
+    walls, points = walls_of(ROOMS["cross"]), np.array(ROOMS["cross"], float)
+    pose = np.array([3.1, 2.9, 0.3])
+    corners, beams = corners_of(points, pose), beams_of(walls, pose)
+    two = find_polygons(corners, beams, CONFIG)
+    four = find_polygons(corners, beams, PolygonConfig(keep_ties=4))
+    assert [p.corners.tolist() for p in two] == [p.corners.tolist() for p in four[:2]]
+    areas = [area(ring_of(p, corners, pose)) for p in four]
+    assert len(areas) == 4
+    assert areas == sorted(areas, reverse=True)
+    assert {len(p.corners) for p in four} == {4}
+
+
+def area(ring):
+    return 0.5 * np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
+
+
+def test_corners_of_a_polygon_are_ccw_from_the_smallest():
+    for _, walls, points, poses in rooms():
+        for pose in poses[:10]:
+            corners = corners_of(points[sees(walls, pose[:2], points)], pose)
+            for polygon in find_polygons(corners, beams_of(walls, pose), CONFIG):
+                assert polygon.corners[0] == polygon.corners.min()
+                assert polygon.corners.dtype == np.int64
+                assert area(ring_of(polygon, corners, pose)) > 0
+
+
+def test_jambs_of_this_side_are_vertices_only_where_there_is_no_polygon_of_four_without():
+    hall = np.array([(0.0, 0.0), (5.0, 0.0), (5.0, 2.0), (0.0, 2.0)])
+    walls, pose = walls_of(hall), np.array([2.5, 1.0, 0.1])
+    beams = beams_of(walls, pose)
+    kinds = [CornerKind.CROSSING] * 2 + [CornerKind.JAMB] * 2
+    corners = corners_of(hall, pose, kinds=kinds)
+    (polygon,) = find_polygons(corners, beams, CONFIG)
+    assert len(polygon.corners) == 4
+    corners.beyond[corners.kind == CornerKind.JAMB] = 0  # now they belong to the other side
+    assert find_polygons(corners, beams, CONFIG) == ()
+    with_all = corners_of([*hall, (2.5, -0.2)], pose, kinds=[CornerKind.CROSSING] * 4 + [CornerKind.JAMB])
+    (polygon,) = find_polygons(with_all, beams, CONFIG)
+    assert (with_all.kind[polygon.corners] == CornerKind.CROSSING).all()
+
+
+def test_a_triangle_comes_back_where_there_is_nothing_better():
+    room = np.array([(0.0, 0.0), (6.0, 0.0), (3.0, 5.0)])
+    pose = np.array([3.0, 1.5, 0.0])
+    corners = corners_of(room, pose)
+    (polygon,) = find_polygons(corners, beams_of(walls_of(room), pose), CONFIG)
+    assert len(polygon.corners) == 3
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_corners_give_no_polygon(count):
+    pose = np.array([3.0, 2.0, 0.0])
+    assert find_polygons(corners_of(RECTANGLE[:count], pose), beams_of(walls_of(RECTANGLE), pose), CONFIG) == ()
+
+
+def test_tolerance_makes_polygons_repeatable_where_corners_are_collinear():
+    """derivations 1.4: two scans of one place share their vertex set; raw they often do not."""
+    points = np.array([*RECTANGLE, (3.0, 0.0), (2.0, 4.0), (6.0, 2.5)])
+    walls, rng = walls_of(RECTANGLE), np.random.default_rng(6)
+    same = {0.0: 0, 2.5: 0}
+    for pose in poses_in(RECTANGLE, 60, rng, margin=0.5):
+        beams = beams_of(walls, pose)
+        for sigmas in same:
+            seen = [corners_of(points + rng.normal(0, 0.02, points.shape), pose, sigma=0.02) for _ in range(2)]
+            names = [
+                {
+                    frozenset(name_of(c, pose, points, p))
+                    for p in find_polygons(c, beams, PolygonConfig(tolerance_sigmas=sigmas))
+                }
+                for c in seen
+            ]
+            same[sigmas] += bool(names[0] & names[1])
+    assert same[2.5] > 50 > same[0.0]
+
+
+def name_of(corners, pose, points, polygon):
+    """Indices of the true points nearest to the vertices."""
+    ring = ring_of(polygon, corners, pose)
+    return np.argmin(np.hypot(*(ring[:, None] - points).transpose(2, 0, 1)), axis=1).tolist()

@@ -1,0 +1,340 @@
+"""Door and room logic on scripted walks."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, FeatureTable, MapPolygon, Match, Sighting
+from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
+
+# a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
+LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, left is -x
+UPPER = {2: (-0.45, 0.06), 3: (0.45, 0.06)}  # seen from above: right is -x
+OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (2.0, 3.0), 9: (2.0, 0.06)}
+
+
+def belief_at(x, y, heading=0.0):
+    points = {**LOWER, **UPPER, **OTHERS}
+    p_map = np.array([points[i] for i in sorted(points)])
+    return Belief(
+        np.array([x, y, heading]), np.eye(3) * 1e-6, np.arange(10), p_map, np.tile(np.eye(2) * 1e-6, (10, 1, 1))
+    )
+
+
+def features():
+    n = 10
+    table = FeatureTable()
+    table.state = np.ones(n, np.int64)
+    table.room = np.zeros(n, np.int64)
+    table.kind = np.zeros(n, np.int64)
+    table.convex = np.ones(n, np.bool_)
+    table.normals = np.zeros((n, 2))
+    table.seen = np.ones(n, np.int64)
+    table.last_period = np.zeros(n, np.int64)
+    table.p_map = np.zeros((n, 2))
+    return table
+
+
+def sighting(belief, ids, pairs=(), confirmable=True):
+    """Corners and match of a scan that sees the landmarks `ids`, `pairs` of them (positions in ids) as doorways."""
+    offset = belief.p_map[list(ids)] - belief.T_map_robot[:2]
+    z = np.stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0]) - belief.T_map_robot[2]), axis=1)
+    n = len(ids)
+    doorways = Doorways(
+        np.array(pairs, np.int64).reshape(-1, 2), np.full(len(pairs), 0.9), np.full(len(pairs), confirmable)
+    )
+    corners = Corners(
+        z,
+        np.eye(2 * n) * 1e-6,
+        np.zeros(n, np.int64),
+        np.ones(n, np.bool_),
+        np.zeros((n, 2)),
+        np.full(n, -1, np.int64),
+        np.ones(n, np.bool_),
+        doorways,
+    )
+    match = Match(
+        np.array(ids, np.int64),
+        np.full(n, int(Decision.LANDMARK), np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(n),
+        -1,
+        -1,
+        False,
+    )
+    return corners, match
+
+
+def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_room=None):
+    corners, match = sighting(belief, ids, pairs, confirmable)
+    corners, through = keeper.mark_beyond(corners, belief)
+    known = []
+    if polygon_room is not None:
+        known = [MapPolygon(match.ids, np.empty((0, 4)), polygon_room)]
+        match = replace(match, polygon=0, known=0)
+    keeper.update(Sighting(corners, match, through, belief, 0), table or features(), known)
+
+
+def keeper_with_door():
+    keeper = RoomGraphEstimator(RoomConfig())
+    for _ in range(3):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    return keeper
+
+
+def walk(keeper, ys, x=0.0):
+    rooms = []
+    for y in ys:
+        look(keeper, belief_at(x, y), ())
+        rooms.append(keeper.current)
+    return rooms
+
+
+def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
+    keeper = RoomGraphEstimator(RoomConfig())
+    for expected in (0, 0, 1):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+        assert len(keeper.book.doors) == expected
+        assert len(keeper.book.candidates) == 1 - expected
+    assert keeper.book.doors[0].rooms == (0, -1)
+
+
+def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
+    """Two of one face and one of the other; where a jamb was forgotten and found anew, its ids changed as well."""
+    keeper = RoomGraphEstimator(RoomConfig())
+    for _ in range(2):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    assert [candidate.confirmable for candidate in keeper.book.candidates] == [2]
+    look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert [(door.jambs, door.sightings) for door in keeper.book.doors] == [((2, 3), 3)]
+
+
+def test_a_gap_seen_from_afar_stays_a_candidate():
+    keeper = RoomGraphEstimator(RoomConfig())
+    for _ in range(10):
+        look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    assert not keeper.book.doors
+    assert len(keeper.book.candidates) == 1
+
+
+def test_crossing_the_door_opens_a_room_and_coming_back_is_the_old_one():
+    keeper = keeper_with_door()
+    assert walk(keeper, (-0.5, -0.1, 0.2, 0.5)) == [0, 0, 0, 1]
+    assert walk(keeper, (0.2, -0.1, -0.5)) == [1, 1, 0]
+    assert keeper.graph().rooms == (0, 1)
+
+
+def test_oscillation_on_the_threshold_changes_nothing():
+    keeper = keeper_with_door()
+    assert set(walk(keeper, (-0.2, 0.2) * 10)) == {0}
+    assert keeper.in_doorway
+
+
+def test_the_same_door_from_both_sides_is_one_door():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5, 1.5))
+    for _ in range(4):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert len(keeper.book.doors) == 1
+    assert keeper.book.doors[0].other_face == (3, 2)
+    assert keeper.book.doors[0].rooms == (0, 1)
+    assert np.allclose(keeper.book.frames(belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
+
+
+def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new_room():
+    keeper = keeper_with_door()
+    keeper.current, keeper.rooms = 7, [0, 7]  # the robot came round the ring into the room above
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [7, 7, 0]
+    assert keeper.graph().rooms == (0, 7)
+
+
+def test_passing_the_wall_beside_the_door_is_no_crossing():
+    keeper = keeper_with_door()
+    assert set(walk(keeper, (-0.5, 0.0, 0.5), x=2.0)) == {0}
+
+
+def test_what_is_seen_through_a_door_is_marked_and_no_site():
+    keeper = keeper_with_door()
+    belief = belief_at(0.0, -1.5)
+    corners, _ = sighting(belief, (0, 2, 7, 8, 4))
+    marked, through = keeper.mark_beyond(corners, belief)
+    door = keeper.book.doors[0].id
+    assert through.tolist() == [-1, -1, -1, -1, -1]  # 7 and 8 lie behind the wall, not behind the gap
+    far = belief_at(0.0, -0.5)
+    marked, through = keeper.mark_beyond(sighting(far, (0, 7, 8, 4))[0], far)
+    assert through.tolist() == [-1, door, door, -1]
+    assert marked.sites.tolist() == [True, False, False, True]
+
+
+def test_beyond_doors_against_shapely():
+    from shapely.geometry import LineString
+
+    rng = np.random.default_rng(3)
+    door = np.array([[0.3, -0.2, np.cos(0.4), np.sin(0.4), 0.45]])
+    along = np.array([-np.sin(0.4), np.cos(0.4)])
+    gap = LineString([door[0, :2] - 0.45 * along, door[0, :2] + 0.45 * along])
+    for _ in range(500):
+        robot, point = rng.uniform(-3, 3, 2), rng.uniform(-3, 3, 2)
+        crosses = LineString([robot, point]).crosses(gap)
+        row = np.empty(1, np.int64)
+        beyond_doors(robot, point[None], door, 0.0, row)
+        assert (row[0] == 0) == crosses
+
+
+def test_a_new_room_recognised_twice_from_two_places_is_merged():
+    keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2)
+    ids = (4, 5, 6)
+    look(keeper, belief_at(0.0, -2.0), ids)
+    look(keeper, belief_at(0.1, -2.0), ids)  # too near to the first place
+    assert keeper.current == 1
+    look(keeper, belief_at(1.6, -2.0), ids)
+    assert keeper.current == 0
+    assert keeper.graph().rooms == (0,)
+    assert keeper.graph().resolve(1) == 0
+
+
+def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
+    keeper, table = RoomGraphEstimator(RoomConfig()), features()
+    walk(keeper, np.arange(-1.5, 1.6, 0.25))
+    assert keeper.current == 0  # nobody knew of a door
+    table.room[7:] = 0
+    keeper.trail.since[:, 1] = np.where(keeper.trail.p_map[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    assert (keeper.current, keeper.graph().rooms) == (1, (0, 1))
+    assert keeper.book.doors[0].rooms == (1, 0)  # its face is one of the new room
+    assert table.room[7:].tolist() == [1, 1, 1]
+    assert table.room[4:7].tolist() == [0, 0, 0]
+    assert keeper.graph().parted[1][0] == 0
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
+
+
+def test_a_polygon_made_while_the_door_was_unknown_does_not_merge_the_rooms_it_parts():
+    keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2, parted={1: (0, 5)})
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
+    assert keeper.current == 1
+
+
+def test_a_door_passed_and_passed_again_parts_nothing():
+    keeper = RoomGraphEstimator(RoomConfig())
+    walk(keeper, (-1.5, -0.5, 0.5, 1.5, 0.5, -0.5, -1.5))
+    for _ in range(3):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    assert keeper.current == 0
+    assert keeper.book.doors[0].rooms == (0, -1)
+
+
+def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_from():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    beyond = Door(1, (7, 8), None, (0, -1), 3)  # a door of the upper room, seen through the first one
+    keeper.book.set_doors([*keeper.book.doors, beyond])
+    look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),), confirmable=False)
+    assert keeper.book.doors[1].rooms == (0, -1)
+    look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),))
+    assert keeper.book.doors[1].rooms == (1, -1)
+
+
+def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_recognised():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
+    assert keeper.current == 0
+    assert keeper.graph().doors == ()
+
+
+def test_a_gap_found_to_lie_inside_a_room_is_not_taken_for_a_door_again():
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    for x in (0.0, 0.8):
+        look(keeper, belief_at(x, 1.0), (7, 8, 9), polygon_room=0)
+    for _ in range(5):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    assert keeper.graph().doors == ()
+    assert keeper.graph().candidates == ()
+
+
+def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_in():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
+    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), table=table)
+    assert keeper.current == 1
+    assert table.room[[7, 8, 9]].tolist() == [1, 1, 1]
+    assert table.room[[4, 5, 6]].tolist() == [0, 0, 0]
+    assert len(keeper.graph().doors) == 1
+
+
+def to_and_fro(keeper, table, rounds):
+    """Landmarks 7, 8 and 9 are seen from above the gap and, past it, from below; they are moved each time."""
+    for _ in range(rounds):
+        look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
+        for y in (0.5, 0.0, -0.5):
+            look(keeper, belief_at(0.0, y), (), table=table)
+        look(keeper, belief_at(-3.0, -1.0), (7, 8, 9), table=table)  # not through the gap
+        for y in (-0.5, 0.0, 0.5):
+            look(keeper, belief_at(0.0, y), (), table=table)
+
+
+def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_and_not_through_it():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    to_and_fro(keeper, table, 1)
+    assert keeper.graph().rooms == (0,)
+    assert keeper.graph().doors == ()
+    assert table.room[7:].tolist() == [0, 0, 0]
+
+
+def test_a_door_with_two_faces_parts_rooms_whatever_is_seen_from_both_sides():
+    keeper, table = keeper_with_door(), features()
+    walk(keeper, (-0.5, 0.0, 0.5))
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    to_and_fro(keeper, table, 3)
+    assert keeper.graph().rooms == (0, 1)
+    assert len(keeper.graph().doors) == 1
+
+
+def test_an_old_room_recognised_is_entered_not_merged():
+    keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
+    look(keeper, belief_at(0.0, -2.0), (4, 5, 6))
+    look(keeper, belief_at(1.6, -2.0), (4, 5, 6))
+    assert keeper.current == 0
+    assert keeper.graph().rooms == (0, 1)
+
+
+def test_fused_jambs_keep_the_door():
+    book = DoorMap([], [], {(0, 1): 3, (9, 1): 1}, 1)
+    book.set_doors([Door(0, (0, 1), None, (0, -1), 3)])
+    rename_jambs(book, 9, 0)
+    assert book.doors[0].jambs == (9, 1)
+    assert book.sightings == {(9, 1): 4}
+
+
+def test_a_candidate_goes_when_its_door_is_confirmed():
+    book = DoorMap()
+    belief = belief_at(0.0, -1.5)
+    corners, match = sighting(belief, (0, 1), ((0, 1),))
+    for period in range(4):
+        seen = Sighting(corners, match, np.full(2, -1), belief, period)
+        record_doorways(book, seen, features(), 0, RoomConfig())
+    assert len(book.doors) == 1
+    assert not book.candidates
+
+
+def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
+    keeper = RoomGraphEstimator(RoomConfig())
+    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
+    assert len(keeper.book.candidates) == 1
+    assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5)) == [0, 0, 0, 1, 1]
+    assert [door.rooms for door in keeper.book.doors] == [(0, 1)]
+    assert not keeper.book.candidates
+    assert walk(keeper, (0.1, -0.5)) == [1, 0]
