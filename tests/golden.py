@@ -24,7 +24,7 @@ import numpy as np
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import EnvConfig
 from mecp_env.planning.breadth_first import BreadthFirst
-from tests.world.plans import map_pair, two_rooms_picture
+from tests.floorplans.plans import map_pair, two_rooms_picture
 
 STORE = Path(__file__).parent / "data" / "golden.json"
 SEED = 7
