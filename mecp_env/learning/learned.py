@@ -57,7 +57,7 @@ class LearnedAgent:
 
 
 def load(name_or_folder: str | Path, trust: bool = False) -> LearnedAgent | ForeignAgent:
-    """The policy of that name from `agents/weights`, or that of the folder of a run, as an agent.
+    """The policy of that name from `mecp_env/learning/weights`, or that of the folder of a run, as an agent.
 
     With `trust` also the model file of Stable-Baselines3 at that path, which may run any code while it is loaded.
     From then on PyTorch computes in one thread: one observation is too little for more, and the bits stay the same.

@@ -1,4 +1,4 @@
-"""One episode of a policy, drive by drive, on the terminal: what `python -m agents.NAME` does."""
+"""One episode of a policy, drive by drive, on the terminal: what `python -m mecp_env.policies.NAME` does."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Args:
 
 def main(policy: str, args: Args | None = None, line: Sequence[str] | None = None) -> int:
     """Explore as the command line says. Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
-    chosen = args if args is not None else tyro.cli(Args, prog=f"python -m agents.{policy}", args=line)
+    chosen = args if args is not None else tyro.cli(Args, prog=f"python -m mecp_env.policies.{policy}", args=line)
     return ended(policy, lambda: explore(make_agent(policy), chosen))
 
 

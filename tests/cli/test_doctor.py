@@ -13,8 +13,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from mecp_env.cli import doctor, doctor_machine, doctor_trial
+from mecp_env.cli import main as cli
 from mecp_env.cli.findings import Finding
-from mecp_env.cli.main import main as cli
 
 Said = pytest.CaptureFixture[str]
 

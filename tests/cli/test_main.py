@@ -16,10 +16,10 @@ from PIL import Image
 from rich.console import Console
 
 import mecp_env
+from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
 from mecp_env.cli.exploration import Run, tum
 from mecp_env.cli.fields import Fields, configuration
-from mecp_env.cli.main import main as cli
 from mecp_env.cli.progress import Progress, say_result, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
@@ -259,7 +259,7 @@ def test_every_command_can_be_loaded_and_has_examples() -> None:
 
 
 def test_the_overview_loads_no_command() -> None:
-    code = "import sys; from mecp_env import cli; cli.overview(''); print(*sys.modules)"
+    code = "import sys; from mecp_env.cli import main; main.overview(''); print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split())
     assert "mecp_env.cli.base" in loaded
     assert not {"tyro", "numba", "pygame", "matplotlib", "shapely", "mecp_env.config"} & loaded

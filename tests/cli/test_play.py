@@ -9,8 +9,8 @@ import numpy as np
 import pygame
 import pytest
 
+from mecp_env.cli import main as cli
 from mecp_env.cli.buildings import expand
-from mecp_env.cli.main import main as cli
 from mecp_env.cli.play import later
 from mecp_env.cli.play_game import KEYS, Game
 from mecp_env.env import MecpEnv

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from mecp_env.cli import main as cli
 from mecp_env.cli.buildings import Reading, expand
-from mecp_env.cli.main import main as cli
 from mecp_env.cli.worlds_stats import COLUMNS, _entry
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate

@@ -16,8 +16,10 @@ pytest.importorskip("safetensors")
 
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
-from agents import learned  # noqa: E402
-from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning import (
+    files,
+    learned,
+)
 from mecp_env.learning.checkpoints import Checkpoints, Progress, read  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402

@@ -13,7 +13,7 @@ import pytest
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.slam.mecp.polygons import largest_empty_convex_polygons
 
-VECTORS = json.loads((Path(__file__).parents[1] / "data" / "empty_convex_polygons.json").read_text())["vectors"]
+VECTORS = json.loads((Path(__file__).parents[2] / "data" / "empty_convex_polygons.json").read_text())["vectors"]
 OPEN = [vector for vector in VECTORS if vector["mode"] == "open"]
 
 
