@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
+from benchmarks.trees import TreeError
 
 OPEN = ("association", "filters")  # where what a user registers is compared, too
-NAMES = ("speed", "features", "filters", "association", "explorers", "worlds", "vector")
+COMPARED = ("speed", "start")  # with another commit
+NAMES = ("speed", "start", "features", "filters", "association", "explorers", "worlds", "vector")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,16 +23,21 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser().parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
     options = options_of(given, module)
+    if given.name == "speed" and given.against:
+        module = importlib.import_module("benchmarks.against")
     try:
         content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
+    except TreeError as error:
+        print(f"python -m benchmarks: {error}", file=sys.stderr)
+        return 1
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
-    if given.json or not (given.quick or given.sets or given.modules):
+    if given.json or not (given.quick or given.sets or given.modules or given.against):
         save(content, page, given.json or RESULTS / f"{given.name}.json")
     return 0
 
@@ -40,7 +48,12 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error(f"--sets: {given.name} is measured whole")
     if given.modules and given.name not in OPEN:
         parser().error(f"--with: {given.name} compares no associators and no filters; {' and '.join(OPEN)} do")
-    return Options(given.jobs, given.quick, tuple(given.sets), tuple(given.modules))
+    if given.against and (given.name not in COMPARED or given.gate):
+        parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
+    if given.sweeps and not (given.against and given.name == "speed"):
+        parser().error("--sweeps: only for speed --against")
+    parts = tuple(given.sets), tuple(given.modules)
+    return Options(given.jobs, given.quick, *parts, given.against, given.sweeps or 4)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -66,6 +79,12 @@ def parser() -> argparse.ArgumentParser:
         dest="modules",
         help="of association and filters: modules that register others to compare; written only with --json",
     )
+    made.add_argument(
+        "--against",
+        metavar="GIT_REF",
+        help="of speed and start: compare the working tree with this commit; written only with --json",
+    )
+    made.add_argument("--sweeps", type=positive, metavar="K", help="of speed --against: sweeps per scan, default 4")
     return made
 
 
@@ -96,4 +115,5 @@ def gate(module: Any, content: Figures, baseline: Path) -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary folders are removed
     sys.exit(main())

@@ -45,6 +45,8 @@ class Options:
     quick: bool = False  # a small sample: does it run, roughly what does it say
     sets: tuple[str, ...] = ()  # a part of it, where a benchmark has parts
     modules: tuple[str, ...] = ()  # of others, which register associators or filters
+    against: str | None = None  # a git commit to compare the working tree with
+    sweeps: int = 4  # per scan, in that comparison
 
 
 class OptionError(ValueError):

@@ -1,0 +1,66 @@
+"""The first start: CPU seconds and cache files when no function has been compiled yet.
+
+A process with an empty cache makes `two_rooms`, resets it, takes 30 steps and drives to one goal. The CPU time is that
+of the process and of every process that it starts. With `--against GIT_REF`, both trees take turns.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, environment_of
+
+RUNS = 3
+QUICK_RUNS = 1
+
+GATES = (Gate("cpu_s", "time", 1.2), Gate("cache_files", "error", 1.1))
+
+
+def run(options: Options) -> Figures:
+    """Figures of the working tree; with `options.against` those of the other tree beside them."""
+    runs = QUICK_RUNS if options.quick else RUNS
+    if options.against is None:
+        return summarise([first_start("working tree", WORKING_TREE) for _ in range(runs)])
+    with checkout(options.against) as other:
+        pairs = [(first_start("working tree", WORKING_TREE), first_start(options.against, other)) for _ in range(runs)]
+    here, there = zip(*pairs, strict=True)
+    return summarise(list(here)) | {"against": {"commit": options.against, **summarise(list(there))}}
+
+
+def first_start(name: str, tree: Path) -> Figures:
+    """CPU and wall seconds of one first start, and how many files its cache has then. Raises `TreeError`."""
+    with tempfile.TemporaryDirectory(prefix="mecp_env-cache-") as cache:
+        cost = str(Path(__file__).with_name("cpu_cost.py"))
+        done = subprocess.run(
+            [sys.executable, cost, *command("start")],
+            env=environment_of(tree, NUMBA_CACHE_DIR=cache),
+            cwd=tree,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        figures: Figures = json.loads(done.stdout)
+        if figures.pop("code"):
+            raise TreeError(f"{name}: the first start failed\n{done.stderr.strip()}")
+        return figures | {"cache_files": sum(path.is_file() for path in Path(cache).rglob("*"))}
+
+
+def summarise(runs: list[Figures]) -> Figures:
+    """Mean times with intervals; the number of files is the same in every run, or else the largest counts."""
+    times: Figures = {name: estimate([run[name] for run in runs]) for name in ("cpu_s", "wall_s")}
+    return times | {"cache_files": max(run["cache_files"] for run in runs)}
+
+
+def report(figures: Figures) -> str:
+    """One row for each tree."""
+    trees = {"working tree": figures}
+    if "against" in figures:
+        trees[figures["against"]["commit"]] = figures["against"]
+    rows = [(name, v["cpu_s"], v["wall_s"], v["cache_files"]) for name, v in trees.items()]
+    head = ["tree", "CPU seconds", "wall seconds", "cache files"]
+    return "\n\n".join([__doc__.strip() if __doc__ else "", table(head, rows)])

@@ -1,0 +1,151 @@
+"""Comparisons with another commit: what is measured, what an error says, and that nothing is left behind."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks import against, in_tree, start
+from benchmarks.common import Options
+from benchmarks.trees import WORKING_TREE, TreeError, Worker, checkout
+from mecp_env.planning.breadth_first import BreadthFirst
+
+needs_git = pytest.mark.skipif(not (WORKING_TREE / ".git").exists(), reason="not in a git clone")
+
+
+@pytest.fixture
+def temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+@needs_git
+def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(temporary: Path) -> None:
+    sizes = against.Sizes(block=10, episode=20, warm_up=30, total=40)
+    figures = against.run(Options(against="HEAD", sweeps=1), sizes)
+    assert set(figures) == {"against", "K=1"}
+    for values in figures["K=1"].values():
+        assert values["ratio"]["value"] > 0.0
+        assert values["ratio"]["n"] + values["left_out"] >= 2
+        assert min(values["steps_per_s"], values["steps_per_s_against"]) > 0.0
+        assert 0.0 <= values["same_observations"] <= 1.0
+    page = against.report(figures)
+    assert all(f"| K=1 | {actions} |" in page for actions in against.ACTIONS)
+    assert not list(temporary.iterdir())
+
+
+@needs_git
+def test_an_interrupted_comparison_removes_the_copy(temporary: Path) -> None:
+    def interrupted() -> None:
+        with checkout("HEAD") as tree:
+            assert (tree / "mecp_env" / "__init__.py").is_file()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not list(temporary.iterdir())
+
+
+@needs_git
+@pytest.mark.parametrize("line", [["speed", "--against", "nosuch"], ["start", "--against", "--output=x"]])
+def test_a_wrong_commit_is_named(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main([line[0], f"--against={line[2]}"])
+    assert ended.value.code == 2
+    assert f"--against {line[2]}: no such commit" in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [["features", "--against", "HEAD"], ["speed", "--against", "HEAD", "--gate"], ["speed", "--sweeps", "1"]],
+)
+def test_options_without_a_meaning_end_with_2(line: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        command.main(line)
+    assert ended.value.code == 2
+
+
+def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
+    with Worker("old tree", WORKING_TREE, "backwards", "1") as worker:
+        with pytest.raises(
+            TreeError, match=r"(?s)old tree: the worker ended with exit code 1\n.*KeyError: 'backwards'"
+        ):
+            worker.check_package()
+        with pytest.raises(TreeError, match="old tree"):
+            worker.call("reset", 0)
+
+
+def test_a_package_from_elsewhere_is_an_error(tmp_path: Path) -> None:
+    with Worker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
+        worker.check_package()
+
+
+def block(seconds: float, *, compiled: bool = False, digest: str = "a") -> dict[str, object]:
+    return {"steps": 10, "seconds": seconds, "over": False, "compiled": compiled, "digest": digest}
+
+
+def test_blocks_with_a_compilation_do_not_count() -> None:
+    pairs = [(block(1.0), block(2.0)), (block(9.0, compiled=True), block(2.0, digest="b")), (block(1.2), block(2.4))]
+    figures = against.summarise(pairs)
+    assert figures["ratio"]["value"] == pytest.approx(0.5)
+    assert figures["ratio"]["n"] == 2
+    assert figures["left_out"] == 1
+    assert figures["steps_per_s"] == pytest.approx(10 / 1.1)
+    assert figures["steps_per_s_against"] == pytest.approx(10 / 2.2)
+    assert figures["same_observations"] == pytest.approx(2 / 3)
+
+
+def test_the_driver_chooses_as_the_breadth_first_explorer() -> None:
+    rng, policy = np.random.default_rng(0), BreadthFirst()
+    for _ in range(300):
+        goals = rng.integers(0, 4, (32, 9)).astype(np.float32)
+        goals[:, in_tree.PATH] = rng.uniform(0.5, 9.0, 32)
+        goals[:, in_tree.VALID] = np.arange(32) < rng.integers(0, 33)
+        mask = goals[:, in_tree.VALID] > 0.5
+        assert in_tree.breadth_first(goals, mask) == policy.act({"goals": goals}, mask)
+
+
+def test_the_cost_of_a_command_includes_what_outlives_it() -> None:
+    burn = "import time\nwhile time.process_time() < 0.4: pass"
+    code = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {burn!r}])"
+    script = str(Path(start.__file__).with_name("cpu_cost.py"))
+    done = subprocess.run([sys.executable, script, sys.executable, "-c", code], capture_output=True, check=True)
+    cost = json.loads(done.stdout)
+    assert cost["code"] == 0
+    assert cost["cpu_s"] > 0.4 or sys.platform != "linux"
+
+
+def test_the_first_start_counts_the_files_of_an_empty_cache(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
+    code = "import os, pathlib; pathlib.Path(os.environ['NUMBA_CACHE_DIR'], 'f.nbi').touch(); print('hello')"
+    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", code])
+    figures = start.run(Options(quick=True))
+    assert figures["cache_files"] == 1
+    assert figures["cpu_s"]["value"] > 0.0
+    assert "| working tree |" in start.report(figures)
+    assert not list(temporary.iterdir())
+
+
+def test_a_first_start_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
+    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", "raise SystemExit('no such layout')"])
+    with pytest.raises(TreeError, match=r"(?s)old: the first start failed.*no such layout"):
+        start.first_start("old", WORKING_TREE)
+    assert not list(temporary.iterdir())
+
+
+def test_the_command_prints_a_tree_error_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(options: Options) -> None:
+        raise TreeError("old: broken")
+
+    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    monkeypatch.setattr(against, "run", fail)
+    assert command.main(["speed", "--against", "HEAD"]) == 1
+    assert capsys.readouterr().err == "python -m benchmarks: old: broken\n"
