@@ -53,7 +53,7 @@ GATES = (
 class Pairs:
     """Every corner of a drive and what became of it, by what each landmark turned out to be."""
 
-    period: Ints
+    step: Ints
     true: Ints  # true corner, -1 for none
     claimed: Ints  # true corner of the landmark it was paired with, -1 for none or no pairing
     matched: NDArray[np.bool_]
@@ -99,7 +99,7 @@ def counts(drive: Drive, outcome: Replay) -> Figures:
     pairs = all_pairs(outcome.log)
     rooms = rooms_of(drive)[: len(outcome.error_m)]
     events = closures(drive, outcome.log, pairs, rooms)
-    after_door = np.isin(pairs.period, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
+    after_door = np.isin(pairs.step, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
     return {
         "tp": tp,
         "fp": fp,
@@ -123,10 +123,10 @@ def counts(drive: Drive, outcome: Replay) -> Figures:
 
 def all_pairs(log: AssociationLog) -> Pairs:
     """Every corner of the log with the final identities."""
-    period, true, feature, matched = log.rows[: log.used].T
+    step, true, feature, matched = log.rows[: log.used].T
     matched = matched.astype(bool)
     claimed = np.where(matched, log.features[feature, 0], -1)
-    return Pairs(period, true, claimed, matched)
+    return Pairs(step, true, claimed, matched)
 
 
 def rooms_of(drive: Drive) -> Ints:
@@ -145,7 +145,7 @@ def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> li
     for i, room in enumerate(rooms.tolist()):
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
-        window = (pairs.period > i) & (pairs.period <= i + WITHIN_SCANS)
+        window = (pairs.step > i) & (pairs.step <= i + WITHIN_SCANS)
         # corners of this room, and spurious ones that were taken for one of them
         subject = np.where(pairs.true >= 0, pairs.true, pairs.claimed)
         window &= (subject >= 0) & (corner_room[subject] == room)
@@ -154,9 +154,9 @@ def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> li
     return events
 
 
-def mapped_before(log: AssociationLog, corners: Ints, period: int) -> int:
-    """How many of the true corners had a landmark before `period`."""
-    return sum(bool((log.features[log.features[:, 0] == corner, 1] < period).any()) for corner in corners.tolist())
+def mapped_before(log: AssociationLog, corners: Ints, step: int) -> int:
+    """How many of the true corners had a landmark before `step`."""
+    return sum(bool((log.features[log.features[:, 0] == corner, 1] < step).any()) for corner in corners.tolist())
 
 
 def swapped(drive: Drive, pairs: Pairs) -> int:

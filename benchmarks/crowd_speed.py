@@ -1,9 +1,9 @@
-"""What a larger building and people cost: a period there against one in the bare paper layout, in the same run.
+"""What a larger building and people cost: a step there against one in the bare paper layout, in the same run.
 
 The building is a generated one of the preset `hard`, test split, with at least 200 wall faces (the layout `paper` has
 98); a person is a polygon of 16 faces to the laser. Blocks of the settings take turns, so that what else the machine
 does strikes all alike, and each block is an exploration (or a random drive) of its own, from a start of its own; a
-ratio is of the times of one period in two blocks of the same turn.
+ratio is of the times of one step in two blocks of the same turn.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ SETTINGS: dict[str, tuple[bool, dict[str, Any]]] = {  # whether in the generated
     "200 walls": (True, {}),
     "200 walls, 8 people": (True, PEOPLE),
 }
-RANDOM_PERIODS = 400  # of a random drive
-MAX_PERIODS = 3000
+RANDOM_STEPS = 400  # of a random drive
+MAX_STEPS = 3000
 
 
 def measure(turns: int) -> Figures:
-    """For random actions and the explorer: us a period of each setting, and its ratio to the bare layout."""
+    """For random actions and the explorer: us a step of each setting, and its ratio to the bare layout."""
     return {name: compared(drive, turns) for name, drive in (("random", drive_at_random), ("bfs", explore))}
 
 
@@ -61,19 +61,19 @@ def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
 
 def step_us(watch: Stopwatch) -> float:
     """Mean time of a step, us."""
-    return 1e6 * watch.seconds["step"] / watch.periods
+    return 1e6 * watch.seconds["step"] / watch.steps
 
 
 def drive_us(watch: Stopwatch) -> float:
     """Mean time between two steps of a goal action, us."""
-    return 1e6 * watch.seconds["drive"] / watch.periods
+    return 1e6 * watch.seconds["drive"] / watch.steps
 
 
 def block(setting: str, drive: Callable[[MecpEnv, int], None], turn: int) -> Stopwatch:
     """One drive in a setting, timed."""
     generated, moving = SETTINGS[setting]
     layout = building(max(turn, 0)) if generated else BARE
-    env = MecpEnv(layout=layout, start="random", max_periods=MAX_PERIODS, **moving)
+    env = MecpEnv(layout=layout, start="random", max_steps=MAX_STEPS, **moving)
     with timed_stages(each=False) as watch:
         drive(env, turn + 1)
     return watch
@@ -102,15 +102,15 @@ def report(measured: Figures) -> str:
 
 
 def drive_at_random(env: MecpEnv, seed: int) -> None:
-    """Random velocities, each held for ten periods."""
+    """Random velocities, each held for ten steps."""
     rng = np.random.default_rng(seed)
     env.reset(seed=seed)
-    for period in range(RANDOM_PERIODS):
-        if period % 10 == 0:
+    for step in range(RANDOM_STEPS):
+        if step % 10 == 0:
             action = rng.uniform([0.3, -0.4], [1.0, 0.4])
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
-            env.reset(seed=period)
+            env.reset(seed=step)
 
 
 def explore(env: MecpEnv, seed: int) -> None:

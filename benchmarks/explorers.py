@@ -2,7 +2,7 @@
 
 A seed is complete when its episode ends with every room and every door found and 95 % of the free area seen. A room is
 found when the centre of a room of the map lies in it, a door when a door of the map lies within 0.3 m, one to one; what
-is left over of the map is false. Periods and metres to a coverage are means over the seeds that reached it.
+is left over of the map is false. Steps and metres to a coverage are means over the seeds that reached it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 1
 QUICK = {"paper": 2, "two_rooms": 3}
 LEVELS = (0.90, 0.99)
 COMPLETE_COVERAGE = 0.95
-MAX_PERIODS = 3000
+MAX_STEPS = 3000
 
 GATES = (
     Gate("paper/breadth first/complete", "share", 0.03),
@@ -42,14 +42,14 @@ class Episode:
     """One exploration: its final figures, and when each coverage was reached."""
 
     final: dict[str, float] = field(default_factory=dict)
-    periods: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
+    steps: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
     metres: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
 
     def look(self, info: dict[str, Any]) -> None:
-        """Take in the info of one control period."""
+        """Take in the info of one control step."""
         for level in LEVELS:
-            if np.isnan(self.periods[level]) and info["coverage"] >= level:
-                self.periods[level], self.metres[level] = info["period"], info["metres"]
+            if np.isnan(self.steps[level]) and info["coverage"] >= level:
+                self.steps[level], self.metres[level] = info["period"], info["metres"]
 
 
 def run(options: Options) -> Figures:
@@ -68,7 +68,7 @@ def explore(task: tuple[str, str, int]) -> Episode:
     layout, where, seed = task
     module, _, name = where.partition(":")
     agent = getattr(importlib.import_module(module), name)()
-    env = make(layout=layout, actions=agent.actions, max_periods=MAX_PERIODS, start="random")
+    env = make(layout=layout, actions=agent.actions, max_steps=MAX_STEPS, start="random")
     episode = Episode()
     if isinstance(env, GoalActions):
         env.callback = lambda step: episode.look(step[4])
@@ -115,8 +115,8 @@ def summarise(episodes: list[Episode]) -> Figures:
         "nees": estimate(of("nees_mean")),
     }
     for level in LEVELS:
-        figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.periods[level]) for episode in episodes)
-        figures[f"periods_to_{level:.0%}"] = estimate([episode.periods[level] for episode in episodes])
+        figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.steps[level]) for episode in episodes)
+        figures[f"periods_to_{level:.0%}"] = estimate([episode.steps[level] for episode in episodes])
         figures[f"metres_to_{level:.0%}"] = estimate([episode.metres[level] for episode in episodes])
     figures["incomplete_seeds"] = [seed for seed, final in enumerate(finals) if not is_complete(final)]
     return figures

@@ -74,7 +74,7 @@ def times_us(kind: str, count: int) -> Figures:
 
 
 def prepared_calls(kind: str, count: int) -> dict[str, Callable[[], object]]:
-    """The calls of one period, ready to be timed."""
+    """The calls of one step, ready to be timed."""
     rng = np.random.default_rng(0)
     belief = make_filter(FilterConfig(kind=kind))
     z = np.stack([rng.uniform(1, 10, count), rng.uniform(-3, 3, count)], axis=1)

@@ -119,7 +119,7 @@ def make_course(step_m: float = 0.25, laps: float = 2.0, slips: Array | None = N
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What is measured in one period."""
+    """What is measured in one step."""
 
     odometry: Odometry
     z: Array  # (n,2)

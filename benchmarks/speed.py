@@ -1,7 +1,7 @@
 """Speed: steps a second of the whole environment, the share of each stage, the ray and the polygon kernels alone.
 
 Everything runs on one core. Times are those of the processor spent by this thread, so that another load on the machine
-does not count; periods in which numba compiled or loaded a kernel are left out.
+does not count; steps in which numba compiled or loaded a kernel are left out.
 """
 
 from __future__ import annotations
@@ -42,60 +42,60 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """All figures; the environment is measured for 300 periods (--quick) or 3,000 a setting."""
-    periods = 300 if options.quick else 3000
+    """All figures; the environment is measured for 300 steps (--quick) or 3,000 a setting."""
+    steps = 300 if options.quick else 3000
     return {
-        "env": {f"K={k}": environment(k, periods) for k in SWEEPS},
+        "env": {f"K={k}": environment(k, steps) for k in SWEEPS},
         "crowd": crowd_speed.measure(2 if options.quick else 12),
         "rays": rays(50 if options.quick else 300),
         "polygon": polygon_speed.measure(20 if options.quick else 200),
     }
 
 
-def environment(sweeps: int, periods: int) -> Figures:
-    """Speed under random velocities and under the breadth-first explorer, in control periods a second."""
-    return {"random": timed(sweeps, periods, drive_at_random), "bfs": timed(sweeps, periods, explore)}
+def environment(sweeps: int, steps: int) -> Figures:
+    """Speed under random velocities and under the breadth-first explorer, in control steps a second."""
+    return {"random": timed(sweeps, steps, drive_at_random), "bfs": timed(sweeps, steps, explore)}
 
 
-def timed(sweeps: int, periods: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
+def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
     """Steps a second of whole steps; then, on the same drive again, microseconds of each stage."""
-    env = MecpEnv(layout=LAYOUT, laser={"sweeps": sweeps, "beams": BEAMS}, max_periods=10**7)
+    env = MecpEnv(layout=LAYOUT, laser={"sweeps": sweeps, "beams": BEAMS}, max_steps=10**7)
     drive(env, 50)  # loads the kernels
     with timed_stages(each=False) as watch:
-        drive(env, periods)
+        drive(env, steps)
     with timed_stages() as stages:
-        drive(env, periods)
+        drive(env, steps)
     return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": stages.microseconds()}
 
 
 def with_driver(watch: Stopwatch) -> float:
-    """Control periods a second when the planner and controller of the goal actions count too."""
-    return watch.periods / (watch.seconds["step"] + watch.seconds["drive"])
+    """Control steps a second when the planner and controller of the goal actions count too."""
+    return watch.steps / (watch.seconds["step"] + watch.seconds["drive"])
 
 
-def drive_at_random(env: MecpEnv, periods: int) -> None:
-    """Random velocities, each held for ten periods; a new episode every 1,000 periods."""
+def drive_at_random(env: MecpEnv, steps: int) -> None:
+    """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
     rng = np.random.default_rng(0)
-    for period in range(periods):
-        if period % 1000 == 0:
-            env.reset(seed=period)
-        if period % 10 == 0:
+    for step in range(steps):
+        if step % 1000 == 0:
+            env.reset(seed=step)
+        if step % 10 == 0:
             action = rng.uniform([0.3, -0.4], [1.0, 0.4])
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
-            env.reset(seed=period)
+            env.reset(seed=step)
 
 
-def explore(env: MecpEnv, periods: int) -> None:
-    """Whole explorations, one after the other, until enough periods are over."""
+def explore(env: MecpEnv, steps: int) -> None:
+    """Whole explorations, one after the other, until enough steps are over."""
     seen, policy = 0, BreadthFirst()
     goals = GoalActions(env)
-    for seed in range(periods):
-        if seen >= periods:
+    for seed in range(steps):
+        if seen >= steps:
             return
         observation, _ = goals.reset(seed=seed)
         terminated = truncated = False
-        while not (terminated or truncated) and seen < periods:
+        while not (terminated or truncated) and seen < steps:
             observation, _, terminated, truncated, info = goals.step(policy.act(observation, goals.action_masks()))
             seen += info["periods"]
 
@@ -179,7 +179,7 @@ def report(figures: Figures) -> str:
             f"Times of the processor. {__doc__.splitlines()[0] if __doc__ else ''}",
             "## Steps a second (layout `paper`, 720 beams, one core)",
             table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
-            "## Where a period goes, us",
+            "## Where a step goes, us",
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
             f"## A larger building, and people\n\n{crowd_speed.__doc__}",
             crowd_speed.report(figures["crowd"]),

@@ -1,4 +1,4 @@
-"""Many environments: control periods a second of 16 environments in every vector class, against a single one.
+"""Many environments: control steps a second of 16 environments in every vector class, against a single one.
 
 All kinds run in the same process by turns, a few seconds each, the first one another in every round; a ratio is taken
 within a round, so that what else the machine does meets both. Processor time is that of all processes of a kind
@@ -30,8 +30,8 @@ from mecp_env.vector.crew import cores
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16
 SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}
-EPISODE = 300  # periods; a grown map costs more, and a single environment would otherwise have the largest
-HELD = 10  # periods for which a velocity is held
+EPISODE = 300  # steps; a grown map costs more, and a single environment would otherwise have the largest
+HELD = 10  # steps for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
 SINGLE, ASYNC, BATCH, SUBPROC = "single", "async", "batch", "subproc"
 
@@ -80,7 +80,7 @@ def available() -> tuple[str, ...]:
 def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     """One environment of a setting."""
     keywords = {name: value for name, value in setting.items() if name != "small"}
-    env = gymnasium.make(NAME, disable_env_checker=True, max_periods=EPISODE, **keywords)
+    env = gymnasium.make(NAME, disable_env_checker=True, max_steps=EPISODE, **keywords)
     return FilterObservation(env, SMALL) if "small" in setting else env
 
 
@@ -140,14 +140,14 @@ class Driver:
             self.observation = self.venv.reset(seed=0)[0]
 
     def measure(self, seconds: float) -> tuple[float, float]:
-        """Control periods a second, and microseconds of processor time a period, over at least so long."""
-        start, spent, periods = time.perf_counter(), self.processor_s(), 0
+        """Control steps a second, and microseconds of processor time a step, over at least so long."""
+        start, spent, steps = time.perf_counter(), self.processor_s(), 0
         while time.perf_counter() < start + seconds:
-            periods += self.step()
-        return periods / (time.perf_counter() - start), 1e6 * (self.processor_s() - spent) / periods
+            steps += self.step()
+        return steps / (time.perf_counter() - start), 1e6 * (self.processor_s() - spent) / steps
 
     def step(self) -> int:
-        """A step of all environments: how many control periods it took together."""
+        """A step of all environments: how many control steps it took together."""
         row = self.venv.step(self.choose())
         self.observation, infos, self.steps = row[0], row[-1], self.steps + 1
         if isinstance(infos, tuple):
@@ -197,7 +197,7 @@ def processes(venv: Any) -> list[Any]:
 
 def report(figures: Figures) -> str:
     """A table a setting, a row a kind."""
-    heads = ["kind", "periods a second", "over a single one", "over async", "processor us a period", "memory MB"]
+    heads = ["kind", "steps a second", "over a single one", "over async", "processor us a step", "memory MB"]
     pages = [
         f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
         for setting, kinds in figures.items()

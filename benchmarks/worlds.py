@@ -52,7 +52,7 @@ SETS = (*BUILDINGS, PLANS)
 PLAN_STARTS = 3
 MOST = 1000  # buildings of the test split
 PIXEL_M = 0.05  # of plans that are plain images
-MAX_PERIODS = 10_000
+MAX_STEPS = 10_000
 COMPLETE_COVERAGE = 0.95
 LOST_M = 1.0
 KEPT = Path("runs/worlds")
@@ -130,7 +130,7 @@ def visit(task: tuple[str, int]) -> Visit:
     """Explore one building, from a start that its number draws."""
     setting, index = task
     layout = building(setting, index)
-    env = make(layout=layout, actions="goal", max_periods=MAX_PERIODS, start="random", **added(setting))
+    env = make(layout=layout, actions="goal", max_steps=MAX_STEPS, start="random", **added(setting))
     assert isinstance(env, GoalActions)
     policy, begun = BreadthFirst(), time.thread_time()
     observation, info = env.reset(seed=index)
@@ -158,7 +158,7 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
     (folder / "layout.json").write_text(layout.to_json())
     save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
     again = f"mecp-env demo --layout {shlex.quote(str(folder / 'layout.json'))} --seed {seed} --config.start random"
-    again += f"{flags(setting)} --config.max-periods {MAX_PERIODS}"
+    again += f"{flags(setting)} --config.max-steps {MAX_STEPS}"
     code = {"version": mecp_env.__version__, "commit": commit()}
     record: dict[str, Any] = {"again": again, **code, "seed": seed, "outcome": found.outcome, **found.final}
     (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")

@@ -22,7 +22,7 @@ def register_environments() -> None:
     """Register the ids of `ENVIRONMENTS`; a second call changes nothing."""
     for name, entry_point in ENVIRONMENTS.items():
         if name not in registry:
-            batch = entry_point.replace("entry_points", "vector")
+            batch = entry_point.replace("registration", "vector")
             register(id=name, entry_point=entry_point, vector_entry_point=batch)
 
 

@@ -31,8 +31,8 @@ class RewardConfig(Settings):
     area: float = 0.1  # a m^2 newly mapped
     pose_information: float = 0.05  # a nat: the rise of -0.5 log det of the pose covariance
     landmark_information: float = 0.05  # a nat: the rise of -0.5 log det of a landmark's covariance, mean over all
-    contact: float = -0.1  # a period in which the robot touched something
-    time: float = -0.005  # a period
+    contact: float = -0.1  # a step in which the robot touched something
+    time: float = -0.005  # a step
     completion: float = 10.0  # 100 m^2 of map, once, when the task ends by itself
     divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
 
@@ -41,7 +41,7 @@ class EndConfig(Settings):
     """When an episode ends before its limit; without a coverage it ends when no goal is left in the belief."""
 
     coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the truth's free area that must have been seen
-    quiet_periods: int = Field(25, ge=1, le=10_000)  # where people walk, who may hide a door: so long no goal is left
+    quiet_steps: int = Field(25, ge=1, le=10_000)  # where people walk, who may hide a door: so long no goal is left
 
 
 def plain_value(value: Any) -> Any:
@@ -70,7 +70,7 @@ class EnvConfig(Settings):
     layout: Annotated[str | dict[str, Any], BeforeValidator(plain_layout)] = "two_rooms"  # name, path, `Layout` or dict
     estimator: Literal["slam", "known", "truth"] = "slam"
     actions: Literal["velocity", "discrete", "goal"] = "velocity"
-    max_periods: int = Field(3000, ge=1, le=10_000_000)
+    max_steps: int = Field(3000, ge=1, le=10_000_000)
     start: Literal["layout", "random"] | tuple[Number, Number, Number] = "layout"  # or x, y (m), heading (rad), world
     robot: RobotConfig = RobotConfig()
     laser: LaserConfig = LaserConfig()
@@ -79,7 +79,7 @@ class EnvConfig(Settings):
     clutter: ClutterConfig = ClutterConfig()
     slam: SlamConfig = SlamConfig()
     planning: PlanningConfig = PlanningConfig()
-    goal_periods: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every period)
+    goal_steps: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every step)
     observation: ObservationConfig = ObservationConfig()
     reward: RewardConfig = RewardConfig()
     end: EndConfig = EndConfig()

@@ -60,7 +60,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ## Description
 
     A circular robot with a differential drive (Pioneer P3-DX) stands in a building it does not know. Every step is
-    one control period of 0.4 s: the robot moves, its odometry and its laser measure with noise, and a complete
+    one control step of 0.4 s: the robot moves, its odometry and its laser measure with noise, and a complete
     EKF-SLAM with Maximum Empty Convex Polygon data association (Kosuru, Pedduri, Krishna, 2010) updates pose,
     landmarks, rooms, doors and a semantic grid. The agent is given that belief, never the truth. The map frame is the
     robot's true pose at reset.
@@ -71,7 +71,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
       the largest turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (the turns at half of the largest rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
-      `action_masks()` tells which rows are goals; a masked choice is one period of waiting.
+      `action_masks()` tells which rows are goals; a masked choice is one step of waiting.
 
     An action outside its space raises `ActionError` and leaves the environment as it was.
 
@@ -96,15 +96,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Episode End
 
-    Terminated: no goal is left in a belief with at least one polygon (where people walk, for 25 periods), or the share
-    `end={"coverage": ...}` of the true free area has been seen. Truncated: `max_periods` periods are over (default
+    Terminated: no goal is left in a belief with at least one polygon (where people walk, for 25 steps), or the share
+    `end={"coverage": ...}` of the true free area has been seen. Truncated: `max_steps` steps are over (default
     3,000), or the filter diverged (`info["diverged"]`).
 
     ## Arguments
 
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
-    as a keyword over it (`layout`, `estimator`, `actions`, `max_periods`, `start`, `robot`, `laser`, `odometry`,
-    `crowd`, `clutter`, `slam`, `planning`, `goal_periods`, `observation`, `reward`, `end`). `crowd={"people": 4}` lets
+    as a keyword over it (`layout`, `estimator`, `actions`, `max_steps`, `start`, `robot`, `laser`, `odometry`,
+    `crowd`, `clutter`, `slam`, `planning`, `goal_steps`, `observation`, `reward`, `end`). `crowd={"people": 4}` lets
     people walk about, `clutter` has boxes to push and doors that are closed. `layout` is a shipped name, a path, a
     dict or a `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split`
     and the fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
@@ -165,7 +165,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return observation, self._info(episode, self._site.T_world_robot, dict.fromkeys(TERMS, 0.0))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control period: observation, reward, terminated, truncated, info.
+        """One control step: observation, reward, terminated, truncated, info.
 
         Raises `ActionError`; the environment is then as it was. Raises `ResetNeeded` before `reset` and after the end.
         """
@@ -246,13 +246,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             p_goals=episode.goals.p_map,
             goal_kinds=np.asarray(episode.goals.kind, np.int64),
             target=nearest_goal(episode.goals, episode.target),
-            title=f"{self._site.outline.name}, {self.config.estimator}, period {episode.metrics.periods}",
+            title=f"{self._site.outline.name}, {self.config.estimator}, step {episode.metrics.steps}",
             metrics=figures(episode.metrics, self._site.truth, episode.report),
         )
 
     @property
     def report(self) -> SlamOutput:
-        """What the estimator saw and decided in the last period."""
+        """What the estimator saw and decided in the last step."""
         return self._started().report
 
     @property
@@ -334,7 +334,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return episode
 
     def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> SlamOutput:
-        """What SLAM makes of this period; only "known" and "truth" are told anything that is true."""
+        """What SLAM makes of this step; only "known" and "truth" are told anything that is true."""
         odometry, scan = self._sense(motion, T_world_robot)
         exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
         identities = self._identities(T_world_robot)
@@ -345,7 +345,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._site.look(T_world_robot, self.np_random)
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
-        """What odometry and laser measure of a period."""
+        """What odometry and laser measure of a step."""
         odometry = measure(motion, self.config.odometry, self.np_random)
         return odometry, self._look(T_world_robot)
 
@@ -356,9 +356,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return partial(self._site.truth.identify, T_world_robot=T_world_robot, others=self._site.others())
 
     def _find_goals(self, episode: Episode) -> None:
-        """Look for goals anew when the map changed, at most every few periods, and at once when none is left."""
+        """Look for goals anew when the map changed, at most every few steps, and at once when none is left."""
         episode.book.notice(episode.report)
-        due = episode.report.period - episode.goals_period >= self.config.goal_periods
+        due = episode.report.step - episode.goals_step >= self.config.goal_steps
         if (due and episode.goals_key != goals_key(episode.report)) or not len(episode.goals):
             self.refresh_goals()
 
@@ -370,7 +370,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         painter.complete(complete_rooms(episode.goals, episode.book, graph))
         if not len(episode.goals):
             episode.report = replace(episode.report, grid=painter.finish(graph))
-        episode.goals_period, episode.goals_key = episode.report.period, goals_key(episode.report)
+        episode.goals_step, episode.goals_key = episode.report.step, goals_key(episode.report)
 
     def _compare(self, episode: Episode, motion: Motion, T_world_robot: Array) -> None:
         """Hold the belief against the truth."""
@@ -389,7 +389,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         seen = enough is not None and episode.metrics.coverage(self._site.truth) >= enough
         lost = episode.report.diverged  # then it does not matter what the map says
         done = (self._nothing_left(episode) or seen) and not lost
-        cut = not done and (episode.metrics.periods >= self.config.max_periods or lost)
+        cut = not done and (episode.metrics.steps >= self.config.max_steps or lost)
         episode.over = done or cut
         if episode.over:
             episode.metrics.compare_map(self._site.truth, episode.report, due=True)
@@ -404,10 +404,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         if empty:
             episode.pipeline.grid.look_again()
             episode.book.forgive()
-        return episode.quiet >= self.config.end.quiet_periods
+        return episode.quiet >= self.config.end.quiet_steps
 
     def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:
-        """The terms of this period's reward, weighted."""
+        """The terms of this step's reward, weighted."""
         measured = quantities(episode.memory, self._moment(episode), self.config.reward)
         happened = events(episode.memory, episode.contact, terminated, episode.report.diverged)
         return weigh(self.config.reward, measured | happened)
@@ -428,7 +428,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _info(self, episode: Episode, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
         """Truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
         return {
-            "period": episode.metrics.periods,
+            "period": episode.metrics.steps,
             "event": "",
             "building": self._site.building,
             "truth_pose": episode.metrics.T_map_robot.copy(),

@@ -31,12 +31,12 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     """Discrete(32): drive to a goal of the observation, with path planner, controller and recovery, until it ends.
 
     A drive ends when the goal is reached or has nothing more to show, when it is refused (no way, stuck, too long), or
-    with the episode. Rewards of its periods are summed. `info["event"]` tells how it ended ("reached", "refused",
-    "ended" with the episode, "masked" for a row that holds no goal: one period of waiting) and `info["periods"]` how
-    many periods it took, at least one. A drive after which no goal is left is followed by one period of waiting, in
-    which the episode ends (unless nothing was mapped yet, or people walk: then it ends after some such periods).
+    with the episode. Rewards of its steps are summed. `info["event"]` tells how it ended ("reached", "refused",
+    "ended" with the episode, "masked" for a row that holds no goal: one step of waiting) and `info["periods"]` how
+    many steps it took, at least one. A drive after which no goal is left is followed by one step of waiting, in
+    which the episode ends (unless nothing was mapped yet, or people walk: then it ends after some such steps).
 
-    `callback`, if one is set, is called with the result of every inner period. A state taken inside a drive continues
+    `callback`, if one is set, is called with the result of every inner step. A state taken inside a drive continues
     as a velocity environment: the drive itself is not part of it.
     """
 
@@ -78,13 +78,13 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return self._finish(steps, EVENTS[self.navigator.outcome])
 
     def drive(self, row: int) -> list[Step]:
-        """The periods of a drive to the goal in `row`; what became of it is remembered unless the episode ended."""
+        """The steps of a drive to the goal in `row`; what became of it is remembered unless the episode ended."""
         goals, steps = self.base.goals, list[Step]()
         self.navigator.start(Target.of(goals, row))
         self.base.aim_at(goals.p_map[row])
         command = self.navigator.step(self.base.report)
         while self.navigator.outcome == Outcome.RUNNING:
-            steps.append(self._period(*command))
+            steps.append(self._step(*command))
             if steps[-1][2] or steps[-1][3]:
                 return steps
             command = self.navigator.step(self.base.report)
@@ -92,10 +92,10 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return steps
 
     def _wait(self) -> Step:
-        return self._period(0.0, 0.0)
+        return self._step(0.0, 0.0)
 
-    def _period(self, v: float, w: float) -> Step:
-        """One control period with a command in m/s and rad/s."""
+    def _step(self, v: float, w: float) -> Step:
+        """One control step with a command in m/s and rad/s."""
         robot = self.base.config.robot
         observation, reward, terminated, truncated, info = self.env.step(
             to_shares(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))

@@ -127,7 +127,7 @@ class Toy:
         self.p_map = to_map(self.T_map_world, LANDMARKS)
         self.rooms: tuple[int, ...] = (0,)
         self.polygons: list[MapPolygon] = []
-        self.period = 0
+        self.step = 0
         self.contact = False
         self.command = (0.0, 0.0)
 
@@ -157,18 +157,18 @@ class Toy:
         self.polygons.append(MapPolygon(np.array(ids), intervals, room))
 
     def report(self, completed: tuple[int, ...] = ()) -> SlamOutput:
-        """What the estimator would report of this period."""
-        self.period += 1
+        """What the estimator would report of this step."""
+        self.step += 1
         beams, segments = look(self.T_world_robot, self.rng, self.sigma)
         belief, graph = self.belief(), self.graph()
         ids, known = np.arange(len(self.p_map)), tuple(self.polygons)
         self.painter.complete(completed)
         grid = self.painter.paint(belief, beams, segments, ids, known, graph)
         none = cast("Any", None)
-        return SlamOutput(self.period, beams, segments, none, (), none, belief, graph, known, grid, False)
+        return SlamOutput(self.step, beams, segments, none, (), none, belief, graph, known, grid, False)
 
     def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
-        """A period of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""
+        """A step of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""
         for _ in range(10):
             dv, dw = np.clip(v - self.command[0], -0.04, 0.04), np.clip(w - self.command[1], -0.2, 0.2)
             self.command = (self.command[0] + float(dv), self.command[1] + float(dw))
@@ -181,7 +181,7 @@ class Toy:
 def candidate(ends: np.ndarray, room: int) -> Candidate:
     """A gap seen once; what else a candidate holds does not matter here."""
     made = object.__new__(Candidate)
-    for name, value in {"ends": ends, "room": room, "sightings": 1, "last_period": 1}.items():
+    for name, value in {"ends": ends, "room": room, "sightings": 1, "last_step": 1}.items():
         object.__setattr__(made, name, value)
     return made
 

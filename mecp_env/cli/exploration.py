@@ -36,13 +36,13 @@ FILM_SIZE = ScreenConfig(width_px=960, height_px=430)
 
 @dataclass
 class Run:
-    """An exploration in progress, and what is kept of each of its periods."""
+    """An exploration in progress, and what is kept of each of its steps."""
 
     env: MecpEnv
     seed: int
     film: Film = field(default_factory=Film)
     screen: Screen = field(default_factory=lambda: Screen(FILM_SIZE))
-    estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a period
+    estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     ended: str = "interrupted"
 
@@ -54,15 +54,15 @@ class Run:
         return cls(MecpEnv(config, render_mode), seed)
 
     @property
-    def periods(self) -> int:
+    def steps(self) -> int:
         return max(len(self.estimated) - 1, 0)
 
-    def explore(self, after_period: Callable[[Run], None]) -> None:
-        """Explore to the end; `after_period` is called after every control period, and once before the first."""
+    def explore(self, after_step: Callable[[Run], None]) -> None:
+        """Explore to the end; `after_step` is called after every control step, and once before the first."""
 
         def look(*_: Any) -> None:
             self.look()
-            after_period(self)
+            after_step(self)
 
         policy, goals = BreadthFirst(), GoalActions(self.env, callback=look)
         observation, _ = goals.reset(seed=self.seed)
@@ -72,14 +72,14 @@ class Run:
         while not (terminated or truncated):
             action = policy.act(observation, goals.action_masks())
             observation, _, terminated, truncated, info = goals.step(action)
-        self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of periods"
+        self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
 
     def look(self) -> None:
-        """Keep what belongs to the present period."""
+        """Keep what belongs to the present step."""
         view = self.env.view()
         self.estimated.append(view.report.belief.T_map_robot.copy())
         self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
-        self.film.offer(self.periods, lambda: self.screen.frame(view))
+        self.film.offer(self.steps, lambda: self.screen.frame(view))
 
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
         """Write `FILES`, everything there is, into `folder`; returns the metrics."""
@@ -108,7 +108,7 @@ class Run:
         }
 
     def _film_end(self, view: View) -> None:
-        """The film ends with the last period, whether its turn has come or not."""
+        """The film ends with the last step, whether its turn has come or not."""
         self.film.frames.append(self.screen.frame(view))
 
     def _recipe(self) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class Run:
 def tum(poses: list[Array], period_s: float) -> str:
     """Poses (3,) as lines `time x y z qx qy qz qw`, the format that `evo` reads."""
     lines = ["# time x y z qx qy qz qw (s, m, quaternion), map frame"]
-    for period, (x, y, heading) in enumerate(poses):
+    for step, (x, y, heading) in enumerate(poses):
         turn = f"0 0 {math.sin(heading / 2):.9f} {math.cos(heading / 2):.9f}"
-        lines.append(f"{period * period_s:.3f} {x:.6f} {y:.6f} 0 {turn}")
+        lines.append(f"{step * period_s:.3f} {x:.6f} {y:.6f} 0 {turn}")
     return "\n".join(lines) + "\n"

@@ -18,12 +18,12 @@ class OneScan(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env one-scan",
         "mecp-env one-scan --layout hard:7",
-        "mecp-env one-scan --layout office --period 10 --out runs/office-scan",
+        "mecp-env one-scan --layout office --step 10 --out runs/office-scan",
     )
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: int = 0  # the same seed gives the same run
-    period: int = 40  # the first scan from here on in which a polygon of the map is recognised
+    step: int = 40  # the first scan from here on in which a polygon of the map is recognised
     out: Path = Path("runs/one-scan")  # folder for the pictures
 
     def run(self, line: Sequence[str]) -> int:
@@ -32,6 +32,6 @@ class OneScan(Command):
         from mecp_env.cli.scan_stages import draw  # pictures and physics are loaded only here
 
         folder, config = check_folder(self.out), EnvConfig.build({}, layout=resolve(self.layout))
-        for path in draw(config, self.seed, self.period, folder):
+        for path in draw(config, self.seed, self.step, folder):
             say(str(path))
         return 0

@@ -36,7 +36,7 @@ KEYS: tuple[KeyHelp, ...] = (
     (("Esc",), "quit"),
 )
 TURN, SLOWLY = 0.5, 0.35  # shares of the largest turn rate, and of both when slow
-AT_REST_M = 1e-3  # the robot has stopped when it moved, or turned (rad), less than this in a period
+AT_REST_M = 1e-3  # the robot has stopped when it moved, or turned (rad), less than this in a step
 NOT_IN_NAMES = re.compile(r"[^\w]+")  # of files: the building's own name may hold anything
 HELP = "Time stands still while no key is held. Find every room and door; green rings are what is left to see."
 
@@ -48,7 +48,7 @@ class Game:
         self.make, self.folder = make, folder
         self.screen = Screen()
         self.held: set[int] = set()
-        self.tapped: set[int] = set()  # pressed since the last period, perhaps released again
+        self.tapped: set[int] = set()  # pressed since the last step, perhaps released again
         self.round = 0
         self.hidden = self.done = False
         self.begin()
@@ -99,14 +99,14 @@ class Game:
         return np.array([forward, turn], np.float32) * (SLOWLY if down & SLOW else 1.0)
 
     def advance(self) -> None:
-        """One control period, if a key asks for it or the robot still rolls."""
+        """One control step, if a key asks for it or the robot still rolls."""
         wanted = bool((self.held | self.tapped) & STEPPING) or self.moving
         if wanted and not self.over:
             self.step()
         self.tapped.clear()
 
     def step(self) -> None:
-        """One control period."""
+        """One control step."""
         _, _, terminated, truncated, info = self.env.step(self.action())
         before, self.view = self.view.T_world_robot, self.env.view()
         self.moving = bool(np.abs(self.view.T_world_robot - before).max() > AT_REST_M)

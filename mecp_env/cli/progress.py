@@ -16,7 +16,7 @@ from mecp_env.cli.exploration import FILES, Run
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.core.text import readable
 
-EVERY = 10  # periods between two updates
+EVERY = 10  # steps between two updates
 BAR_WIDTH = 6  # what is left of 80 columns
 
 
@@ -44,8 +44,8 @@ class Progress:
         self.task = self.bar.add_task("preparing", total=1.0)
 
     def show(self, run: Run) -> None:
-        """Bring the bar up to date, every few periods."""
-        if run.periods % EVERY:
+        """Bring the bar up to date, every few steps."""
+        if run.steps % EVERY:
             return
         metrics = run.env.view().metrics
         self.bar.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
@@ -70,7 +70,7 @@ ROWS = (
     ("pose NEES", "{nees_mean:.2f} (3 expected)"),
     ("association", "precision {association_precision:.4f}, recall {association_recall:.4f}"),
     ("landmarks", "{landmarks:.0f}, duplicates {duplicates:.0f}"),
-    ("way", "{metres:.0f} m in {periods:.0f} periods, contacts {contacts:.0f}"),
+    ("way", "{metres:.0f} m in {periods:.0f} steps, contacts {contacts:.0f}"),
     ("speed", "{steps_per_s:,.0f} steps/s"),
 )
 

@@ -14,19 +14,19 @@ from mecp_env.slam.messages import SlamOutput
 
 
 class _Reached(Exception):
-    """The period that is wanted has come."""
+    """The step that is wanted has come."""
 
 
-def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
+def draw(config: EnvConfig, seed: int, step: int, folder: Path) -> list[Path]:
     """Write a PNG for each stage of a scan; returns their paths.
 
-    The scan is the first from `period` on in which a polygon of the map is recognised. Raises `ConfigError` for a
-    negative period or seed, and when the exploration ends before.
+    The scan is the first from `step` on in which a polygon of the map is recognised. Raises `ConfigError` for a
+    negative step or seed, and when the exploration ends before.
     """
-    if period < 0:
-        raise ConfigError(f"period: {period}, at least 0")
+    if step < 0:
+        raise ConfigError(f"step: {step}, at least 0")
     run = Run.begin(config, seed)
-    report = recognition(run, period)
+    report = recognition(run, step)
     slam = run.env.config.estimator_config
     clusters = cluster_beams(report.beams, slam.clustering, slam.sensor)
     folder.mkdir(parents=True, exist_ok=True)
@@ -37,15 +37,15 @@ def draw(config: EnvConfig, seed: int, period: int, folder: Path) -> list[Path]:
     return paths
 
 
-def recognition(run: Run, period: int) -> SlamOutput:
-    """Explore until the first scan from `period` on in which a polygon is recognised."""
+def recognition(run: Run, step: int) -> SlamOutput:
+    """Explore until the first scan from `step` on in which a polygon is recognised."""
 
     def stop(run: Run) -> None:
-        if run.periods >= period and run.env.report.match.known >= 0:
+        if run.steps >= step and run.env.report.match.known >= 0:
             raise _Reached
 
     try:
         run.explore(stop)
     except _Reached:
         return run.env.report
-    raise ConfigError(f"period: no polygon is recognised from {period} on; the exploration ends at {run.periods}")
+    raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")

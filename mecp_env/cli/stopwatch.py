@@ -1,4 +1,4 @@
-"""How long each stage of a period takes, without a line about time in the stages themselves."""
+"""How long each stage of a step takes, without a line about time in the stages themselves."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ DRIVE = ("drive", Navigator, "step")
 class Stopwatch(event.Listener):  # type: ignore[misc]
     """Seconds of each stage so far, on the clock of this thread's processor, so that another load does not count.
 
-    Periods in which numba compiled or loaded a kernel are left out: numba tells a listener of it.
+    Steps in which numba compiled or loaded a kernel are left out: numba tells a listener of it.
     """
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys([*STAGE_NAMES, "step", "drive"], 0.0)
-        self.periods = 0
-        self._period = dict.fromkeys(self.seconds, 0.0)  # of this period so far
+        self.steps = 0
+        self._step = dict.fromkeys(self.seconds, 0.0)  # of this step so far
         self._compiled = False
         self._stepping = False
 
@@ -78,12 +78,12 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
 
     @property
     def steps_per_s(self) -> float:
-        """Control periods of the environment a second; 0 before the first."""
-        return self.periods / self.seconds["step"] if self.periods else 0.0
+        """Control steps of the environment a second; 0 before the first."""
+        return self.steps / self.seconds["step"] if self.steps else 0.0
 
     def microseconds(self) -> dict[str, float]:
-        """Mean time of each stage in a control period, us; `rest` is what of `step` is no stage."""
-        times = {name: 1e6 * seconds / max(self.periods, 1) for name, seconds in self.seconds.items()}
+        """Mean time of each stage in a control step, us; `rest` is what of `step` is no stage."""
+        times = {name: 1e6 * seconds / max(self.steps, 1) for name, seconds in self.seconds.items()}
         return times | {"rest": times["step"] - sum(times[name] for name in STAGE_NAMES)}
 
     def around(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -97,18 +97,18 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
             try:
                 return function(*args, **keywords)
             finally:
-                self._period[name] += time.thread_time() - start
+                self._step[name] += time.thread_time() - start
                 if stage == "step":
-                    self._end_period()
+                    self._end_step()
 
         return timed
 
-    def _end_period(self) -> None:
+    def _end_step(self) -> None:
         if not self._compiled:
-            self.periods += 1
-            for name, seconds in self._period.items():
+            self.steps += 1
+            for name, seconds in self._step.items():
                 self.seconds[name] += seconds
-        self._period = dict.fromkeys(self.seconds, 0.0)
+        self._step = dict.fromkeys(self.seconds, 0.0)
         self._compiled = self._stepping = False
 
 

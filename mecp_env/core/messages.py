@@ -16,7 +16,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A burst of K sweeps of B beams, all taken at the pose that ends the period (IV; dense scan of III-A.1)."""
+    """A burst of K sweeps of B beams, all taken at the pose that ends the step (IV; dense scan of III-A.1)."""
 
     ranges: Array  # (K,B) m; max_range_m where nothing was hit
     bearings: Array  # (K,B) rad, robot frame, nominal, ascending in each sweep in (-pi, pi]
@@ -26,8 +26,8 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """The body motion of one control period as measured: M arcs one after the other."""
+    """The body motion of one control step as measured: M arcs one after the other."""
 
     increments: Array  # (M,2) m, rad: distance along the mean heading of the arc, turn
     cov: Array  # (M,2,2) covariance of each increment
-    bumper: bool  # the robot touched something in this period: it may have slipped sideways
+    bumper: bool  # the robot touched something in this step: it may have slipped sideways

@@ -1,4 +1,4 @@
-"""One episode: all that lives over its periods, and the form in which its state is handed out."""
+"""One episode: all that lives over its steps, and the form in which its state is handed out."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 @dataclass(slots=True, eq=False)
 class Episode:
-    """All that lives over the periods of an episode beside the body and the random numbers; plain state."""
+    """All that lives over the steps of an episode beside the body and the random numbers; plain state."""
 
     pipeline: SlamPipeline
     report: SlamOutput
     metrics: EpisodeMetrics
     book: GoalHistory = field(default_factory=GoalHistory)
     goals: Goals = field(default_factory=Goals)
-    goals_period: int = -1  # when they were looked for
+    goals_step: int = -1  # when they were looked for
     goals_key: tuple[int, ...] = ()  # of the map they were looked for on
     memory: RewardMemory = field(default_factory=RewardMemory)
     path_map: Trail = field(default_factory=Trail)
     path_world: Trail = field(default_factory=Trail)
     target: Array | None = None  # (2,) m, map frame: where a goal action drives to
-    quiet: int = 0  # periods without a goal, in a row
+    quiet: int = 0  # steps without a goal, in a row
     contact: bool = False
     saturated: int = 0  # values of the observation cut to their bounds, rows left out
     over: bool = False

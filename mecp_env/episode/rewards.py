@@ -1,6 +1,6 @@
 """The reward: named terms in their own units, a weight for each (`RewardConfig`); docs/rewards.md tells it at length.
 
-What is measured is a potential: a term is by how much it changed in a period, so that the terms of an episode add up to
+What is measured is a potential: a term is by how much it changed in a step, so that the terms of an episode add up to
 its value at the end less that at the start, whatever happened in between. Uncertainty that grows and shrinks again, an
 area mapped twice, a map redrawn and drawn again earn nothing.
 """
@@ -28,7 +28,7 @@ AHEAD_M = 5.0  # how far from the robot a wall typically is that it draws
 
 
 class Moment(NamedTuple):
-    """What the measured terms of a period are measured on."""
+    """What the measured terms of a step are measured on."""
 
     belief: Belief
     grid: SemanticGrid
@@ -38,7 +38,7 @@ class Moment(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class RewardMemory:
-    """The potentials as they were in the period before; plain state."""
+    """The potentials as they were in the step before; plain state."""
 
     area_m2: float = 0.0
     pose_nat: float = 0.0
@@ -47,7 +47,7 @@ class RewardMemory:
 
 
 def remember(memory: RewardMemory, now: Moment, config: RewardConfig) -> None:
-    """Bring `memory` up to this period."""
+    """Bring `memory` up to this step."""
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(now.belief.pose_cov), now.belief.covs)
     memory.area_m2 = area(memory, now, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if now.diverged else landmark_nat
@@ -69,7 +69,7 @@ def area(memory: RewardMemory, now: Moment, sure: bool) -> float:
 
 
 def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[str, float]:
-    """The terms that are measured, in their own units; `memory` is brought up to this period.
+    """The terms that are measured, in their own units; `memory` is brought up to this step.
 
     - `area`: m^2 newly mapped, what a redrawn map lost taken off (see `area`); with `source="truth"` newly seen.
     - `pose_information`: nat, by how much -0.5 log det P of the pose grew.
@@ -85,10 +85,10 @@ def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[
 
 
 def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool) -> dict[str, float]:
-    """The terms that happen; `memory` is that of this period.
+    """The terms that happen; `memory` is that of this step.
 
-    - `contact`: 1 in a period in which the robot touched something.
-    - `time`: 1 in every period.
+    - `contact`: 1 in a step in which the robot touched something.
+    - `time`: 1 in every step.
     - `completion`: once, when the episode terminates, the area that counts as mapped then, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
     """

@@ -65,7 +65,7 @@ class TrueWorld:
         self.simulation.set_state(body)
 
     def drive(self, shares: tuple[float, float]) -> Motion:
-        """One control period at these shares of the robot's largest speed and turn rate."""
+        """One control step at these shares of the robot's largest speed and turn rate."""
         robot, self._others = self._config.robot, None
         return self.simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
 
@@ -74,7 +74,7 @@ class TrueWorld:
         return self.laser.scan(T_world_robot, rng, self.others().faces)
 
     def others(self) -> Others:
-        """What moves beside the robot, as laser and metrics want it; worked out once a period."""
+        """What moves beside the robot, as laser and metrics want it; worked out once a step."""
         if self._others is None:
             movers = self.movers
             self._others = Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY

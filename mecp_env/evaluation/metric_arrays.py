@@ -161,11 +161,11 @@ def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free:
 
 
 @compiled
-def note_scan(rows: Ints, period: int, truth: Ints, ids: Ints, decision: Ints, landmarks: Ints) -> int:
-    """Write the rows (n,4) of a scan: period, true corner, feature, matched to a landmark. Returns the largest id."""
+def note_scan(rows: Ints, step: int, truth: Ints, ids: Ints, decision: Ints, landmarks: Ints) -> int:
+    """Write the rows (n,4) of a scan: step, true corner, feature, matched to a landmark. Returns the largest id."""
     most = -1
     for i in range(ids.shape[0]):
-        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = period, truth[i], ids[i], decision[i] == LANDMARK
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = step, truth[i], ids[i], decision[i] == LANDMARK
         most = max(most, ids[i])
     for i in range(landmarks.shape[0]):
         most = max(most, landmarks[i])
@@ -185,19 +185,17 @@ def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
 
 
 @compiled
-def score_scan(
-    votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints, landmarks: Ints, period: int
-) -> None:
+def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints, landmarks: Ints, step: int) -> None:
     """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
 
-    `rows` (n,4) hold period, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
-    (the majority of its `votes` (F,G), this scan's included) and the period in which it became a landmark, for new
+    `rows` (n,4) hold step, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
+    (the majority of its `votes` (F,G), this scan's included) and the step in which it became a landmark, for new
     `landmarks` (N,) this one.
     """
     count_votes(votes, features, rows)
     known = np.zeros(votes.shape[1], np.bool_)  # the true corners that had a landmark before this scan
     for feature in range(features.shape[0]):
-        if features[feature, 0] >= 0 and features[feature, 1] < period:
+        if features[feature, 0] >= 0 and features[feature, 1] < step:
             known[features[feature, 0]] = True
     for i in range(rows.shape[0]):
         corner, feature = rows[i, 1], rows[i, 2]
@@ -208,7 +206,7 @@ def score_scan(
             missed = corner >= 0 and known[corner]
             counts[2 if missed else 3] += 1
     for i in range(landmarks.shape[0]):
-        features[landmarks[i], 1] = min(features[landmarks[i], 1], period)
+        features[landmarks[i], 1] = min(features[landmarks[i], 1], step)
 
 
 @compiled

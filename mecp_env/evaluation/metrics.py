@@ -19,9 +19,9 @@ __all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-NEVER = 2**40  # a period that does not come
+NEVER = 2**40  # a step that does not come
 SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
-MAP_PERIODS = 25  # rooms and doors are held against the truth when one is new, and this often
+MAP_STEPS = 25  # rooms and doors are held against the truth when one is new, and this often
 
 
 @dataclass(slots=True, eq=False)
@@ -30,9 +30,9 @@ class AssociationLog:
 
     true_corners: int
     votes: NDArray[np.int32] = field(init=False)  # (F,G) how often feature f was seen as true corner g
-    features: Ints = field(init=False)  # (F,2) majority so far or -1; period in which it became a landmark, or NEVER
+    features: Ints = field(init=False)  # (F,2) majority so far or -1; step in which it became a landmark, or NEVER
     counts: Ints = field(init=False)  # (4,) TP, FP, FN, TN by the majority at the time
-    rows: Ints = field(init=False)  # (capacity,4) period, true corner or -1, feature or -1, matched to a landmark
+    rows: Ints = field(init=False)  # (capacity,4) step, true corner or -1, feature or -1, matched to a landmark
     used: int = 0
 
     def __post_init__(self) -> None:
@@ -45,9 +45,9 @@ class AssociationLog:
         """Add a scan whose corners truly are `truth` (n,)."""
         match, landmarks = report.match, report.belief.ids
         rows = self._new_rows(len(match.ids))
-        most = kernels.note_scan(rows, report.period, truth, match.ids, match.decision, landmarks)
+        most = kernels.note_scan(rows, report.step, truth, match.ids, match.decision, landmarks)
         self._reserve(most)
-        kernels.score_scan(self.votes, self.features, rows, self.counts, landmarks, report.period)
+        kernels.score_scan(self.votes, self.features, rows, self.counts, landmarks, report.step)
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
@@ -55,13 +55,13 @@ class AssociationLog:
 
     def final_counts(self) -> Ints:
         """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
-        period, truth, feature, matched = self.rows[: self.used].T
+        step, truth, feature, matched = self.rows[: self.used].T
         real, hit = truth >= 0, matched.astype(np.bool_)
         identity, born = self.features.T
-        first = np.full(self.true_corners + 1, NEVER)  # period of the first landmark of each true corner
+        first = np.full(self.true_corners + 1, NEVER)  # step of the first landmark of each true corner
         np.minimum.at(first, identity, born)
         right = real & (feature >= 0) & (identity[feature] == truth)
-        missed = real & (first[truth] < period)
+        missed = real & (first[truth] < step)
         return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
 
     def _reserve(self, most: int) -> None:
@@ -80,7 +80,7 @@ class AssociationLog:
 
 @dataclass(slots=True, eq=False)
 class EpisodeMetrics:
-    """The truth metrics of one episode, brought up to date every period; plain state."""
+    """The truth metrics of one episode, brought up to date every step; plain state."""
 
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     T_map_robot: Array  # (3,) true pose in the map frame
@@ -88,9 +88,9 @@ class EpisodeMetrics:
     association: AssociationLog
     swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
     seen_cells: int = 0
-    new_cells: int = 0  # seen for the first time in this period
-    periods: int = 0
-    contacts: int = 0  # periods with a contact
+    new_cells: int = 0  # seen for the first time in this step
+    steps: int = 0
+    contacts: int = 0  # steps with a contact
     metres: float = 0.0
     pose_error_m: float = 0.0
     heading_error_rad: float = 0.0
@@ -117,11 +117,11 @@ class EpisodeMetrics:
         self.association.record(report, truth.identify(report.corners, T_world_robot, others))
         self._tread(truth, others.walking)
         self._compare_pose(report.belief)
-        self.compare_map(truth, report, due=report.period % MAP_PERIODS == 0)
+        self.compare_map(truth, report, due=report.step % MAP_STEPS == 0)
 
     def move(self, increments: Array, contact: bool) -> None:
-        """Count one control period: the true increments (M,2) of the body and whether it touched something."""
-        self.periods += 1
+        """Count one control step: the true increments (M,2) of the body and whether it touched something."""
+        self.steps += 1
         self.contacts += contact
         metres = 0.0
         for distance in increments[:, 0].tolist():
@@ -186,9 +186,9 @@ class EpisodeMetrics:
         rooms, rooms_false = rooms_found(truth, report, self.T_world_map)
         doors, doors_false = doors_found(truth, report, self.T_world_map)
         polygon_cover, grid_cover = covers(truth, report.grid, self.T_world_map)
-        looks = max(1, report.period)
+        looks = max(1, report.step)
         return {
-            "periods": self.periods,
+            "periods": self.steps,
             "metres": self.metres,
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
@@ -219,7 +219,7 @@ class EpisodeMetrics:
 
 
 def figures(metrics: EpisodeMetrics, truth: Truth, report: SlamOutput) -> dict[str, float]:
-    """The figures of this period, cheap enough for every step; the association counts go by the majority so far."""
+    """The figures of this step, cheap enough for every step; the association counts go by the majority so far."""
     tp, fp, fn, tn = metrics.association.counts.tolist()
     return {
         "coverage": metrics.coverage(truth),

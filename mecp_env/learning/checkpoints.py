@@ -26,7 +26,7 @@ class Progress:
     """How far a run has come."""
 
     decisions: int = 0
-    periods: int = 0
+    steps: int = 0
     episodes: int = 0
     updates: int = 0
     seconds: float = 0.0  # of training, over all resumptions

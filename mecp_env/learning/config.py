@@ -21,6 +21,10 @@ from mecp_env.world.generator.fields import Value, check_fields
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 MOST_CONFIG_BYTES = 1_000_000
+RENAMED = {  # field of an older run folder -> its name of today
+    f"{name}_periods": f"{name}_steps"
+    for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
+}
 DERIVED = {
     "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
     "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
@@ -71,7 +75,7 @@ class NetworkConfig(Settings):
 
 
 class PpoConfig(Settings):
-    """Hyper-parameters of PPO; a decision is a drive with goals, a control period with velocities."""
+    """Hyper-parameters of PPO; a decision is a drive with goals, a control step with velocities."""
 
     steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
     batch: int = Field(128, ge=2, le=1_000_000)  # decisions a gradient step
@@ -79,7 +83,7 @@ class PpoConfig(Settings):
     learning_rate: float = Field(1.5e-3, gt=0.0, le=1.0)
     anneal: bool = True  # the learning rate falls to 0 in a straight line
     gae_lambda: float = Field(0.95, ge=0.0, le=1.0)
-    discount: float = Field(1.0, gt=0.0, le=1.0)  # a decision; with velocities a period
+    discount: float = Field(1.0, gt=0.0, le=1.0)  # a decision; with velocities a step
     discount_m: float = Field(60.0, gt=0.0, le=1e6)  # goals: what comes so many metres later counts 1/e
     clip: float = Field(0.2, gt=0.0, le=1.0)
     entropy: float = Field(0.0, ge=0.0, le=1.0)
@@ -112,7 +116,7 @@ class TrainConfig(Settings):
     """All that a training run depends on."""
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
-    steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control periods), of all together
+    steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one an environment; none
@@ -197,11 +201,11 @@ def check_batches(config: TrainConfig) -> None:
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """The fields in a JSON file. Raises `ConfigError` for what is no such file."""
+    """The fields in a JSON file, by their names of today. Raises `ConfigError` for what is no such file."""
     try:
         if path.stat().st_size > MOST_CONFIG_BYTES:
             raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")
-        fields = json.loads(path.read_text(), object_pairs_hook=once_each)
+        fields = json.loads(path.read_text(), object_pairs_hook=migrated)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except ConfigError as error:
@@ -211,6 +215,11 @@ def read_config(path: Path) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
     return fields
+
+
+def migrated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a JSON file with the fields of older run folders renamed. Raises `ConfigError` as `once_each`."""
+    return {RENAMED.get(name, name): value for name, value in once_each(pairs).items()}
 
 
 def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class Tally:
     decisions: int = 0
 
     def look(self, info: dict[str, Any]) -> None:
-        """Take in one control period."""
+        """Take in one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
         for term in TERMS:
             self.terms[term] += info[f"reward_{term}"]
@@ -53,10 +53,10 @@ class Tally:
 class EpisodeLog(gym.Wrapper[Any, Any, Any, Any]):
     """Adds up the figures of an episode, and weighs what lies further on in a drive by the metres driven until then.
 
-    With goals the reward of a decision is the sum of those of its periods, each times exp(-metres / discount_m) of the
+    With goals the reward of a decision is the sum of those of its steps, each times exp(-metres / discount_m) of the
     drive so far, and `info["discount"]` is that factor at the end of the drive: a semi-Markov decision process
     (Sutton, Precup, Singh 1999) whose clock is the odometer, because coverage is compared over metres. With velocities
-    rewards stay as they are. `info` holds `periods`, `discount`, and at the end of an episode `figures`.
+    rewards stay as they are. `info` holds `steps`, `discount`, and at the end of an episode `figures`.
 
     An episode whose filter diverged has ended here (`terminated`), whatever the environment calls it: nothing is to be
     earned after it, while a learner values what comes after one that was cut short.
@@ -88,8 +88,8 @@ class EpisodeLog(gym.Wrapper[Any, Any, Any, Any]):
             reward, factor = self._of_drive()
         else:
             self.drive.append(step)
-        for period in self.drive:
-            self.tally.look(period[4])
+        for step in self.drive:
+            self.tally.look(step[4])
         self.tally.decisions += 1
         info: dict[str, Any] = {"periods": len(self.drive), "discount": factor}
         if terminated or truncated:
@@ -188,7 +188,7 @@ class Timed(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
-        self.waited_s, self.periods = 0.0, 0
+        self.waited_s, self.steps = 0.0, 0
         self.last: dict[str, Any] = {}
 
     def reset(self) -> VecEnvObs:
@@ -208,7 +208,7 @@ class Timed(VecEnvWrapper):
         self.waited_s += time.perf_counter() - begun
         assert isinstance(observations, dict)
         self.last = observations
-        self.periods += sum(info["periods"] for info in infos)
+        self.steps += sum(info["periods"] for info in infos)
         return observations, rewards, dones, infos
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Runs of one algorithm, several seeds: draw their learning curve, and put the best policy into `mecp_env/learning/weights`.
+"""Runs of one algorithm, several seeds: draw their learning curve, and ship the best policy.
 
 `python -m mecp_env.learning.publish runs/maskable_ppo-0 runs/maskable_ppo-1 runs/maskable_ppo-2`
 """

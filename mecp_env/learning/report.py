@@ -74,7 +74,7 @@ class Report:
         """The figures of an update."""
         self.training.add(clock(counts) | values)
         self._draw("training", counts.decisions, values)
-        speed = f"{values['periods_per_s']:,.0f} periods/s, waiting {values['waiting_share']:.0%}"
+        speed = f"{values['periods_per_s']:,.0f} steps/s, waiting {values['waiting_share']:.0%}"
         self.bar.update(self.task, description=f"{area(values)}{speed}")
 
     def evaluation(self, counts: Counts, values: Mapping[str, float], best: bool) -> None:

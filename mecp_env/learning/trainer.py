@@ -101,7 +101,7 @@ class Trainer:
         if isinstance(self.model.rollout_buffer, DriveBuffer):
             self.model.rollout_buffer.coming = np.array([info["discount"] for info in infos], np.float32)
             models.value_cut_off(self.model.policy, rewards, infos)
-        self.progress.periods += sum(info["periods"] for info in infos)
+        self.progress.steps += sum(info["periods"] for info in infos)
         ended = [info["figures"] for info in infos if "figures" in info]
         self.episodes += ended
         self.progress.episodes += len(ended)
@@ -109,12 +109,12 @@ class Trainer:
         self.report.advance(self.progress.decisions)
         return not self.stop
 
-    def update(self, seconds: float, waited_s: float, periods: int) -> None:
+    def update(self, seconds: float, waited_s: float, steps: int) -> None:
         """Write down what the last update came to. Raises `NotFiniteError`."""
         files.check_finite(self.model.policy)
         self.progress.seconds += seconds
         self.progress.updates = self.model._n_updates
-        speed = {"periods_per_s": periods / seconds, "waiting_share": waited_s / seconds}
+        speed = {"periods_per_s": steps / seconds, "waiting_share": waited_s / seconds}
         losses = {ours: self.model.logger.name_to_value[theirs] for theirs, ours in LOSSES.items()}
         means = {name: float(np.mean([e[name] for e in self.episodes])) for name in FIGURES if self.episodes}
         self.report.row(self.progress, speed | losses | means)
@@ -167,7 +167,7 @@ class Rhythm(BaseCallback):
         super().__init__()
         self.trainer = trainer
         self.begun_s: float | None = None
-        self.waited_s, self.periods = 0.0, 0
+        self.waited_s, self.steps = 0.0, 0
 
     def _on_step(self) -> bool:
         return self.trainer.note(self.locals["rewards"], self.locals["infos"])
@@ -178,10 +178,10 @@ class Rhythm(BaseCallback):
     def between(self) -> None:
         """After an update: write down, evaluate, save; the clock of the training stands still meanwhile."""
         trainer, timed = self.trainer, self.trainer.timed
-        if self.begun_s is not None and timed.periods > self.periods:
+        if self.begun_s is not None and timed.steps > self.steps:
             seconds = time.perf_counter() - self.begun_s
-            trainer.update(seconds, timed.waited_s - self.waited_s, timed.periods - self.periods)
+            trainer.update(seconds, timed.waited_s - self.waited_s, timed.steps - self.steps)
         if not trainer.stop:
             trainer.evaluate_when_due()
         trainer.save_when_due()
-        self.begun_s, self.waited_s, self.periods = time.perf_counter(), timed.waited_s, timed.periods
+        self.begun_s, self.waited_s, self.steps = time.perf_counter(), timed.waited_s, timed.steps

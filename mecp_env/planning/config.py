@@ -1,4 +1,4 @@
-"""Configuration of planning: one frozen section, lengths in metres, times in control periods."""
+"""Configuration of planning: one frozen section, lengths in metres, times in control steps."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ class NavigatorConfig(Settings):
     """One drive to one goal."""
 
     reached_m: float = Field(0.25, gt=0.0, le=2.0)
-    dwell_periods: int = Field(3, ge=0, le=100)  # the robot looks so long before it calls a goal reached
-    limit_periods: int = Field(250, ge=1, le=10_000)
-    replan_periods: int = Field(10, ge=1, le=1000)
-    stuck_periods: int = Field(10, ge=2, le=1000)  # without progress for so long the robot backs off
+    dwell_steps: int = Field(3, ge=0, le=100)  # the robot looks so long before it calls a goal reached
+    limit_steps: int = Field(250, ge=1, le=10_000)
+    replan_steps: int = Field(10, ge=1, le=1000)
+    stuck_steps: int = Field(10, ge=2, le=1000)  # without progress for so long the robot backs off
     progress_m: float = Field(0.15, gt=0.0, le=2.0)
     recoveries: int = Field(3, ge=0, le=100)  # after so many the goal is refused
 

@@ -35,7 +35,7 @@ def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
 def follow(
     path: Array, T_map_robot: Array, beams: MergedScan, control: ControlConfig, body: PathsConfig
 ) -> tuple[float, float]:
-    """Speed (m/s) and turn rate (rad/s) of the next period along a path (n,2) m, map frame.
+    """Speed (m/s) and turn rate (rad/s) of the next step along a path (n,2) m, map frame.
 
     (0, w) turns on the spot; (0, 0) says that something seen bars every way on.
     """
@@ -49,12 +49,12 @@ def follow_path(
     path: Array, T_map_robot: Array, beams: tuple[Array, Array, NDArray[np.bool_]], limits: Limits
 ) -> tuple[float, float]:
     """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
-    lookahead, turn_first, top_speed, acceleration, period, top_turn, _ = limits
+    lookahead, turn_first, top_speed, acceleration, step, top_turn, _ = limits
     x, y, left = look_ahead(path, T_map_robot, lookahead)
     bearing = math.atan2(y, x)
     if abs(bearing) > turn_first:
-        return 0.0, turn_rate(bearing, period, top_turn)
-    speed = min(top_speed, math.sqrt(acceleration * left), max(left, 0.05) / period)
+        return 0.0, turn_rate(bearing, step, top_turn)
+    speed = min(top_speed, math.sqrt(acceleration * left), max(left, 0.05) / step)
     curvature = 2.0 * y / max(x * x + y * y, 0.01)
     speed = min(speed * math.cos(bearing), 0.8 * top_turn / max(abs(curvature), 1e-6))
     ranges, bearings, hit = beams
@@ -81,29 +81,29 @@ def coast(
 
 
 @compiled
-def turn_rate(bearing: float, period: float, top_turn: float) -> float:
-    """Turn rate that turns the robot to a bearing within about a period."""
-    return min(max(bearing / period, -top_turn), top_turn)
+def turn_rate(bearing: float, step: float, top_turn: float) -> float:
+    """Turn rate that turns the robot to a bearing within about a step."""
+    return min(max(bearing / step, -top_turn), top_turn)
 
 
 @compiled
 def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits) -> tuple[float, float]:
     """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
-    _, _, _, acceleration, period, top_turn, keep_off = limits
+    _, _, _, acceleration, step, top_turn, keep_off = limits
     for i in range(len(SHARES)):
         v = SHARES[i] * speed
         for k in range(len(BENDS)):
             bent = curvature + BENDS[k]
-            length = stop_path(v, period, acceleration)
+            length = stop_path(v, step, acceleration)
             if abs(v * bent) <= top_turn and is_safe(p_robot, v, bent, keep_off, length):
                 return v, v * bent
     return 0.0, 0.0
 
 
 @compiled
-def stop_path(v: float, period: float, acceleration: float) -> float:
-    """Length of the way driven in a period at speed v, and to stop after it, m."""
-    return abs(v) * period + v * v / (2.0 * acceleration)
+def stop_path(v: float, step: float, acceleration: float) -> float:
+    """Length of the way driven in a step at speed v, and to stop after it, m."""
+    return abs(v) * step + v * v / (2.0 * acceleration)
 
 
 def seen_points(beams: MergedScan) -> Array:

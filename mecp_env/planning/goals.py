@@ -36,7 +36,7 @@ class Remembered:
 
 @dataclass(slots=True, eq=False)
 class GoalHistory:
-    """Memory over the periods of an episode: drives, and where each room was entered."""
+    """Memory over the steps of an episode: drives, and where each room was entered."""
 
     drives: list[Remembered] = field(default_factory=list)
     entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, where the robot first stood in it

@@ -1,4 +1,4 @@
-"""One drive to one goal, period by period: plan, follow, back off when stuck, give up when it does not work."""
+"""One drive to one goal, step by step: plan, follow, back off when stuck, give up when it does not work."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamO
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
 BACK_M_S = 0.2
-BACK_PERIODS = 4
+BACK_STEPS = 4
 APPROACH_M = 0.6  # a door is entered along its normal from so far
 GAP_NEAR_M = 3.0  # a candidate as near to the place from which it is looked at
 ASIDE_M = 0.5  # a gap is looked at from in front of it
@@ -49,29 +49,29 @@ class Navigator:
     target: Target | None = None
     outcome: Outcome = Outcome.REFUSED
     path: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; empty: to be planned
-    periods: int = 0
-    planned: int = 0  # period of the last plan
+    steps: int = 0
+    planned: int = 0  # step of the last plan
     planned_version: int = -1  # of the grid
     tries: int = 0  # plans without a way, in a row
     best_left_m: float = math.inf  # the least way left so far
-    best_period: int = 0  # when it was
+    best_step: int = 0  # when it was
     recoveries: int = 0
-    backing: int = 0  # periods of backing off that are left
-    dwelt: int = 0  # periods spent at the goal
+    backing: int = 0  # steps of backing off that are left
+    dwelt: int = 0  # steps spent at the goal
     command: tuple[float, float] = STOP  # the last one of the drive
 
     def start(self, target: Target) -> None:
         """Begin a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = np.empty((0, 2))
-        self.periods = self.planned = self.tries = self.recoveries = self.backing = self.best_period = self.dwelt = 0
+        self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
     def step(self, report: SlamOutput) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s) for the next period; `outcome` tells whether the drive goes on."""
+        """Speed (m/s) and turn rate (rad/s) for the next step; `outcome` tells whether the drive goes on."""
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
-        self.periods += 1
+        self.steps += 1
         self.outcome = self._judge(self.target, report)
         if self.outcome != Outcome.RUNNING:
             return STOP
@@ -81,14 +81,14 @@ class Navigator:
         return self._back_off(report) if self.backing else self._drive(self.target, report)
 
     def _judge(self, target: Target, report: SlamOutput) -> Outcome:
-        """How the drive stands before this period."""
+        """How the drive stands before this step."""
         limits = self.config.navigator
         if settled(target, report):
             far = target.kind == FRONTIER and not self._there(target, report)
             return Outcome.SETTLED if far else Outcome.REACHED
-        if self.dwelt >= limits.dwell_periods:
+        if self.dwelt >= limits.dwell_steps:
             return Outcome.REACHED
-        return Outcome.REFUSED if self.periods > limits.limit_periods else Outcome.RUNNING
+        return Outcome.REFUSED if self.steps > limits.limit_steps else Outcome.RUNNING
 
     def _there(self, target: Target, report: SlamOutput) -> bool:
         """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
@@ -103,17 +103,17 @@ class Navigator:
             return True
         if report.grid.version == self.planned_version:
             return False
-        old = self.periods - self.planned >= self.config.navigator.replan_periods
+        old = self.steps - self.planned >= self.config.navigator.replan_steps
         return old or blocked(self.path, report, self.config)
 
     def _plan(self, target: Target, report: SlamOutput) -> None:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
-        self.planned, self.planned_version = self.periods, report.grid.version
+        self.planned, self.planned_version = self.steps, report.grid.version
         before = len(self.path)
         self.path = plan(target, report, self.config)
         self.tries = 0 if len(self.path) else self.tries + 1
         if not before or self.tries:
-            self.best_left_m, self.best_period = math.inf, self.periods
+            self.best_left_m, self.best_step = math.inf, self.steps
         if self.tries >= TRIES:
             self.outcome = Outcome.REFUSED
 
@@ -126,8 +126,8 @@ class Navigator:
         config = self.config
         _, _, left = look_ahead(self.path, report.belief.T_map_robot, config.control.lookahead_m)
         if left < self.best_left_m - config.navigator.progress_m:
-            self.best_left_m, self.best_period = left, self.periods
-        if self.periods - self.best_period >= config.navigator.stuck_periods:
+            self.best_left_m, self.best_step = left, self.steps
+        if self.steps - self.best_step >= config.navigator.stuck_steps:
             return self._recover(report)
         command = follow(self.path, report.belief.T_map_robot, report.beams, config.control, config.paths)
         self.command = coast(command, self.command, report.beams, config.control, config.paths)
@@ -140,11 +140,11 @@ class Navigator:
         if self.recoveries > self.config.navigator.recoveries:
             self.outcome = Outcome.REFUSED
             return STOP
-        self.backing = BACK_PERIODS
+        self.backing = BACK_STEPS
         return self._back_off(report)
 
     def _back_off(self, report: SlamOutput) -> tuple[float, float]:
-        """One period backwards, bending to one side and the other in turn; on the spot where that is barred."""
+        """One step backwards, bending to one side and the other in turn; on the spot where that is barred."""
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
         keep_off = self.config.paths.radius_m + self.config.control.guard_m

@@ -22,14 +22,14 @@ class Curve:
     """The largest coverage so far at each place on the way where it grew; a curve of steps."""
 
     metres: list[float] = field(default_factory=list)
-    periods: list[int] = field(default_factory=list)
+    steps: list[int] = field(default_factory=list)
     coverage: list[float] = field(default_factory=list)
 
-    def add(self, metres: float, period: int, coverage: float) -> None:
-        """Take in the coverage after a period; only what is more than before is kept."""
+    def add(self, metres: float, step: int, coverage: float) -> None:
+        """Take in the coverage after a step; only what is more than before is kept."""
         if not self.coverage or coverage > self.coverage[-1]:
             self.metres.append(metres)
-            self.periods.append(period)
+            self.steps.append(step)
             self.coverage.append(coverage)
 
     def area_under(self, limit_m: float) -> float:
@@ -56,7 +56,7 @@ class Curve:
         row = self.first(level)
         return otherwise if row is None else min(self.metres[row], otherwise)
 
-    def periods_to(self, level: float, otherwise: float) -> float:
-        """Control periods to a coverage, at most `otherwise`, which also stands for never."""
+    def steps_to(self, level: float, otherwise: float) -> float:
+        """Control steps to a coverage, at most `otherwise`, which also stands for never."""
         row = self.first(level)
-        return otherwise if row is None else min(float(self.periods[row]), otherwise)
+        return otherwise if row is None else min(float(self.steps[row]), otherwise)

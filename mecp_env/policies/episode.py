@@ -45,14 +45,14 @@ class Episode:
 
 @dataclass(slots=True, eq=False)
 class Log:
-    """What is noted every period."""
+    """What is noted every step."""
 
     curve: Curve = field(default_factory=Curve)
     pose_errors_m: list[float] = field(default_factory=list)
     log_dets: list[float] = field(default_factory=list)
 
     def look(self, observation: dict[str, Any], info: Info) -> None:
-        """Take in one control period."""
+        """Take in one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
         self.log_dets.append(log_det(observation["pose_cov"]))
@@ -75,7 +75,7 @@ def play(task: Task) -> Episode:
     end = drive(env, agent, log.look, task.building)
     final: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
-    return Episode(task, log.curve, measure(log, end, final, task.setting.max_periods), end.act_s)
+    return Episode(task, log.curve, measure(log, end, final, task.setting.max_steps), end.act_s)
 
 
 def drive(env: Env, agent: Agent, look: Look, building: int) -> End:
@@ -96,14 +96,14 @@ def drive(env: Env, agent: Agent, look: Look, building: int) -> End:
     return end
 
 
-def measure(log: Log, end: End, final: dict[str, float], max_periods: int) -> dict[str, float]:
+def measure(log: Log, end: End, final: dict[str, float], max_steps: int) -> dict[str, float]:
     """The figures of an episode; a coverage never reached counts as the limit (see docs/policies.md)."""
     curve, budget = log.curve, budget_m(final["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = float(curve.metres_to(level, np.inf) < NEVER_BUDGETS * budget)
         figures[f"metres_to_{level:.0%}"] = curve.metres_to(level, NEVER_BUDGETS * budget)
-        figures[f"periods_to_{level:.0%}"] = curve.periods_to(level, float(max_periods))
+        figures[f"periods_to_{level:.0%}"] = curve.steps_to(level, float(max_steps))
     return figures | {
         "complete": float(is_complete(end, final)),
         "terminated": float(end.terminated),

@@ -58,7 +58,7 @@ class Args:
     record: bool = False  # a film of all policies side by side, in the first building
     reference: str = "nearest"  # the policy to which the others are compared
     trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run any code
-    max_periods: int = 3000  # an episode is cut there (control periods of 0.4 s)
+    max_steps: int = 3000  # an episode is cut there (control steps of 0.4 s)
     json: Path | None = None  # also write the result there, and the page beside it
     out: Path = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, side_by_side.gif
 
@@ -105,7 +105,7 @@ def check(args: Args) -> None:
     if not args.policies:
         raise ConfigError(f"policies: none given; there are {', '.join(policies())}, and folders of training runs")
     within("jobs", args.jobs, 1, MOST_JOBS)
-    within("max_periods", args.max_periods, 1, 10_000_000)
+    within("max_steps", args.max_steps, 1, 10_000_000)
     check_reference(args)
     for policy in args.policies:
         agent = make_agent(policy, args.trust)
@@ -161,7 +161,7 @@ def check_json(path: Path) -> None:
 
 def setting_of(args: Args) -> Setting:
     """Where the policies are compared."""
-    return Setting(args.difficulty, args.split, args.estimator, args.max_periods)
+    return Setting(args.difficulty, args.split, args.estimator, args.max_steps)
 
 
 def tasks_of(args: Args) -> list[Task]:

@@ -20,22 +20,22 @@ Image = NDArray[np.uint8]
 
 PANEL = (320, 290)  # px
 ACROSS = 3  # panels in a row
-MOST_FRAMES, EVERY = 64, 4  # of a policy, and periods between the first of them
-LONGEST = 900  # periods: what takes longer is shown so far
+MOST_FRAMES, EVERY = 64, 4  # of a policy, and steps between the first of them
+LONGEST = 900  # steps: what takes longer is shown so far
 PERIOD_S = 0.4
 BUILDING = 0
 
 
 @dataclass(slots=True, eq=False)
 class Reel:
-    """The pictures of one policy, `every` so many periods."""
+    """The pictures of one policy, `every` so many steps."""
 
     frames: list[Image]
     every: int
 
-    def at(self, period: int) -> Image:
-        """The picture at a period; after the end the last one."""
-        return self.frames[min(-(-period // self.every), len(self.frames) - 1)]
+    def at(self, step: int) -> Image:
+        """The picture at a step; after the end the last one."""
+        return self.frames[min(-(-step // self.every), len(self.frames) - 1)]
 
 
 class Spectator:
@@ -47,7 +47,7 @@ class Spectator:
         self.info: Info = {}
 
     def look(self, observation: dict[str, Any], info: Info) -> None:
-        """Take the picture of a period, where its turn has come."""
+        """Take the picture of a step, where its turn has come."""
         self.info = info
         self.film.offer(info["period"], self.picture)
 
@@ -65,12 +65,12 @@ class Spectator:
 
 def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
     """Write the film of all policies in one building as a GIF; what takes very long is shown so far."""
-    shorter = replace(setting, max_periods=min(setting.max_periods, LONGEST))
+    shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
     reels = [record(policy, shorter, trust) for policy in policies]
     every = max(reel.every for reel in reels)
     last = max(reel.every * (len(reel.frames) - 1) for reel in reels)
     whole = Film()
-    whole.frames = [mosaic([reel.at(period) for reel in reels]) for period in range(0, last + every, every)]
+    whole.frames = [mosaic([reel.at(step) for reel in reels]) for step in range(0, last + every, every)]
     whole.save(path)
 
 

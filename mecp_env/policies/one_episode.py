@@ -23,7 +23,7 @@ class Args:
 
     layout: str = "paper"  # a shipped layout, the path of a layout file, or DIFFICULTY:SPLIT:NUMBER (medium:test:3)
     seed: int = 0  # of start, noise and policy
-    periods: int = 3000  # control periods of 0.4 s, at most
+    steps: int = 3000  # control steps of 0.4 s, at most
     estimator: Literal["slam", "known", "truth"] = "slam"  # known: true identities; truth: the exact pose
     start: Literal["layout", "random"] = "layout"  # random: anywhere in free space
 
@@ -58,7 +58,7 @@ def explore(agent: Agent, args: Args) -> int:
 
 def building(agent: Agent, args: Args) -> Env:
     """The environment of the command line. Raises `ConfigError`."""
-    rest: dict[str, Any] = {"actions": below(agent), "estimator": args.estimator, "max_periods": args.periods}
+    rest: dict[str, Any] = {"actions": below(agent), "estimator": args.estimator, "max_steps": args.steps}
     rest |= {"start": args.start, **getattr(agent, "settings", {})}
     difficulty, _, number = args.layout.partition(":")
     if not number:
@@ -80,11 +80,11 @@ def sentence(observation: dict[str, Any], row: int, info: Info) -> str:
     """What became of a drive."""
     goal = observation["goals"][row]
     where = f"{KINDS[int(goal[KIND])]} of room {goal[ROOM]:.0f}, {goal[PATH]:.1f} m away"
-    done = f"{info['event']} after {info['periods']} periods"
+    done = f"{info['event']} after {info['periods']} steps"
     return f"{where:44s}{done:28s}{info['coverage']:7.1%} seen {info['metres']:7.1f} m driven"
 
 
 def ending(terminated: bool, info: Info) -> str:
     """How the episode ended."""
-    how = "no goal is left" if terminated else "the filter diverged" if info["diverged"] else "out of periods"
-    return f"\n{how} after {info['period']} control periods\n"
+    how = "no goal is left" if terminated else "the filter diverged" if info["diverged"] else "out of steps"
+    return f"\n{how} after {info['period']} control steps\n"

@@ -20,8 +20,8 @@ HEADLINE: tuple[Column, ...] = (
 EXPLORATION: tuple[Column, ...] = (
     ("reached 90 %, %", "reached_90%", PERCENT, 100.0),
     ("reached 99 %, %", "reached_99%", PERCENT, 100.0),
-    ("periods to 90 %", "periods_to_90%", PERCENT, 1.0),
-    ("periods to 99 %", "periods_to_99%", PERCENT, 1.0),
+    ("steps to 90 %", "periods_to_90%", PERCENT, 1.0),
+    ("steps to 99 %", "periods_to_99%", PERCENT, 1.0),
     ("rooms found, %", "rooms_found", PLAIN, 100.0),
     ("doors found, %", "doors_found", PLAIN, 100.0),
     ("coverage, %", "coverage", PLAIN, 100.0),
@@ -39,7 +39,7 @@ DIFFERENCES: tuple[Column, ...] = (
     ("area under the curve", "auc", "+.3f", 1.0),
     ("m to 90 %", "metres_to_90%", "+.1f", 1.0),
     ("m to 99 %", "metres_to_99%", "+.1f", 1.0),
-    ("periods to 90 %", "periods_to_90%", "+.0f", 1.0),
+    ("steps to 90 %", "periods_to_90%", "+.0f", 1.0),
     ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
 )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.policies.one_episode import main
 
-LEAST_HELD, MOST_HELD = 3, 20  # periods for which a command is held
+LEAST_HELD, MOST_HELD = 3, 20  # steps for which a command is held
 TURN_ON_THE_SPOT = 0.3  # share of the commands
 
 

@@ -24,7 +24,7 @@ class Setting:
     difficulty: str = "medium"
     split: str = "test"
     estimator: str = "slam"
-    max_periods: int = 3000
+    max_steps: int = 3000
 
 
 def rooms(setting: Setting, agent: Agent, render_mode: str | None = None) -> Env:
@@ -36,7 +36,7 @@ def rooms(setting: Setting, agent: Agent, render_mode: str | None = None) -> Env
         difficulty=setting.difficulty,
         split=setting.split,
         estimator=setting.estimator,
-        max_periods=setting.max_periods,
+        max_steps=setting.max_steps,
         start="random",
         actions=below(agent),
         **getattr(agent, "settings", {}),
@@ -49,7 +49,7 @@ def below(agent: Agent) -> str:
 
 
 def admit(env: Env, agent: Agent, look: Look) -> Env:
-    """`env` with the actions that the agent wants; `look` is called with observation and info of every period."""
+    """`env` with the actions that the agent wants; `look` is called with observation and info of every step."""
     if agent.actions == "goal":
         return GoalActions(env, callback=lambda step: look(step[0], step[4]))
     return Watched(env, look)

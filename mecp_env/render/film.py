@@ -23,12 +23,12 @@ class Film:
 
     def __init__(self, most_frames: int = 160, every: int = 2) -> None:
         self.most_frames = most_frames
-        self.every = every  # periods between two frames
+        self.every = every  # steps between two frames
         self.frames: list[Frame] = []
 
-    def offer(self, period: int, draw: Callable[[], Frame]) -> None:
-        """Take the picture of a period, if it is one of those that are kept; `draw` is called only then."""
-        if period % self.every:
+    def offer(self, step: int, draw: Callable[[], Frame]) -> None:
+        """Take the picture of a step, if it is one of those that are kept; `draw` is called only then."""
+        if step % self.every:
             return
         self.frames.append(draw())
         if len(self.frames) > self.most_frames:

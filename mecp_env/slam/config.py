@@ -103,7 +103,7 @@ class TrackConfig(Settings):
 
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
-    window_periods: int = Field(10, ge=1, le=1000)
+    window_steps: int = Field(10, ge=1, le=1000)
     gate_m: float = Field(0.1, ge=0.0, le=5.0)
     gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
     signature_deg: float = Field(40.0, gt=0.0, le=180.0)
@@ -139,7 +139,7 @@ class FilterConfig(Settings):
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
     closure_iterations: int = Field(5, ge=1, le=20)
-    closure_gap_periods: int = Field(10, ge=1, le=10_000)
+    closure_gap_steps: int = Field(10, ge=1, le=10_000)
     max_landmarks: int = Field(1024, ge=8, le=10_000)
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 

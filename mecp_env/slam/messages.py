@@ -191,7 +191,7 @@ class MapPolygon:
     intervals: Array  # (m,4) as in Polygon, from its last sighting
     room: int
     seen: int = 1
-    last_period: int = 0
+    last_step: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +220,7 @@ class FeatureTable:
     convex: Bools = field(default_factory=lambda: np.empty(0, np.bool_))  # (F,)
     normals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) rad, map frame, nan: unseen
     seen: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) sightings
-    last_period: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) period of the last sighting
+    last_step: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) step of the last sighting
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) m: last seen here (tracks only)
     doubts: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) scans that refuted it since it was seen
 
@@ -251,7 +251,7 @@ class Sighting:
     match: Match
     through: Ints  # (n,) id of the mapped door each corner is seen through, or -1
     belief: Belief
-    period: int
+    step: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,7 +290,7 @@ class Candidate:
     ids: tuple[int, int]  # feature ids of its two jambs, NO_ID where not known
     room: int
     sightings: int
-    last_period: int
+    last_step: int
     confirmable: int = 0  # sightings from near enough, of either face, whichever ids its jambs had
 
 
@@ -305,7 +305,7 @@ class RoomGraph:
     candidates: tuple[Candidate, ...]
     merged: dict[int, int]  # room that was merged -> room it became
     parted: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Room entered unnoticed -> the room it was taken for, and the first period in it."""
+    """Room entered unnoticed -> the room it was taken for, and the first step in it."""
 
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""
@@ -318,8 +318,8 @@ class RoomGraph:
 class MapView:
     """What an associator may look at: the map as it stands before the corners of this scan are known."""
 
-    period: int
-    belief: Belief  # predicted to this period
+    step: int
+    belief: Belief  # predicted to this step
     features: FeatureTable
     rings: dict[int, Rings]  # known polygons by cardinality
     graph: RoomGraph
@@ -342,7 +342,7 @@ class SemanticGrid:
 class SlamOutput:
     """Everything one step of the pipeline saw and decided: for info, rendering and benchmarks."""
 
-    period: int
+    step: int
     beams: MergedScan
     segments: Segments
     corners: Corners

@@ -61,7 +61,7 @@ Identities = Callable[[Corners], Ints]
 class SlamPipeline:
     """EKF-SLAM with MECP data association over odometry and laser scans.
 
-    The map frame is the robot's pose when `start` is called. `step` takes one control period. `config` may be a dict.
+    The map frame is the robot's pose when `start` is called. `step` takes one control step. `config` may be a dict.
     Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then. Put an
     associator of your own into `associator`; `MatchError` says what is wrong with a match that it gave.
     """
@@ -73,7 +73,7 @@ class SlamPipeline:
     polygons: PolygonStore = field(init=False)
     rooms: RoomGraphEstimator = field(init=False)
     grid: GridPainter = field(init=False)
-    period: int = field(init=False, default=0)
+    step_count: int = field(init=False, default=0)
     diverged: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
@@ -88,13 +88,13 @@ class SlamPipeline:
         self.polygons = PolygonStore(self.config.association.polygons_per_room)
         self.rooms = RoomGraphEstimator(self.config.rooms)
         self.grid = GridPainter(self.config.grid)
-        self.period = 0
+        self.step_count = 0
         self.diverged = False
 
     def start(self, scan: Scan, *, identities: Identities | None = None) -> SlamOutput:
         """The report of a scan taken at rest: the first ones belong to the start pose, before any motion."""
         check_scan(scan)
-        self.period += 1
+        self.step_count += 1
         return self._observe(scan, identities)
 
     def step(
@@ -105,14 +105,14 @@ class SlamPipeline:
         identities: Identities | None = None,
         T_map_robot: Array | None = None,
     ) -> SlamOutput:
-        """The report of one control period: the motion, then the scan at its end.
+        """The report of one control step: the motion, then the scan at its end.
 
         `identities` (true corner of each corner) serves `method="known"` alone; `T_map_robot`, the true pose, replaces
         the estimate where an upper bound is wanted.
         """
         check_odometry(odometry)
         check_scan(scan)
-        self.period += 1
+        self.step_count += 1
         self.filter.predict(odometry)
         if T_map_robot is not None:
             self.filter.set_pose(T_map_robot)
@@ -153,7 +153,7 @@ class SlamPipeline:
         standing, walls = passing(beams, transient), without_transients(segments, transient)
         grid = self.grid.paint(belief, standing, walls, matched, self.polygons.polygons, graph)
         return SlamOutput(
-            self.period,
+            self.step_count,
             beams,
             segments,
             corners,
@@ -168,7 +168,7 @@ class SlamPipeline:
 
     def _without_refuted(self, beams: MergedScan, segments: Segments, belief: Belief) -> Belief:
         """The belief without the landmarks that this scan refutes for good; what hung on them is forgotten."""
-        gone = refuted(beams, segments, belief, self.features, self.period, self.config.transients)
+        gone = refuted(beams, segments, belief, self.features, self.step_count, self.config.transients)
         if not len(gone):
             return belief
         self.filter.remove(gone)
@@ -190,7 +190,7 @@ class SlamPipeline:
             return ignored(len(corners))
 
     def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
-        view = MapView(self.period, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
+        view = MapView(self.step_count, predicted, self.features, self.polygons.rings, self.rooms.graph(), through)
         match = self.associator.associate(corners, polygons, view, self.filter)
         return check_match(match, len(corners), len(self.features.state))
 
@@ -212,7 +212,7 @@ class SlamPipeline:
         Differs from the paper: its world is static.
         """
         features, doubtful = self.features, np.empty(len(corners), np.int64)
-        columns = features.room, features.state, features.last_period, self._oldest()
+        columns = features.room, features.state, features.last_step, self._oldest()
         count = ends_of_bodies((match.ids, match.decision, match.nis), corners.z, *columns, doubtful)
         for c in doubtful[:count]:
             z, R = corners.measurements(np.array([c]))
@@ -222,29 +222,29 @@ class SlamPipeline:
         return match
 
     def _oldest(self) -> int:
-        """The first period that counts as lately."""
-        return self.period - self.config.filter.closure_gap_periods
+        """The first step that counts as lately."""
+        return self.step_count - self.config.filter.closure_gap_steps
 
     def _is_closure(self, ids: Ints) -> bool:
-        """True when no landmark of some room among `ids` was updated for `closure_gap_periods`."""
+        """True when no landmark of some room among `ids` was updated for `closure_gap_steps`."""
         features, oldest = self.features, self._oldest()
-        return room_unseen_since(ids, features.room, features.state, features.last_period, oldest)
+        return room_unseen_since(ids, features.room, features.state, features.last_step, oldest)
 
     def _grow_map(
         self, corners: Corners, polygons: tuple[Polygon, ...], match: Match, through: Ints, belief: Belief
     ) -> tuple[Match, Belief]:
         """Tracks, landmarks, polygons, doors and rooms after this scan; the match with all its ids, and the belief."""
-        dead = forget(self.features, self.period, self.config.tracks)
+        dead = forget(self.features, self.step_count, self.config.tracks)
         room = self.rooms.current
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
         self._remember_births(match)
         self._adopt(corners, match, ripe)
-        mark_seen(self.features, match.ids, self.period)
+        mark_seen(self.features, match.ids, self.step_count)
         belief = self.filter.belief() if len(ripe) else belief
-        seen = Sighting(corners, match, through, belief, self.period)
+        seen = Sighting(corners, match, through, belief, self.step_count)
         moved = self.rooms.update(seen, self.features, self.polygons.polygons)
         graph = self.rooms.graph()
-        crowded = self.polygons.remember(polygons, match, self.features, graph, self.period)
+        crowded = self.polygons.remember(polygons, match, self.features, graph, self.step_count)
         pair = self._duplicate(match, belief)
         match = self._fuse(match, pair)
         if dead or moved or pair or crowded:
@@ -291,7 +291,7 @@ class SlamPipeline:
             return match
         self.features.state[drop] = int(FeatureState.DEAD)
         self.features.seen[keep] += self.features.seen[drop]
-        self.features.last_period[keep] = self.period
+        self.features.last_step[keep] = self.step_count
         self.polygons.rename(keep, drop)
         rename_jambs(self.rooms.book, keep, drop)
         return replace(match, ids=np.where(match.ids == drop, keep, match.ids))

@@ -30,7 +30,7 @@ class Filter(Protocol):
         """True when the filter holds a landmark with this id."""
 
     def predict(self, odometry: Odometry) -> None:
-        """Move the pose by the increments of one period."""
+        """Move the pose by the increments of one step."""
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by a whole scan at once; `iterate` relinearises until it settles (loop closures)."""

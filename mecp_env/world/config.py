@@ -36,7 +36,7 @@ class RobotConfig(Settings):
     max_acceleration_m_s2: float = Field(1.0, gt=0.0, le=100.0)
     max_turn_acceleration_rad_s2: float = Field(5.0, gt=0.0, le=1000.0)
     period_s: float = Field(0.4, gt=0.0, le=5.0)
-    arcs: int = Field(4, ge=1, le=64)  # odometry readings in a period
+    arcs: int = Field(4, ge=1, le=64)  # odometry readings in a step
     substeps: int = Field(4, ge=1, le=200)  # physics steps in an arc
 
     @property
@@ -55,7 +55,7 @@ class RobotConfig(Settings):
 
 
 class LaserConfig(Settings):
-    """A laser scanner with full field of view that takes a burst of sweeps at the end of a period (IV, III-A.1)."""
+    """A laser scanner with full field of view that takes a burst of sweeps at the end of a step (IV, III-A.1)."""
 
     preset: Literal["paper", "lms200", "ideal"] = "paper"
     sweeps: int = Field(4, ge=1, le=8)
@@ -79,13 +79,13 @@ class OdometryConfig(Settings):
     """Noise of the measured body motion: the paper's sigma_rR and sigma_thetaR (IV) in one of three readings.
 
     `per_metre`: sigmas per square root of a metre of path; a turn of 90 deg counts as `turn_m` of path.
-    `per_step`: sigmas of every control period in which the robot moves.
-    `linear`: sigmas grow in proportion to the period's path (distance) and turn (heading).
+    `per_step`: sigmas of every control step in which the robot moves.
+    `linear`: sigmas grow in proportion to the step's path (distance) and turn (heading).
     """
 
     reading: Literal["per_metre", "per_step", "linear"] = "per_metre"
-    distance_sigma_m: float = Field(0.1, ge=0.0, le=1.0)  # per sqrt(m), per period, or per metre
-    turn_sigma_deg: float = Field(1.5, ge=0.0, le=30.0)  # per sqrt(m), per period, or per 90 deg and per metre
+    distance_sigma_m: float = Field(0.1, ge=0.0, le=1.0)  # per sqrt(m), per step, or per metre
+    turn_sigma_deg: float = Field(1.5, ge=0.0, le=30.0)  # per sqrt(m), per step, or per 90 deg and per metre
     turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path that a turn of 90 deg stands for
     scale: float = Field(1.0, ge=0.0, le=10.0)  # of all sigmas: 0 is perfect odometry
 

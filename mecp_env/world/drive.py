@@ -35,7 +35,7 @@ AIM_X, AIM_Y, FORCE_X, FORCE_Y, TWIST, FELT_X, FELT_Y, FELT_TURN = range(3, 11)
 def drive_on(
     segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int
 ) -> tuple[int, bool, bool]:
-    """Takes the state (6,) over after substep `done` of the period, at its start or from pymunk, and drives on.
+    """Takes the state (6,) over after substep `done` of the step, at its start or from pymunk, and drives on.
 
     Returns the substep reached: the last, or one that pymunk must make, for a wall is within reach (see `course`);
     whether pymunk's substep touched something with force; whether pymunk does not have the state that was reached.
@@ -51,7 +51,7 @@ def drive_on(
 
 @compiled
 def glide(segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int) -> int:
-    """Moves the state (6,) while no wall is within reach, as pymunk would; returns the substep of the period reached.
+    """Moves the state (6,) while no wall is within reach, as pymunk would; returns the substep of the step reached.
 
     Arcs that end on the way are read into `increments` (M,2).
     """

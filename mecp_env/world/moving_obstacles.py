@@ -52,7 +52,7 @@ class Moving:
 
 
 class Movers:
-    """What moves in one building, period by period; all that outlives a period is in `state`."""
+    """What moves in one building, step by step; all that outlives a step is in `state`."""
 
     def __init__(self, ways: Ways | None, config: CrowdConfig, robot: RobotConfig, state: Moving) -> None:
         self.config, self.robot, self.state = config, robot, state
@@ -96,13 +96,13 @@ class Movers:
         return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
-        """Everybody chooses a velocity for the coming period, and where to go next if he is there."""
+        """Everybody chooses a velocity for the coming step, and where to go next if he is there."""
         state, config = self.state, self.config
         if not len(state.people):
             return
         robot = robot_row(T_world_robot, velocity, self.robot)
-        boxes, period = self.round_boxes(), self.robot.period_s
-        stands = kernels.steer(state.people, state.routes, state.legs, segments, boxes, robot, config.polite, period)
+        boxes, step = self.round_boxes(), self.robot.period_s
+        stands = kernels.steer(state.people, state.routes, state.legs, segments, boxes, robot, config.polite, step)
         for i in np.flatnonzero(stands).tolist():
             if stands[i] == kernels.ARRIVED:
                 self._rest(i)

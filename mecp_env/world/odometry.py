@@ -1,4 +1,4 @@
-"""The odometry: the true motion of a period -> what the wheels say, with its covariance."""
+"""The odometry: the true motion of a step -> what the wheels say, with its covariance."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _measure(
 
 @compiled
 def _covariances(measured: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
-    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole period, in equal parts."""
+    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole step, in equal parts."""
     arcs = measured.shape[0]
     even, cov = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2))
     for k in range(2):

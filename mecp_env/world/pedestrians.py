@@ -1,4 +1,4 @@
-"""Kernels of the people: which way each walks for a period, and the substeps in which he does."""
+"""Kernels of the people: which way each walks for a step, and the substeps in which he does."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from mecp_env.world.faces import from_face
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# A person (11,): place; velocity chosen for this period; radius; own speed; how long he still stands, how long he has
-# got nowhere, s; where he was when the period began; 1 in a substep in which he moves, else 0
+# A person (11,): place; velocity chosen for this step; radius; own speed; how long he still stands, how long he has
+# got nowhere, s; where he was when the step began; 1 in a substep in which he moves, else 0
 X, Y, VX, VY, RADIUS, PACE, PAUSE, STUCK, FROM_X, FROM_Y, MOVES = range(11)
 PERSON = 11
 WALKS, ARRIVED, IS_STUCK = 0, 1, 2  # how it stands with a person
@@ -36,9 +36,9 @@ SHARES = np.array([1.0, 0.5])
 
 @compiled
 def steer(
-    people: Array, routes: Array, legs: Ints, segments: Array, boxes: Array, robot: Array, polite: bool, period: float
+    people: Array, routes: Array, legs: Ints, segments: Array, boxes: Array, robot: Array, polite: bool, step: float
 ) -> Ints:
-    """Chooses a velocity for each of the people (n,11) for a period; how it stands with each (n,).
+    """Chooses a velocity for each of the people (n,11) for a step; how it stands with each (n,).
 
     `routes` (n,L,2) m and `legs` (n,2), the next point and how many there are; `boxes` (b,3): place and reach of each.
     No velocity chosen leads into one of the faces (S,2,2).
@@ -46,28 +46,28 @@ def steer(
     stands = np.empty(people.shape[0], np.int64)
     for i in range(people.shape[0]):
         person = people[i]
-        note_progress(person, period)
+        note_progress(person, step)
         stands[i] = WALKS
         if person[PAUSE] > 0.0:
-            person[PAUSE] -= period
+            person[PAUSE] -= step
         elif person[STUCK] > PATIENCE_S:
             stands[i] = IS_STUCK
         elif not look_ahead(person, routes[i], legs[i], segments):
             stands[i] = ARRIVED
-        want_x, want_y = wanted(person, routes[i], legs[i], stands[i] == WALKS, period)
+        want_x, want_y = wanted(person, routes[i], legs[i], stands[i] == WALKS, step)
         careful = polite or person[STUCK] > 0.0
-        choose(people, i, (want_x, want_y), segments, boxes, robot, (careful, polite), period)
+        choose(people, i, (want_x, want_y), segments, boxes, robot, (careful, polite), step)
     return stands
 
 
 @compiled
-def note_progress(person: Array, period: float) -> None:
+def note_progress(person: Array, step: float) -> None:
     """Count how long he has got nowhere though he wants to walk."""
     moved = math.hypot(person[X] - person[FROM_X], person[Y] - person[FROM_Y])
-    if person[PAUSE] > 0.0 or moved > SLOW * person[PACE] * period:
+    if person[PAUSE] > 0.0 or moved > SLOW * person[PACE] * step:
         person[STUCK] = 0.0
     else:
-        person[STUCK] += period
+        person[STUCK] += step
     person[FROM_X], person[FROM_Y] = person[X], person[Y]
 
 
@@ -85,12 +85,12 @@ def look_ahead(person: Array, route: Array, leg: Ints, segments: Array) -> bool:
 
 
 @compiled
-def wanted(person: Array, route: Array, leg: Ints, walks: bool, period: float) -> tuple[float, float]:
+def wanted(person: Array, route: Array, leg: Ints, walks: bool, step: float) -> tuple[float, float]:
     """The velocity that leads to the next point, at most at his own speed."""
     if not walks or person[PAUSE] > 0.0 or leg[1] == 0:
         return 0.0, 0.0
     dx, dy = route[leg[0], 0] - person[X], route[leg[0], 1] - person[Y]
-    share = min(person[PACE] / max(math.hypot(dx, dy), 1e-9), 1.0 / period)
+    share = min(person[PACE] / max(math.hypot(dx, dy), 1e-9), 1.0 / step)
     return dx * share, dy * share
 
 
@@ -103,7 +103,7 @@ def choose(
     boxes: Array,
     robot: Array,
     manners: tuple[bool, bool],
-    period: float,
+    step: float,
 ) -> None:
     """Write the cheapest velocity of person i: near the wanted one, clear of walls, a berth from others.
 
@@ -125,7 +125,7 @@ def choose(
             if cost >= best:
                 continue
             cost += crowding(people, i, (vx, vy), boxes, robot, manners)
-            to_x, to_y = person[X] + vx * period, person[Y] + vy * period
+            to_x, to_y = person[X] + vx * step, person[Y] + vy * step
             if cost < best and clear_leg(segments, person[X], person[Y], to_x, to_y, person[RADIUS]):
                 best, best_x, best_y = cost, vx, vy
     person[VX], person[VY] = best_x, best_y

@@ -1,6 +1,6 @@
 """The physics: a circular differential-drive robot among walls, people and boxes, in a pymunk space.
 
-One `step()` is one control period. Away from all those a compiled kernel moves the robot; within a substep's reach of
+One `step()` is one control step. Away from all those a compiled kernel moves the robot; within a substep's reach of
 one, and while a box slides, pymunk does, in the same substeps and by the same scheme. In each substep the body first
 moves with its velocity, then the wheels set a new one (towards the command, within the acceleration limits, and with no
 motion sideways) and contacts correct it. So the velocity of a body in contact never points into the wall, and what
@@ -46,7 +46,7 @@ MASS_KG = 9.0  # Pioneer P3-DX
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """What the body truly did in one period, arc by arc; while it turns faster and faster, an arc leaves 0.1 mm out."""
+    """What the body truly did in one step, arc by arc; while it turns faster and faster, an arc leaves 0.1 mm out."""
 
     increments: Array  # (M,2) m, rad: signed distance along the mean heading of the arc, turn
     contact: bool  # something was touched with force
@@ -89,7 +89,7 @@ class Simulation:
         self._state = np.concatenate([pose, np.zeros(3)])
 
     def step(self, v: float, w: float) -> Motion:
-        """Drives one period with the commanded speed v (m/s) and turn rate w (rad/s), limited to what the robot can do.
+        """Drives one step with the commanded speed v (m/s) and turn rate w (rad/s), limited to what the robot can do.
 
         Raises ActionError for a command that is not finite; the robot is then where it was.
         """

@@ -9,13 +9,13 @@ from mecp_env.slam.pipeline import SlamPipeline
 
 
 def test_a_replay_is_the_run_again_to_the_bit() -> None:
-    """Each period was once recorded twice: nearest and mecp then looked equally bad."""
+    """Each step was once recorded twice: nearest and mecp then looked equally bad."""
     env = RecordingEnv(layout="two_rooms", start="random")
     env.reset(seed=4)
-    for period in range(25):
-        env.step(np.array([0.5, 0.4 * (period % 3 - 1)], np.float32))
+    for step in range(25):
+        env.step(np.array([0.5, 0.4 * (step % 3 - 1)], np.float32))
     drive, last = env.drive, env.report
-    assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.period == 28
+    assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.step == 28
     assert [odometry is None for odometry in drive.odometry] == [True] * 3 + [False] * 25
     pipeline = SlamPipeline(drive.slam)
     for odometry, scan in zip(drive.odometry, drive.scans, strict=True):

@@ -34,15 +34,15 @@ def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
         for _ in range(20):
             env.step(np.array([0.2, 0.1]))
     times = watch.microseconds()
-    assert 0 < watch.periods <= 20
+    assert 0 < watch.steps <= 20
     assert all(times[name] > 0.0 for name in STAGE_NAMES if name != "goals")
     assert times["step"] == pytest.approx(times["rest"] + sum(times[name] for name in STAGE_NAMES))
     assert [getattr(owner, name) for _, owner, name in STAGES] == plain
 
 
 def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crowd_speed, "RANDOM_PERIODS", 5)
-    monkeypatch.setattr(crowd_speed, "MAX_PERIODS", 5)
+    monkeypatch.setattr(crowd_speed, "RANDOM_STEPS", 5)
+    monkeypatch.setattr(crowd_speed, "MAX_STEPS", 5)
     crowd = crowd_speed.measure(1)
     assert len(build_outline(crowd_speed.building(1)).segments) >= crowd_speed.LEAST_FACES
     assert all(settings["paper"]["ratio"]["value"] == 1.0 for settings in crowd.values())
@@ -54,7 +54,7 @@ def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("where", explorers.EXPLORERS.values())
 def test_an_explorer_is_found_by_its_name_and_summed_up(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(explorers, "MAX_PERIODS", 40)
+    monkeypatch.setattr(explorers, "MAX_STEPS", 40)
     episode = explorers.explore(("two_rooms", where, 1))
     figures = explorers.summarise([episode])
     assert {gate.path.split("/")[-1] for gate in explorers.GATES} <= figures.keys()
@@ -64,7 +64,7 @@ def test_an_explorer_is_found_by_its_name_and_summed_up(where: str, monkeypatch:
 
 def test_a_coverage_counts_when_it_is_first_reached() -> None:
     episode = explorers.Episode()
-    for period, coverage in enumerate([0.5, 0.91, 0.89, 0.95, 0.999]):
-        episode.look({"coverage": coverage, "period": period, "metres": 0.3 * period})
-    assert (episode.periods[0.90], episode.periods[0.99]) == (1, 4)
+    for step, coverage in enumerate([0.5, 0.91, 0.89, 0.95, 0.999]):
+        episode.look({"coverage": coverage, "period": step, "metres": 0.3 * step})
+    assert (episode.steps[0.90], episode.steps[0.99]) == (1, 4)
     assert episode.metres[0.99] == pytest.approx(1.2)

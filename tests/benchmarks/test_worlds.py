@@ -36,14 +36,14 @@ def test_outcomes() -> None:
 
 def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(worlds, "KEPT", tmp_path / "kept things")
-    monkeypatch.setattr(worlds, "MAX_PERIODS", 5)
+    monkeypatch.setattr(worlds, "MAX_STEPS", 5)
     assert worlds.visit(("easy", 1)).outcome == "stuck"
     (folder,) = (tmp_path / "kept things").iterdir()
     record = json.loads((folder / "record.json").read_text())
     assert shlex.split(record["again"])[:4] == ["mecp-env", "demo", "--layout", str(folder / "layout.json")]
     assert record["version"] == mecp_env.__version__
     assert re.fullmatch(r"([0-9a-f]{40}\+?)?", record["commit"])
-    assert record["again"].endswith("--seed 1 --config.start random --config.max-periods 5")
+    assert record["again"].endswith("--seed 1 --config.start random --config.max-steps 5")
     assert len(load_layout(folder / "layout.json").rooms) == 4
     assert (folder / "map.png").stat().st_size > 5000
 

@@ -107,8 +107,8 @@ def test_a_folder_of_a_run_is_told_as_that_with_the_map_in_it(kept: Path, capsys
 
 def test_the_paths_are_read_as_tum_and_lie_close_together(kept: Path) -> None:
     estimated, true = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
-    periods = json.loads((kept / "metrics.json").read_text())["periods"]
-    assert estimated.shape == true.shape == (periods + 1, 8)
+    steps = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert estimated.shape == true.shape == (steps + 1, 8)
     assert np.diff(true[:, 0]) == pytest.approx(0.4)
     assert np.linalg.norm(true[:, 4:], axis=1) == pytest.approx(1.0)
     assert np.abs(estimated[:, 1:3] - true[:, 1:3]).max() < 0.3
@@ -125,15 +125,15 @@ def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
     run = Run.begin(EnvConfig.build(recipe["config"]), recipe["seed"])
     run.explore(lambda run: None)
     assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
-    periods = json.loads((kept / "metrics.json").read_text())["periods"]
-    assert run.env.view().title == f"two_rooms, slam, period {periods}"  # the title of map.png
+    steps = json.loads((kept / "metrics.json").read_text())["periods"]
+    assert run.env.view().title == f"two_rooms, slam, step {steps}"  # the title of map.png
 
 
 def test_the_run_can_be_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    line = ["demo", "--layout", "two_rooms", "--render", "human", "--config.max-periods", "6"]
+    line = ["demo", "--layout", "two_rooms", "--render", "human", "--config.max-steps", "6"]
     assert cli.main([*line, "--out", str(tmp_path / "run")]) == 0
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["ended"] == "out of periods"
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["ended"] == "out of steps"
 
 
 def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +141,7 @@ def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest
 
     def look_and_stop(run: Run) -> None:
         look(run)
-        if run.periods == 5:
+        if run.steps == 5:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Run, "look", look_and_stop)
@@ -159,7 +159,7 @@ def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest
         (["demo", "--seed", "first"], "first"),
         (["demo", "--config.slam.filter.kindd", "ekf"], "--config.slam.filter.kind"),
         (["demo", "--config.slam.filter.kind", "ukf"], "riekf"),
-        (["demo", "--config.max-periods", "0"], "Error parsing config: Fields.max_periods"),
+        (["demo", "--config.max-steps", "0"], "Error parsing config: Fields.max_steps"),
         (["demo", "--render", "holo"], "human"),
     ],
 )
@@ -275,7 +275,7 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("args", "named"),
-    [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", periods=0), "max_periods"), (Args(seed=-1), "-1")],
+    [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", steps=0), "max_steps"), (Args(seed=-1), "-1")],
 )
 def test_wrong_input_of_the_random_walk_ends_with_2(args: Args, named: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert one_episode("random_walk", args) == 2
@@ -318,23 +318,23 @@ def test_the_progress_shows_everything_in_80_columns() -> None:
 
 
 def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["one-scan", "--layout", "two_rooms", "--period", "3", "--out", str(tmp_path)]
+    line = ["one-scan", "--layout", "two_rooms", "--step", "3", "--out", str(tmp_path)]
     assert cli.main(line) == 0
     assert len(list(tmp_path.glob("*.png"))) == 6
     assert cli.main([*line[:4], "99999", *line[5:]]) == 2
-    assert "period" in capsys.readouterr().err
+    assert "step" in capsys.readouterr().err
 
 
 def test_one_scan_takes_the_buildings_that_the_demo_takes(tmp_path: Path, capsys: Said) -> None:
     assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
     for layout in ("easy:3", str(tmp_path / "plan.yaml")):
-        assert cli.main(["one-scan", "--layout", layout, "--period", "3", "--out", str(tmp_path / "scan")]) == 0
+        assert cli.main(["one-scan", "--layout", layout, "--step", "3", "--out", str(tmp_path / "scan")]) == 0
         assert capsys.readouterr().out.endswith("6-association.png\n")
 
 
-def test_one_scan_refuses_a_period_below_0(capsys: Said) -> None:
-    assert cli.main(["one-scan", "--period", "-5"]) == 2
-    assert capsys.readouterr().err == "mecp-env: period: -5, at least 0\n"
+def test_one_scan_refuses_a_step_below_0(capsys: Said) -> None:
+    assert cli.main(["one-scan", "--step", "-5"]) == 2
+    assert capsys.readouterr().err == "mecp-env: step: -5, at least 0\n"
 
 
 @pytest.mark.parametrize("module", ["mecp_env", "mecp_env.cli.main"])

@@ -24,7 +24,7 @@ Key = int
 
 @pytest.fixture
 def game(tmp_path: Path) -> Game:
-    env = MecpEnv(layout="two_rooms", max_periods=12)
+    env = MecpEnv(layout="two_rooms", max_steps=12)
     return Game(lambda number: (env, number), tmp_path / "pictures")
 
 
@@ -82,7 +82,7 @@ def test_a_held_key_drives_and_a_released_one_lets_the_robot_roll_out(game: Game
     assert game.env.summary()["metres"] > 0.3
 
 
-def test_a_tap_within_a_tick_is_one_period(game: Game) -> None:
+def test_a_tap_within_a_tick_is_one_step(game: Game) -> None:
     press(game, pygame.K_SPACE)
     release(game, pygame.K_SPACE)
     game.advance()
@@ -123,7 +123,7 @@ def test_the_world_can_be_hidden(game: Game) -> None:
 def test_a_picture_is_kept_or_the_window_says_why_not(game: Game, tmp_path: Path) -> None:
     press(game, pygame.K_p)
     (picture,) = (tmp_path / "pictures").iterdir()
-    assert picture.name == "two_rooms-slam-period-0.png"
+    assert picture.name == "two_rooms-slam-step-0.png"
     assert str(picture) in game.message
     game.folder = picture / "below-a-file"
     press(game, pygame.K_p)
@@ -131,9 +131,9 @@ def test_a_picture_is_kept_or_the_window_says_why_not(game: Game, tmp_path: Path
 
 
 def test_a_picture_stays_in_its_folder_whatever_the_building_is_called(game: Game, tmp_path: Path) -> None:
-    game.view = replace(game.view, title="../../up, slam, period 3")
+    game.view = replace(game.view, title="../../up, slam, step 3")
     press(game, pygame.K_p)
-    assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["up-slam-period-3.png"]
+    assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["up-slam-step-3.png"]
 
 
 def test_every_key_is_listed_in_the_strip() -> None:
@@ -149,7 +149,7 @@ def test_a_drive_from_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path
     monkeypatch.chdir(tmp_path)
     assert cli.main(["play", "--layout", "two_rooms", "--config.estimator", "truth"]) == 0
     said = capsys.readouterr().out.splitlines()[-1]
-    assert said.startswith("two_rooms, truth, period ")
+    assert said.startswith("two_rooms, truth, step ")
     assert "coverage" in said
     assert not pygame.display.get_init()
     assert list(tmp_path.iterdir()) == []
@@ -158,7 +158,7 @@ def test_a_drive_from_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_next_is_the_next_building_of_a_series(monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
     script(monkeypatch, [(pygame.KEYDOWN, pygame.K_n)], [(pygame.KEYDOWN, pygame.K_ESCAPE)])
     assert cli.main(["play", "--layout", "easy:7"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith("rooms-4-8, slam, period 0")
+    assert capsys.readouterr().out.splitlines()[-1].startswith("rooms-4-8, slam, step 0")
 
 
 @pytest.mark.parametrize(
@@ -186,9 +186,9 @@ def test_next_walks_through_a_folder_and_tells_of_a_damaged_plan(
     )
     script(monkeypatch, *[[(pygame.KEYDOWN, pygame.K_n)]] * 3)
     assert cli.main(["play", "--layout", str(tmp_path)]) == 0
-    assert f"paper, slam, period 0: Round 2 cannot begin, N takes the next: {tmp_path}/q.json: no JSON" in told[0]
-    assert told[1].startswith("two_rooms, slam, period 0: Time stands still")
-    assert capsys.readouterr().out.startswith("paper, slam, period 0")
+    assert f"paper, slam, step 0: Round 2 cannot begin, N takes the next: {tmp_path}/q.json: no JSON" in told[0]
+    assert told[1].startswith("two_rooms, slam, step 0: Time stands still")
+    assert capsys.readouterr().out.startswith("paper, slam, step 0")
 
 
 def test_ctrl_c_closes_the_window(monkeypatch: pytest.MonkeyPatch) -> None:

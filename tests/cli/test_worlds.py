@@ -300,7 +300,7 @@ def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Sa
     assert ET.parse(svg).getroot() is not None
     assert run("convert", path, tmp_path / "copy.json") == 0
     assert run("stats", path) == 0
-    assert cli.main(["demo", "--layout", str(path), "--config.max-periods", "3", "--out", str(out)]) == 0
+    assert cli.main(["demo", "--layout", str(path), "--config.max-steps", "3", "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "\0" not in said
 

@@ -24,7 +24,7 @@ MEASURED = ("area", "pose_information", "landmark_information")
 
 @dataclass
 class Episode:
-    """What an episode paid, period by period."""
+    """What an episode paid, step by step."""
 
     free_m2: float = 0.0  # of the building
     mapped_m2: float = 0.0  # what counted as mapped at the end
@@ -64,8 +64,8 @@ def spin(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 def swing(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """To the left and to the right, again and again."""
-    for period in range(10**6):
-        yield 0.0, 1.0 if period % 16 < 8 else -1.0
+    for step in range(10**6):
+        yield 0.0, 1.0 if step % 16 < 8 else -1.0
 
 
 def shuttle(env: MecpEnv, rng: np.random.Generator) -> Drive:
@@ -91,8 +91,8 @@ def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """Scrape along walls, so that uncertainty grows, and go home, so that it shrinks."""
     home = env._site.T_world_robot[:2].copy()
     while True:
-        for period in range(30):
-            yield 1.0, 0.6 if period % 10 < 5 else -0.6
+        for step in range(30):
+            yield 1.0, 0.6 if step % 10 < 5 else -0.6
         yield from go(env, home)
         for _ in range(10):
             yield 0.0, 0.8
@@ -121,7 +121,7 @@ ATTEMPTS: dict[str, Callable[[MecpEnv, np.random.Generator], Drive]] = {
 
 
 def go(env: MecpEnv, p_world: Array) -> Drive:
-    """Towards a point, until there, or for at most 40 periods."""
+    """Towards a point, until there, or for at most 40 steps."""
     for _ in range(40):
         x, y, heading = env._site.T_world_robot
         if math.hypot(p_world[0] - x, p_world[1] - y) < 0.25:
@@ -145,7 +145,7 @@ def attempt(name: str, seed: int, **keywords: Any) -> Episode:
 
 
 def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
-    """An episode of the breadth-first explorer, who may wait some periods before he begins."""
+    """An episode of the breadth-first explorer, who may wait some steps before he begins."""
     episode, policy = Episode(), BreadthFirst()
     env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: episode.note(step[4]))
     observation, _ = env.reset(seed=seed)

@@ -18,13 +18,13 @@ UNKNOWN = [
     ({"layuot": "paper"}, r"EnvConfig\.layuot: no such field; did you mean 'layout'\?"),
     ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
     ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
-    ({"planning": {"navigator": {"limit_period": 3}}}, r"did you mean 'limit_periods'\?"),
+    ({"planning": {"navigator": {"limit_step": 3}}}, r"did you mean 'limit_steps'\?"),
     ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: source, area"),
 ]
 WRONG = [
-    {"max_periods": 0},
-    {"max_periods": "many"},
-    {"max_periods": 1.5},
+    {"max_steps": 0},
+    {"max_steps": "many"},
+    {"max_steps": 1.5},
     {"estimator": "perfect"},
     {"actions": "jump"},
     {"laser": {"sweeps": 99}},
@@ -37,8 +37,8 @@ WRONG = [
     {"start": (1.0, 2.0)},
     {"start": (True, 2.0, 0.0)},
     {"start": ("1", 2.0, 0.0)},
-    {"max_periods": "10"},
-    {"max_periods": True},
+    {"max_steps": "10"},
+    {"max_steps": True},
     {"reward": {"contact": "-1"}},
     {"observation": {"map": "true"}},
     {"observation": {"map": 1}},
@@ -136,10 +136,10 @@ def test_json_both_ways(config):
 
 
 def test_keywords_override_the_config_field_by_field():
-    config = EnvConfig.build({"laser": {"preset": "ideal", "sweeps": 2}}, laser={"sweeps": 3}, max_periods=7)
-    assert (config.laser.preset, config.laser.sweeps, config.max_periods) == ("ideal", 3, 7)
+    config = EnvConfig.build({"laser": {"preset": "ideal", "sweeps": 2}}, laser={"sweeps": 3}, max_steps=7)
+    assert (config.laser.preset, config.laser.sweeps, config.max_steps) == ("ideal", 3, 7)
     config = EnvConfig.build(config, laser=LaserConfig(preset="lms200"))
-    assert (config.laser.preset, config.laser.sweeps, config.max_periods) == ("lms200", 3, 7)
+    assert (config.laser.preset, config.laser.sweeps, config.max_steps) == ("lms200", 3, 7)
 
 
 def test_the_sensor_model_follows_the_laser_unless_it_is_set():
@@ -170,7 +170,7 @@ def test_known_has_its_own_associator():
 
 def test_a_configuration_is_frozen():
     with pytest.raises(ValueError, match="frozen"):
-        EnvConfig().max_periods = 3
+        EnvConfig().max_steps = 3
 
 
 def test_the_paper_in_one_switch():

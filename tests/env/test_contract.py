@@ -71,7 +71,7 @@ def test_stable_baselines3_check_env(actions):
 @pytest.mark.parametrize("actions", ACTIONS)
 @pytest.mark.parametrize("parts", [{}, {"map": True, "scan": True}], ids=["default", "all"])
 def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts):
-    env = make(actions=actions, observation=parts, max_periods=40, start="random")
+    env = make(actions=actions, observation=parts, max_steps=40, start="random")
     env.action_space.seed(3)
     observation, first = env.reset(seed=3)
     assert observation in env.observation_space
@@ -105,7 +105,7 @@ def test_observations_share_no_memory():
 @pytest.mark.parametrize("name", IDS)
 def test_the_spec_survives_json(name):
     own = {"layout": load_layout("two_rooms")} if "Layout" in name else NEEDED.get(name, {})
-    env = gymnasium.make(name, config=EnvConfig.build(max_periods=9), actions="goal", **own)
+    env = gymnasium.make(name, config=EnvConfig.build(max_steps=9), actions="goal", **own)
     spec = EnvSpec.from_json(env.spec.to_json())
     json.dumps(env.unwrapped.spec.kwargs)
     again = gymnasium.make(spec)
@@ -130,8 +130,8 @@ def test_registration_is_idempotent_and_both_forms_of_make_work():
 def test_the_paper_map_takes_no_other_layout(keywords):
     with pytest.raises(ConfigError, match=r"layout: .*PaperMap-v0 is 'paper'"):
         gymnasium.make("mecp_env/PaperMap-v0", **keywords)
-    same = gymnasium.make("mecp_env/PaperMap-v0", layout="paper", config={"layout": "paper", "max_periods": 9})
-    assert (same.unwrapped.config.layout, same.unwrapped.config.max_periods) == ("paper", 9)
+    same = gymnasium.make("mecp_env/PaperMap-v0", layout="paper", config={"layout": "paper", "max_steps": 9})
+    assert (same.unwrapped.config.layout, same.unwrapped.config.max_steps) == ("paper", 9)
 
 
 def test_importing_the_package_is_light():
@@ -146,11 +146,11 @@ def test_importing_the_package_is_light():
 @pytest.mark.parametrize("actions", ACTIONS)
 def test_sync_vector_environment(actions):
     venv = gymnasium.make_vec(
-        "mecp_env/Layout-v0", num_envs=3, vectorization_mode="sync", actions=actions, max_periods=15, **SMALL
+        "mecp_env/Layout-v0", num_envs=3, vectorization_mode="sync", actions=actions, max_steps=15, **SMALL
     )
     venv.action_space.seed(1)
     observation, _ = venv.reset(seed=5)
-    single = make(actions=actions, max_periods=15)
+    single = make(actions=actions, max_steps=15)
     alone, _ = single.reset(seed=6)
     assert all(np.array_equal(observation[key][1], alone[key]) for key in alone)
     for _ in range(20):
@@ -165,7 +165,7 @@ def test_sync_vector_environment(actions):
 def test_async_and_sync_vector_environments_agree():
     rollouts = []
     for mode in ("sync", "async"):
-        venv = gymnasium.make_vec("mecp_env/Layout-v0", num_envs=2, vectorization_mode=mode, max_periods=6, **SMALL)
+        venv = gymnasium.make_vec("mecp_env/Layout-v0", num_envs=2, vectorization_mode=mode, max_steps=6, **SMALL)
         rows = [venv.reset(seed=5)]
         rows += [venv.step(np.full((2, 2), 0.5, np.float32)) for _ in range(10)]
         rollouts.append([row[0] for row in rows] + [row[1] for row in rows[1:]])
@@ -176,7 +176,7 @@ def test_async_and_sync_vector_environments_agree():
 @pytest.mark.slow
 def test_policies_of_stable_baselines3_take_the_observation_and_the_mask():
     contrib = pytest.importorskip("sb3_contrib")
-    model = contrib.MaskablePPO("MultiInputPolicy", make(actions="goal", max_periods=30), n_steps=16, batch_size=16)
+    model = contrib.MaskablePPO("MultiInputPolicy", make(actions="goal", max_steps=30), n_steps=16, batch_size=16)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model.learn(16)
@@ -189,7 +189,7 @@ def test_autoreset_modes(mode):
         num_envs=2,
         vectorization_mode="sync",
         vector_kwargs={"autoreset_mode": mode},
-        max_periods=3,
+        max_steps=3,
         **SMALL,
     )
     venv.reset(seed=1)

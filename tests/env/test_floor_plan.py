@@ -18,7 +18,7 @@ from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.world.layout import LIBRARY, load_layout
 
 PLAN = "mecp_env/FloorPlan-v0"
-QUICK = {"laser": {"sweeps": 1}, "max_periods": 20}
+QUICK = {"laser": {"sweeps": 1}, "max_steps": 20}
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def test_the_mask_tells_the_rows_with_goals():
     assert mask.sum() == info["goals"] > 0
 
 
-def test_a_masked_choice_is_one_waiting_period_and_an_event():
+def test_a_masked_choice_is_one_waiting_step_and_an_event():
     env = make(actions="goal")
     env.reset(seed=1)
     before = env.unwrapped._site.simulation.T_world_robot
@@ -61,7 +61,7 @@ def test_a_masked_choice_is_one_waiting_period_and_an_event():
     assert reward <= 0.1
 
 
-def test_rewards_are_summed_and_the_callback_sees_every_period():
+def test_rewards_are_summed_and_the_callback_sees_every_step():
     env = make(actions="goal")
     env.reset(seed=1)
     seen = []
@@ -74,14 +74,14 @@ def test_rewards_are_summed_and_the_callback_sees_every_period():
 
 
 def test_the_limit_lies_inside():
-    env = make(actions="goal", max_periods=2)
+    env = make(actions="goal", max_steps=2)
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated, info["event"], info["periods"]) == (False, True, "ended", 2)
 
 
-def test_every_choice_takes_at_least_a_period_and_every_policy_comes_to_an_end():
-    env = make(actions="goal", max_periods=300)
+def test_every_choice_takes_at_least_a_step_and_every_policy_comes_to_an_end():
+    env = make(actions="goal", max_steps=300)
     rng = np.random.default_rng(0)
     env.reset(seed=2)
     total = 0

@@ -107,7 +107,7 @@ def test_a_door_hidden_by_somebody_at_the_start_is_found_when_he_has_gone() -> N
     """Building 134 of the test split: six people, one of them in the only door of the first room."""
     layout = generate(GeneratorSpec.preset("medium"), split_seed("test", 134))
     env = gymnasium.make(
-        "mecp_env/Layout-v0", layout=layout, actions="goal", start="random", crowd={"people": 6}, max_periods=6000
+        "mecp_env/Layout-v0", layout=layout, actions="goal", start="random", crowd={"people": 6}, max_steps=6000
     )
     env.reset(seed=134)
     quiet = 0

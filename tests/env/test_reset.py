@@ -81,7 +81,7 @@ def test_random_starts_are_free_and_follow_the_seed():
 def test_reset_takes_three_scans_at_rest():
     env = make().unwrapped
     observation, info = env.reset(seed=1)
-    assert env._episode.report.period == 3
+    assert env._episode.report.step == 3
     assert info["period"] == 0
     assert info["landmarks"] > 0
     assert observation["goals"][0, 8] == 1.0
@@ -89,7 +89,7 @@ def test_reset_takes_three_scans_at_rest():
 
 
 def test_step_needs_a_reset_before_and_after_an_episode():
-    env = make(max_periods=2).unwrapped
+    env = make(max_steps=2).unwrapped
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(2, np.float32))
     env.reset(seed=1)
@@ -103,7 +103,7 @@ def test_step_needs_a_reset_before_and_after_an_episode():
 
 
 def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
-    env = make(max_periods=30, slam={"segments": {"min_length_m": 5.0}}).unwrapped
+    env = make(max_steps=30, slam={"segments": {"min_length_m": 5.0}}).unwrapped
     env.reset(seed=1)
     rows = drive(env, 30)
     assert [row[2:4] for row in rows[:30]] == [(False, False)] * 29 + [(False, True)]

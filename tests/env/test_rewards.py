@@ -180,8 +180,8 @@ def test_weights():
 
 
 def test_to_diverge_costs_more_than_the_time_of_a_whole_episode():
-    max_periods = make().unwrapped.config.max_periods
-    assert CONFIG.divergence < CONFIG.time * max_periods < 0.0
+    max_steps = make().unwrapped.config.max_steps
+    assert CONFIG.divergence < CONFIG.time * max_steps < 0.0
 
 
 @pytest.mark.parametrize("source", ["belief", "truth"])

@@ -11,7 +11,7 @@ import pytest
 from mecp_env.config import RewardConfig
 from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
 
-PERIODS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
+STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
 WEIGHTS = RewardConfig()
 BUILDINGS: dict[str, dict[str, Any]] = {
@@ -28,12 +28,12 @@ BUILDINGS: dict[str, dict[str, Any]] = {
 
 @cache
 def honest(building: str, seed: int) -> Episode:
-    return explore(seed, start="random", max_periods=4 * PERIODS, **BUILDINGS[building])
+    return explore(seed, start="random", max_steps=4 * STEPS, **BUILDINGS[building])
 
 
 @cache
 def tried(name: str, building: str, seed: int) -> Episode:
-    return attempt(name, seed, start="random", max_periods=PERIODS, **BUILDINGS[building])
+    return attempt(name, seed, start="random", max_steps=STEPS, **BUILDINGS[building])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -66,8 +66,8 @@ def test_an_attempt_loses_where_maps_go_wrong_more_easily(name: str, building: s
 def test_driving_blind_until_the_filter_diverges_loses_all(seed: int) -> None:
     keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
     slam = {"filter": {"diverged_sigma_m": 0.4}}
-    lost = attempt("blind", seed, start="random", max_periods=PERIODS, slam=slam, **keywords)
-    idle = attempt("stand", seed, start="random", max_periods=PERIODS, slam=slam, **keywords)
+    lost = attempt("blind", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
+    idle = attempt("stand", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
     assert lost.last["diverged"]
     assert lost.paid("area") < 0.0  # the map of the start as well
     assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than to stand for a whole episode

@@ -16,11 +16,11 @@ from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.outline import build_outline
 
 ROOMS = "mecp_env/Rooms-v0"
-EASY = {"difficulty": "easy", "rooms": 3, "laser": {"sweeps": 1}, "max_periods": 20}
+EASY = {"difficulty": "easy", "rooms": 3, "laser": {"sweeps": 1}, "max_steps": 20}
 
 
-def drive(env: gymnasium.Env, periods: int = 5) -> list:
-    return [env.step(np.array([0.4, 0.3 * (period % 3 - 1)], np.float32)) for period in range(periods)]
+def drive(env: gymnasium.Env, steps: int = 5) -> list:
+    return [env.step(np.array([0.4, 0.3 * (step % 3 - 1)], np.float32)) for step in range(steps)]
 
 
 def test_every_reset_is_a_building_of_the_split_and_a_seed_names_it() -> None:
@@ -115,7 +115,7 @@ def test_the_configuration_of_one_makes_another() -> None:
     [
         ({"lops": 2}, r"Rooms-v0\.lops: no such field; did you mean 'loops'"),
         ({"door_width": 0.9}, r"did you mean 'door_width_m'"),
-        ({"max_period": 9}, r"did you mean 'max_periods'"),
+        ({"max_step": 9}, r"did you mean 'max_steps'"),
         ({"difficulty": "medum"}, r"difficulty: 'medum' .*did you mean 'medium'"),
         ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
         ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),

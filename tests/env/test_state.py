@@ -190,7 +190,7 @@ def test_continues_bit_for_bit_from_fifty_random_points():
 
 
 def test_set_state_refuses_what_does_not_fit_and_changes_nothing():
-    env, other = make().unwrapped, make(max_periods=7).unwrapped
+    env, other = make().unwrapped, make(max_steps=7).unwrapped
     env.reset(seed=1)
     other.reset(seed=2)
     state = env.get_state()
@@ -225,7 +225,7 @@ def with_field(state, name, value):
         (lambda s: with_field(s, "metrics", ...), "metrics"),
         (lambda s: with_field(s, "metrics", None), r"episode\.metrics: expected EpisodeMetrics"),
         (lambda s: with_field(s, "over", "yes"), r"episode\.over: expected bool, given 'yes'"),
-        (lambda s: with_field(s, "goals_period", True), r"episode\.goals_period: expected int"),
+        (lambda s: with_field(s, "goals_step", True), r"episode\.goals_step: expected int"),
         (lambda s: with_field(s, "goals_key", {"@tuple": [1, "x"]}), r"episode\.goals_key"),
         (lambda s: with_field(s, "target", {"@array": [np.zeros(2, np.int64), True]}), r"episode\.target"),
         (lambda s: with_field(s, "extra", 3), "extra"),

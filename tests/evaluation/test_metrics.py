@@ -43,10 +43,10 @@ class Matched:
         self.ids, self.decision = np.array(ids, np.int64), np.array(decision, np.int64)
 
 
-def report_of(period, ids, decision, landmarks):
+def report_of(step, ids, decision, landmarks):
     n = len(landmarks)
     belief = Belief(np.zeros(3), np.eye(3), np.array(landmarks, np.int64), np.zeros((n, 2)), np.zeros((n, 2, 2)))
-    return Report(period=period, match=Matched(ids, decision), belief=belief)
+    return Report(step=step, match=Matched(ids, decision), belief=belief)
 
 
 def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
@@ -136,8 +136,8 @@ def test_association_counts_by_the_book():
 def test_identity_is_the_majority_not_the_birth():
     log = AssociationLog(3)
     log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2
-    for period in range(2, 6):
-        log.record(report_of(period, [0], [0], [0]), np.array([1]))
+    for step in range(2, 6):
+        log.record(report_of(step, [0], [0], [0]), np.array([1]))
     assert log.features[0, 0] == 1
     assert log.counts.tolist()[:2] == [3, 1]  # at the time: a tie is for the earlier
     assert log.final_counts().tolist() == [4, 0, 0, 1]
@@ -146,9 +146,9 @@ def test_identity_is_the_majority_not_the_birth():
 def test_the_log_grows():
     log = AssociationLog(5)
     rng = np.random.default_rng(0)
-    for period in range(1, 400):
+    for step in range(1, 400):
         ids = rng.integers(0, 300, 6)
-        log.record(report_of(period, ids, [0] * 6, np.unique(ids)), rng.integers(-1, 5, 6))
+        log.record(report_of(step, ids, [0] * 6, np.unique(ids)), rng.integers(-1, 5, 6))
     assert log.counts.sum() == log.final_counts().sum() == 399 * 6
 
 

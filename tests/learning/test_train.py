@@ -16,10 +16,7 @@ pytest.importorskip("safetensors")
 
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
-from mecp_env.learning import (
-    files,
-    learned,
-)
+from mecp_env.learning import files, learned  # noqa: E402
 from mecp_env.learning.checkpoints import Checkpoints, Progress, read  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
@@ -242,7 +239,7 @@ def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
 def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
     """With the value of going on added to it, losing the map was worth as much as keeping it."""
-    for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_periods": 2}, False)):
+    for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_steps": 2}, False)):
         venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
         venv.reset()
         dones = np.zeros(2, np.bool_)
@@ -286,7 +283,7 @@ def test_what_comes_after_a_time_limit_is_discounted_by_the_drive_and_added_once
 
     monkeypatch.setattr(Trainer, "note", note)
     monkeypatch.setattr(DriveBuffer, "add", keep)
-    run(tmp_path, env=QUICK["env"] | {"max_periods": 40}, log=QUICK["log"] | {"evaluate_buildings": 0})
+    run(tmp_path, env=QUICK["env"] | {"max_steps": 40}, log=QUICK["log"] | {"evaluate_buildings": 0})
     assert any(cut for _, cut in steps)
     np.testing.assert_allclose(added, [rewards for rewards, _ in steps], rtol=1e-6)
 

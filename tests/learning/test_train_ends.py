@@ -19,10 +19,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from mecp_env.learning import (
-    train,
-    warm_start,
-)
+from mecp_env.learning import train, warm_start  # noqa: E402
 from mecp_env.learning.checkpoints import Checkpoints  # noqa: E402
 from mecp_env.learning.processes import Processes  # noqa: E402
 from mecp_env.learning.run_folder import RunFolder, Table  # noqa: E402

@@ -35,7 +35,7 @@ def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
 
 def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
     assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
-    assert parse(["ppo", "--env.max-periods", "90"]).config.env.max_periods == 90
+    assert parse(["ppo", "--env.max-steps", "90"]).config.env.max_steps == 90
 
 
 def test_a_building_may_be_specified_by_numbers_ranges_and_words(tmp_path):

@@ -121,7 +121,7 @@ def test_no_way_is_refused_after_some_tries() -> None:
     toy = Toy(np.array([2.0, 2.0, 0.0]), confirmed=False)
     navigator = drive(toy, target(toy, 20.0, 2.0), 20)
     assert navigator.outcome == Outcome.REFUSED
-    assert navigator.periods <= 5
+    assert navigator.steps <= 5
 
 
 def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
@@ -139,7 +139,7 @@ def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
 
 def test_a_drive_that_takes_too_long_is_refused() -> None:
     toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
-    config = PlanningConfig(navigator={"limit_periods": 3})
+    config = PlanningConfig(navigator={"limit_steps": 3})
     navigator = Navigator(config)
     navigator.start(target(toy, 4.5, 3.2))
     for _ in range(5):
@@ -154,7 +154,7 @@ def test_a_navigator_in_mid_drive_can_be_copied() -> None:
     for _ in range(6):
         toy.move(*navigator.step(toy.report()))
     twins = (toy, navigator), (copy.deepcopy(toy), pickle.loads(pickle.dumps(navigator)))
-    ways = [[nav.step(t.report()) for t.period in range(7, 10)] for t, nav in twins]
+    ways = [[nav.step(t.report()) for t.step in range(7, 10)] for t, nav in twins]
     assert ways[0] == ways[1]
 
 

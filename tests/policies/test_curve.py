@@ -12,14 +12,14 @@ from mecp_env.policies.curve import Curve, budget_m
 def curve() -> Curve:
     """0.2 at the start, 0.5 after 2 m, 0.9 after 6 m; then to 12 m without anything new."""
     made = Curve()
-    for metres, period, coverage in [(0, 0, 0.2), (1, 3, 0.2), (2, 5, 0.5), (6, 20, 0.9), (12, 40, 0.9)]:
-        made.add(metres, period, coverage)
+    for metres, step, coverage in [(0, 0, 0.2), (1, 3, 0.2), (2, 5, 0.5), (6, 20, 0.9), (12, 40, 0.9)]:
+        made.add(metres, step, coverage)
     return made
 
 
 def test_only_what_is_more_is_kept(curve: Curve) -> None:
     assert curve.metres == [0, 2, 6]
-    assert curve.periods == [0, 5, 20]
+    assert curve.steps == [0, 5, 20]
 
 
 def test_the_area_under_the_curve_by_hand(curve: Curve) -> None:
@@ -43,9 +43,9 @@ def test_the_area_is_that_under_the_steps_that_are_drawn(curve: Curve) -> None:
 
 def test_a_level_never_reached_counts_as_the_limit(curve: Curve) -> None:
     assert curve.metres_to(0.9, 30.0) == 6.0
-    assert curve.periods_to(0.5, 100.0) == 5.0
+    assert curve.steps_to(0.5, 100.0) == 5.0
     assert curve.metres_to(0.99, 30.0) == 30.0
-    assert curve.periods_to(0.99, 100.0) == 100.0
+    assert curve.steps_to(0.99, 100.0) == 100.0
 
 
 def test_a_level_reached_beyond_the_limit_counts_as_the_limit_too(curve: Curve) -> None:
@@ -54,8 +54,8 @@ def test_a_level_reached_beyond_the_limit_counts_as_the_limit_too(curve: Curve) 
 
 def test_turning_on_the_spot_costs_no_metres() -> None:
     curve = Curve()
-    for period in range(3):
-        curve.add(0.0, period, 0.1 * (period + 1))
+    for step in range(3):
+        curve.add(0.0, step, 0.1 * (step + 1))
     curve.add(1.0, 3, 0.8)
     assert curve.area_under(2.0) == pytest.approx((0.3 + 0.8) / 2)
 

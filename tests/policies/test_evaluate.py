@@ -29,7 +29,7 @@ EASY = Setting("easy", "validation", "slam", 150)
 
 
 def args_of(tmp_path: Path, *policies: str, **options: Any) -> Args:
-    small: dict[str, Any] = {"split": "validation", "difficulty": "easy", "episodes": 2, "max_periods": 150}
+    small: dict[str, Any] = {"split": "validation", "difficulty": "easy", "episodes": 2, "max_steps": 150}
     return Args(policies or ("nearest", "random_goal"), out=tmp_path / "out", **(small | options))
 
 
@@ -61,7 +61,7 @@ def test_all_policies_begin_in_the_same_building_at_the_same_place() -> None:
 def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) -> None:
     results = []
     for jobs in (1, 2):
-        args = args_of(tmp_path, "gain", "nearest", jobs=jobs, max_periods=60)
+        args = args_of(tmp_path, "gain", "nearest", jobs=jobs, max_steps=60)
         evaluation = evaluate.evaluate(args)
         result = result_of(evaluation, rows_of(evaluation.episodes, evaluation.order))
         results.append({name: result[name] for name in set(result) - {"timing", "date", "command"}})
@@ -69,7 +69,7 @@ def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) 
 
 
 def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    args = args_of(tmp_path, record=True, json=tmp_path / "kept" / "policies.json", max_periods=80)
+    args = args_of(tmp_path, record=True, json=tmp_path / "kept" / "policies.json", max_steps=80)
     assert main(args) == 0
     assert {path.name for path in args.out.iterdir()} == {
         "results.json",
@@ -116,9 +116,9 @@ def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
         ({"episodes": 5000}, "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
         ({"reference": "gian"}, "one of nearest, bfs, gain, random_goal, random_walk; did you mean 'gain'"),
         ({"jobs": 0}, "jobs: 0"),
-        ({"max_periods": 0}, "max_periods"),
+        ({"max_steps": 0}, "max_steps"),
         ({"reference": "nerest"}, "reference: 'nerest'"),
-        ({"json": Path(__file__).parent}, "json: .*agents: expected the name of a file"),
+        ({"json": Path(__file__).parent}, "json: .*policies: expected the name of a file"),
         ({"json": Path("page.md")}, "json: page.md: expected"),
     ],
 )
@@ -143,7 +143,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path: Path, capsys: p
 def test_without_the_reference_it_says_that_nothing_is_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(Args(("gain",), out=tmp_path, difficulty="easy", episodes=1, max_periods=10, truth=False)) == 0
+    assert main(Args(("gain",), out=tmp_path, difficulty="easy", episodes=1, max_steps=10, truth=False)) == 0
     assert "nearest is not among the policies" in capsys.readouterr().err
 
 
@@ -167,7 +167,7 @@ def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
         return play(task)
 
     monkeypatch.setattr(pool, "play", fragile)
-    args = args_of(tmp_path, truth=False, episodes=3, max_periods=40)
+    args = args_of(tmp_path, truth=False, episodes=3, max_steps=40)
     assert main(args) == 1
     said = capsys.readouterr()
     assert "policy random_goal" in said.err

@@ -144,15 +144,15 @@ def test_ground_is_known_by_landmarks_that_are_surer_than_the_pose() -> None:
 
 @pytest.mark.parametrize("policy", EXPLORERS)
 def test_every_explorer_has_a_command_with_a_readable_end(policy: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode(policy, Args(layout="two_rooms", periods=60)) == 0
+    assert one_episode(policy, Args(layout="two_rooms", steps=60)) == 0
     said = capsys.readouterr().out
-    assert "control periods" in said
+    assert "control steps" in said
     assert "coverage" in said
 
 
 def test_a_generated_building_is_chosen_by_its_number(capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode("nearest", Args(layout="easy:test:3", periods=5)) == 0
-    assert "out of periods after 5" in capsys.readouterr().out
+    assert one_episode("nearest", Args(layout="easy:test:3", steps=5)) == 0
+    assert "out of steps after 5" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_the_name_of_a_layout_does_not_colour_the_terminal(capsys: pytest.Captur
 
 
 def test_a_reader_who_has_seen_enough_gets_no_traceback() -> None:
-    command = [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--periods", "20"]
+    command = [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--steps", "20"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=Path(__file__).parents[2]
     ) as running:
@@ -201,10 +201,10 @@ def test_a_reader_who_has_seen_enough_gets_no_traceback() -> None:
 
 def test_the_command_runs_from_the_clone() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--periods", "20"],
+        [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--steps", "20"],
         capture_output=True,
         text=True,
         cwd=Path(__file__).parents[2],
     )
     assert done.returncode == 0, done.stderr
-    assert "periods" in done.stdout
+    assert "steps" in done.stdout

@@ -102,13 +102,13 @@ def report() -> SlamOutput:
     belief = Belief(T_map_robot, np.diag([0.0005, 0.0002, 0.0001]), np.arange(len(p_map)), p_map, covs)
     door = Door(id=0, jambs=(4, 5), other_face=None, rooms=(0, 1), sightings=5)
     gap = to_robot(T_WORLD_MAP, np.array([[9.1, 1.0], [9.1, 1.9]]))
-    candidate = Candidate(ends=gap, ids=(-1, -1), room=1, sightings=1, last_period=3)
+    candidate = Candidate(ends=gap, ids=(-1, -1), room=1, sightings=1, last_step=3)
     known = MapPolygon(np.arange(4), np.empty((0, 4)), room=0)
     right = MapPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
     none = np.full(4, -1)
     nothing = np.empty(0, np.int64)
     return SlamOutput(
-        period=12,
+        step=12,
         beams=beams,
         segments=Segments(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing, nothing, 0),
         corners=corners(),
@@ -135,7 +135,7 @@ def view(**changes: object) -> View:
         "p_goals": to_robot(T_WORLD_MAP, np.array([[6.5, 3.0], [8.0, 1.45], [5.0, 1.95]])),
         "goal_kinds": np.array([2, 1, 3]),
         "target": 1,
-        "title": "two rooms, period 12",
+        "title": "two rooms, step 12",
         "metrics": {
             "rooms_found": 1,
             "rooms": 2,

@@ -11,26 +11,26 @@ from PIL import Image
 from mecp_env.render.film import LAST_FRAME_MS, Film
 
 
-def frame(period: int) -> np.ndarray:
+def frame(step: int) -> np.ndarray:
     picture = np.full((40, 60, 3), 255, np.uint8)
-    picture[10:20, period % 50 : period % 50 + 10] = (200, 30, 40)
+    picture[10:20, step % 50 : step % 50 + 10] = (200, 30, 40)
     return picture
 
 
 @pytest.mark.parametrize("periods", [3, 41, 1000])
-def test_a_film_has_bounded_length_and_even_spacing(periods: int) -> None:
+def test_a_film_has_bounded_length_and_even_spacing(steps: int) -> None:
     film, drawn = Film(most_frames=20, every=2), []
-    for period in range(periods):
-        film.offer(period, lambda period=period: drawn.append(period) or np.full((1, 1, 3), period % 256, np.uint8))
+    for step in range(steps):
+        film.offer(step, lambda step=step: drawn.append(step) or np.full((1, 1, 3), step % 256, np.uint8))
     assert 1 < len(film.frames) <= 20
     assert set(np.diff([int(f[0, 0, 0]) for f in film.frames]) % 256) == {film.every % 256}
-    assert len(drawn) < 20 * 2 + 20 * np.log2(max(periods, 2))
+    assert len(drawn) < 20 * 2 + 20 * np.log2(max(steps, 2))
 
 
 def test_the_gif_repeats_and_holds_its_last_frame(tmp_path: Path) -> None:
     film = Film()
-    for period in range(60):
-        film.offer(period, lambda period=period: frame(period))
+    for step in range(60):
+        film.offer(step, lambda step=step: frame(step))
     film.save(tmp_path / "run.gif", seconds=3.0)
     with Image.open(tmp_path / "run.gif") as gif:
         assert gif.n_frames == 30

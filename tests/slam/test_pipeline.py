@@ -132,7 +132,7 @@ def test_reset_forgets_everything(drive):
     pipeline.reset()
     second = pipeline.start(drive.scans[0])
     assert np.array_equal(first.match.ids, second.match.ids)
-    assert second.period == 1
+    assert second.step == 1
 
 
 @pytest.mark.parametrize("method", [m for m in ASSOCIATORS if m != "known"])
@@ -214,7 +214,7 @@ def test_a_damaged_scan_is_refused_and_nothing_is_lost(drive, field, change):
     before = pipeline.start(drive.scans[0])
     with pytest.raises(SensorError, match=field):
         pipeline.step(drive.odometry[3], change(drive.scans[3]))
-    assert pipeline.period == before.period
+    assert pipeline.step_count == before.step
     assert np.array_equal(pipeline.filter.belief().T_map_robot, before.belief.T_map_robot)
 
 

@@ -182,7 +182,7 @@ def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> No
 
 
 def test_wrappers_of_gymnasium_go_round_it() -> None:
-    venv = VectorStatistics(make_small(max_periods=2))
+    venv = VectorStatistics(make_small(max_steps=2))
     venv.reset(seed=1)
     venv.step(STILL)
     infos = venv.step(STILL)[4]
@@ -191,7 +191,7 @@ def test_wrappers_of_gymnasium_go_round_it() -> None:
 
 
 def test_without_autoreset_what_is_over_waits_for_its_reset() -> None:
-    venv = make_small(max_periods=1, autoreset_mode=AutoresetMode.DISABLED)
+    venv = make_small(max_steps=1, autoreset_mode=AutoresetMode.DISABLED)
     venv.reset(seed=1)
     venv.step(STILL)
     venv.reset(options={"reset_mask": np.array([True, False, True])})

@@ -201,7 +201,7 @@ def test_closing_does_not_wait_for_a_step_that_takes_long() -> None:
 
 
 def test_closing_in_the_middle_of_a_step_is_quiet() -> None:
-    venv = make_small(max_periods=1, autoreset_mode="SameStep")
+    venv = make_small(max_steps=1, autoreset_mode="SameStep")
     venv.reset(seed=1)
     pids = venv.pids
     venv.step_async(STILL)  # its answer is large: the last observations

@@ -21,7 +21,7 @@ utils = pytest.importorskip("sb3_contrib.common.maskable.utils")
 sb3_batch = pytest.importorskip("mecp_env.learning.sb3_batch")
 
 STEPS = 12
-KINDS = {"velocity": {"max_periods": 5}, "goal": {"actions": "goal", "max_periods": 30}}
+KINDS = {"velocity": {"max_steps": 5}, "goal": {"actions": "goal", "max_steps": 30}}
 
 
 def make_batch(**keywords: Any) -> Any:
@@ -57,9 +57,9 @@ def test_the_batch_gives_what_their_own_classes_give(actions: str, theirs: str) 
     other.close()
 
 
-def ends(diverged_sigma_m: float, max_periods: int) -> list[dict[str, Any]]:
+def ends(diverged_sigma_m: float, max_steps: int) -> list[dict[str, Any]]:
     """The last infos of the episodes of a batch that drives on."""
-    venv = make_batch(slam={"filter": {"diverged_sigma_m": diverged_sigma_m}}, max_periods=max_periods)
+    venv = make_batch(slam={"filter": {"diverged_sigma_m": diverged_sigma_m}}, max_steps=max_steps)
     venv.reset()
     found: list[dict[str, Any]] = []
     for _ in range(20):

@@ -17,7 +17,7 @@ from mecp_env.vector import BatchEnv
 from tests.vector.helpers import make_small, needs_linux
 
 GROWTH_MB = 5.0
-PERIODS = 20  # of an episode
+STEPS = 20  # of an episode
 pytestmark = needs_linux
 
 
@@ -59,7 +59,7 @@ def drive(venv: BatchEnv, steps: int) -> None:
 
 @pytest.mark.parametrize("steps", [600, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_steps_and_episodes_cost_no_memory_and_no_files(steps: int) -> None:
-    venv = make_small(4, max_periods=PERIODS, autoreset_mode="SameStep")
+    venv = make_small(4, max_steps=STEPS, autoreset_mode="SameStep")
     venv.reset(seed=0)
     drive(venv, 300)
     memory, files = footprint(venv)

@@ -14,11 +14,11 @@ from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, equal, make_b
 
 BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "velocity": (LAYOUT, SMALL | {"max_periods": 6}),
-    "discrete": (LAYOUT, SMALL | {"actions": "discrete", "max_periods": 6}),
-    "goal": (LAYOUT, SMALL | {"actions": "goal", "max_periods": 30}),
-    "buildings": (ROOMS, BUILDINGS | PEOPLE | {"max_periods": 6}),
-    "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_periods": 30}),
+    "velocity": (LAYOUT, SMALL | {"max_steps": 6}),
+    "discrete": (LAYOUT, SMALL | {"actions": "discrete", "max_steps": 6}),
+    "goal": (LAYOUT, SMALL | {"actions": "goal", "max_steps": 30}),
+    "buildings": (ROOMS, BUILDINGS | PEOPLE | {"max_steps": 6}),
+    "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_steps": 30}),
 }
 STEPS = 16
 MODES = list(AutoresetMode)

@@ -63,12 +63,12 @@ def gaps(movers: Movers, p_robot: Array) -> tuple[Array, Array]:
     return np.hypot(*(p - p_robot).T) - radius - ROBOT.radius_m, apart.min(axis=0)
 
 
-def random_drive(simulation: Simulation, periods: int, seed: int = 0) -> Any:
-    """Commands of a robot that looks at nothing; yields after each period whether something was touched."""
+def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
+    """Commands of a robot that looks at nothing; yields after each step whether something was touched."""
     rng = np.random.default_rng(seed)
     v = w = 0.0
-    for period in range(periods):
-        if period % 8 == 0:
+    for step in range(steps):
+        if step % 8 == 0:
             v, w = rng.uniform(-0.2, 0.75), rng.uniform(-1.0, 1.0)
         yield simulation.step(v, w).contact
 
@@ -158,10 +158,10 @@ def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
     simulation, movers = with_box(outline, [2.5, 3.5, 0.3], [0.4, 0.5], [1.0, 3.5, 0.0])
     for _ in range(5):
         simulation.step(0.75, 0.0)
-    for period in range(40):
+    for step in range(40):
         simulation.step(0.75, 0.0)
         corners = [box_corner(movers.state.boxes[0], movers.state.sizes[0], k) for k in range(4)]
-        assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), period
+        assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), step
     assert movers.state.boxes[0, 0] > 3.5
     for _ in range(10):
         simulation.step(-0.2, 0.0)

@@ -23,7 +23,7 @@ REST = Motion(np.zeros((4, 2)), contact=False)
 
 
 def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:
-    """Sigmas (2,) of the period's whole distance and turn."""
+    """Sigmas (2,) of the step's whole distance and turn."""
     sigmas: Array = np.sqrt(variances(motion.increments, config).sum(axis=0))
     return sigmas
 
@@ -38,7 +38,7 @@ def test_a_quarter_turn_counts_half_a_metre() -> None:
     assert total_sigmas(TURNING, OdometryConfig()) == pytest.approx(expected, abs=1e-5)
 
 
-def test_per_step_is_the_papers_noise_in_every_period_with_motion() -> None:
+def test_per_step_is_the_papers_noise_in_every_step_with_motion() -> None:
     config = OdometryConfig(reading="per_step")
     assert total_sigmas(STRAIGHT, config) == pytest.approx([0.1, math.radians(1.5)], abs=1e-5)
     assert total_sigmas(REST, config) == pytest.approx([0.0, 0.0], abs=1e-5)
@@ -63,7 +63,7 @@ def test_the_noise_is_what_the_reading_says(reading: str, motion: Motion) -> Non
 
 @pytest.mark.parametrize("reading", ["per_metre", "per_step", "linear"])
 @pytest.mark.parametrize("motion", [STRAIGHT, TURNING, MIXED, REST])
-def test_the_covariance_covers_the_error_of_the_period(reading: str, motion: Motion) -> None:
+def test_the_covariance_covers_the_error_of_the_step(reading: str, motion: Motion) -> None:
     config, rng = OdometryConfig(reading=reading), np.random.default_rng(1)
     samples = [measure(motion, config, rng) for _ in range(2000)]
     errors = np.array([(sample.increments - motion.increments).sum(axis=0) for sample in samples])

@@ -33,12 +33,12 @@ def at(outline: Outline, x: float, y: float, heading: float = 0.0) -> Simulation
     return simulation
 
 
-def drive(simulation: Simulation, periods: int, seed: int) -> list[Motion]:
-    """Random commands, each held for some periods; mostly forward, so that walls are met often."""
+def drive(simulation: Simulation, steps: int, seed: int) -> list[Motion]:
+    """Random commands, each held for some steps; mostly forward, so that walls are met often."""
     rng = np.random.default_rng(seed)
     motions, v, w = [], 0.0, 0.0
-    for period in range(periods):
-        if period % 6 == 0:
+    for step in range(steps):
+        if step % 6 == 0:
             v, w = rng.uniform(-0.4, 0.75), rng.uniform(-1.75, 1.75) * rng.integers(0, 2)
         motions.append(simulation.step(v, w))
     return motions
@@ -84,9 +84,9 @@ def test_a_circle_closes(paper: Outline) -> None:
     for _ in range(3):
         simulation.step(0.5, 0.5)
     before = simulation.T_world_robot
-    periods = 31
-    turned = sum(simulation.step(0.5, 0.5).increments[:, 1].sum() for _ in range(periods))
-    assert turned == pytest.approx(periods * 0.4 * 0.5)
+    steps = 31
+    turned = sum(simulation.step(0.5, 0.5).increments[:, 1].sum() for _ in range(steps))
+    assert turned == pytest.approx(steps * 0.4 * 0.5)
     chord = 2.0 * 1.0 * abs(math.sin(turned / 2.0))  # radius 0.5 / 0.5
     assert np.linalg.norm(simulation.T_world_robot[:2] - before[:2]) == pytest.approx(chord, abs=1e-4)
 

@@ -57,7 +57,7 @@ class LandmarkFilter:
         return bool((self.slot_ids[: self.count] == landmark).any())
 
     def predict(self, odometry: Odometry) -> None:
-        """Move the pose by the increments of one period; a bumper contact adds lateral and heading variance."""
+        """Move the pose by the increments of one step; a bumper contact adds lateral and heading variance."""
         slip = 1.0 if odometry.bumper else 0.0
         lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
         increments, covs = _array(odometry.increments), _array(odometry.cov)

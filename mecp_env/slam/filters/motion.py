@@ -1,4 +1,4 @@
-"""Dead reckoning of one control period: the new pose and the noise it picked up (derivations 4: u and L)."""
+"""Dead reckoning of one control step: the new pose and the noise it picked up (derivations 4: u and L)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def integrate(mean: Array, increments: Array, covs: Array, lateral_var: float, h
     """Move the pose in `mean` along the arcs; returns the noise N (3,3) of (heading, x, y) in the world at the end.
 
     increments (M,2): distance and turn; covs (M,2,2); lateral_var (m^2) and heading_var (rad^2) are for the whole
-    period (slip at a contact) and spread evenly over the arcs.
+    step (slip at a contact) and spread evenly over the arcs.
     """
     M = increments.shape[0]
     N = np.zeros((3, 3))

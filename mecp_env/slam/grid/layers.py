@@ -37,7 +37,7 @@ class ScanLayer:
 
     T_map_robot: Array = field(default_factory=lambda: np.empty((0, 3)))  # (n,3) pose each is painted at
     room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) UNKNOWN_ROOM when taken in a doorway
-    period: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) when each was taken
+    step: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) when each was taken
     anchor: Ints = field(default_factory=lambda: np.empty((0, 0), np.int64))  # (n,k) landmark ids, NO_ID: none
     p_robot: Array = field(default_factory=lambda: np.empty((0, 0, 2)))  # (n,k,2) m, the anchors in the scan's frame
     outline: list[Array] = field(default_factory=list)  # (m,2) m, free space, robot frame
@@ -58,10 +58,10 @@ class ScanLayer:
         strips: Array,
         anchors: int,
     ) -> None:
-        """Paint a scan; `taken` in which room, in which period. It hangs on nothing yet."""
-        n, (room, period) = len(self.room), taken
+        """Paint a scan; `taken` in which room, in which step. It hangs on nothing yet."""
+        n, (room, step) = len(self.room), taken
         self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
-        self.room, self.period = np.append(self.room, room), np.append(self.period, period)
+        self.room, self.step = np.append(self.room, room), np.append(self.step, step)
         self.has_room = np.append(self.has_room, room == UNKNOWN_ROOM)
         self.anchor = np.concatenate([self.anchor.reshape(n, anchors), np.full((1, anchors), NO_ID)])
         self.p_robot = np.concatenate([self.p_robot.reshape(n, anchors, 2), np.zeros((1, anchors, 2))])
@@ -103,7 +103,7 @@ class ScanLayer:
 
     def _keep(self, rows: Bools) -> None:
         """Forget the scans that `rows` (n,) does not name."""
-        self.T_map_robot, self.room, self.period = self.T_map_robot[rows], self.room[rows], self.period[rows]
+        self.T_map_robot, self.room, self.step = self.T_map_robot[rows], self.room[rows], self.step[rows]
         self.anchor, self.p_robot, self.has_room = self.anchor[rows], self.p_robot[rows], self.has_room[rows]
         self.outline = [self.outline[row] for row in np.flatnonzero(rows)]
         self.strips = [self.strips[row] for row in np.flatnonzero(rows)]
@@ -111,7 +111,7 @@ class ScanLayer:
     def part_rooms(self, parted: dict[int, tuple[int, int]]) -> None:
         """Give the scans that were taken in rooms entered unnoticed to those rooms, to be painted anew."""
         for room, (taken_for, since) in parted.items():
-            strays = (self.room == taken_for) & (self.period >= since)
+            strays = (self.room == taken_for) & (self.step >= since)
             self.room[strays], self.has_room[strays] = room, False
 
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:

@@ -32,7 +32,7 @@ IDS = attrgetter("ids")
 
 
 class GridPainter:
-    """Paints a `SemanticGrid`, once a period; every attribute is plain state.
+    """Paints a `SemanticGrid`, once a step; every attribute is plain state.
 
     A cell is OCCUPIED when at least `occupied_ratio` of the key scans that say something about it found a wall there,
     FREE when they looked through it, DOOR between the jambs of a door, OCCUPIED too when it is an unknown pocket of a
@@ -48,7 +48,7 @@ class GridPainter:
         self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
         self.merges = 0
         self.partings = 0
-        self.period = 0  # how often it painted
+        self.step = 0  # how often it painted
         self.completed: tuple[int, ...] = ()  # rooms with nothing left to see
         self.filled: tuple[int, ...] = ()  # those whose pockets are painted
         self.again = False  # the next scan is painted, wherever it is taken
@@ -62,8 +62,8 @@ class GridPainter:
         map_polygons: Sequence[MapPolygon],
         graph: RoomGraph,
     ) -> SemanticGrid:
-        """The grid after this period. `matched_ids` (n,): the landmarks this scan was matched to."""
-        self.period += 1
+        """The grid after this step. `matched_ids` (n,): the landmarks this scan was matched to."""
+        self.step += 1
         p_landmark, change = self._look(belief)
         self._update_polygons(p_landmark, tuple(map_polygons), change)
         self._follow(p_landmark, graph, change)
@@ -75,11 +75,11 @@ class GridPainter:
         return self.canvas.publish(self.config.occupied_ratio)
 
     def complete(self, rooms: Collection[int]) -> None:
-        """Say which rooms hold nothing left to see: from the next period on their unknown pockets are walls."""
+        """Say which rooms hold nothing left to see: from the next step on their unknown pockets are walls."""
         self.completed = tuple(sorted(rooms))
 
     def finish(self, graph: RoomGraph) -> SemanticGrid:
-        """The grid of this period with the pockets of what was just said to be complete: there may be no next one."""
+        """The grid of this step with the pockets of what was just said to be complete: there may be no next one."""
         self._update_pockets(graph)
         return self.canvas.publish(self.config.occupied_ratio)
 
@@ -142,7 +142,7 @@ class GridPainter:
         if self.again or self.scans.wants(pose, room, self.config):
             self.again = False
             outline, strips = free_and_walls(beams, segments, self.config)
-            self.scans.add(self.canvas, pose.copy(), (room, self.period), outline, strips, self.config.anchors)
+            self.scans.add(self.canvas, pose.copy(), (room, self.step), outline, strips, self.config.anchors)
 
     def _update_pockets(self, graph: RoomGraph) -> None:
         """Turn unknown pockets of completed rooms into walls, when other rooms are complete than before."""

@@ -34,7 +34,7 @@ class PolygonStore:
         match: Match,
         features: FeatureTable,
         graph: RoomGraph,
-        period: int,
+        step: int,
     ) -> bool:
         """Add this scan's polygons whose vertices all have an id and lie in this room, or note them seen again.
 
@@ -45,22 +45,22 @@ class PolygonStore:
             ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty_like(polygon.intervals)
             # Fig. 6: polygons of different rooms share no vertex
             if link(polygon.corners, match.ids, features.room, graph.current, ring, polygon.intervals, intervals):
-                self._note(ring, intervals, graph.current, period)
+                self._note(ring, intervals, graph.current, step)
         return len(self.polygons) > added and self._above_cap(graph.current)
 
     def _above_cap(self, room: int) -> bool:
         return sum(polygon.room == room for polygon in self.polygons) > self.most_per_room
 
-    def _note(self, ring: Ints, intervals: Array, room: int, period: int) -> None:
+    def _note(self, ring: Ints, intervals: Array, room: int, step: int) -> None:
         key = tuple(ring.tolist())
         if key not in self.row:
             self.row[key] = len(self.polygons)
-            self.polygons.append(MapPolygon(ring, intervals, room, 1, period))
+            self.polygons.append(MapPolygon(ring, intervals, room, 1, step))
             self._index_ring(ring)
             return
         i = self.row[key]
         known = self.polygons[i]
-        self.polygons[i] = MapPolygon(known.ids, intervals, known.room, known.seen + 1, period)
+        self.polygons[i] = MapPolygon(known.ids, intervals, known.room, known.seen + 1, step)
 
     def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
         """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
@@ -137,7 +137,7 @@ def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
     dropped: set[int] = set()
     for room, count in Counter(p.room for p in polygons).items():
         if count > most:
-            members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_period))
+            members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_step))
             dropped.update(id(p) for p in members[: count - most])
     return [p for p in polygons if id(p) not in dropped]
 

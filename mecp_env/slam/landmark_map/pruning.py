@@ -30,9 +30,9 @@ ON_WALL_M, INSIDE_M = 0.06, 0.35  # a landmark so near to a line, and so far ins
 
 
 def refuted(
-    beams: MergedScan, segments: Segments, belief: Belief, features: FeatureTable, period: int, config: TransientConfig
+    beams: MergedScan, segments: Segments, belief: Belief, features: FeatureTable, step: int, config: TransientConfig
 ) -> Ints:
-    """(m,) ids of the landmarks that are refuted often enough in this period; doubts are counted in `features`."""
+    """(m,) ids of the landmarks that are refuted often enough in this step; doubts are counted in `features`."""
     if not config.refutations:
         return np.empty(0, np.int64)
     doubtful = np.empty(len(belief.ids), np.int64)
@@ -40,8 +40,8 @@ def refuted(
         (beams.ranges, beams.bearings),
         (segments.points, segments.line),
         (belief.T_map_robot, np.ascontiguousarray(belief.pose_cov), belief.ids, belief.p_map, belief.covs),
-        (features.doubts, features.last_period, features.normals),
-        (config.most_sigma_m, config.refute_range_m, config.refutations, period),
+        (features.doubts, features.last_step, features.normals),
+        (config.most_sigma_m, config.refute_range_m, config.refutations, step),
         doubtful,
     )
     return doubtful[:count]
@@ -59,20 +59,20 @@ def count_doubts(
     """Counts one doubt for each landmark refuted by this scan; writes those that have enough to `doubtful` (N,).
 
     Given are range and bearing of the beams; points (L,2,2) and lines (L,2) of the segments; pose, its covariance, ids,
-    means and covariances of the landmarks; doubts, period of the last sighting and normals of the faces, by feature;
-    largest sigma (m) and range (m) at which a landmark is judged, how many doubts are enough, and the period.
+    means and covariances of the landmarks; doubts, step of the last sighting and normals of the faces, by feature;
+    largest sigma (m) and range (m) at which a landmark is judged, how many doubts are enough, and the step.
     """
     pose, pose_cov, ids, p_map, covs = belief
-    doubts, last_period, normals = columns
+    doubts, last_step, normals = columns
     c, s, count = math.cos(pose[2]), math.sin(pose[2]), 0
     place_var, turn_var = pose_cov[0, 0] + pose_cov[1, 1], pose_cov[2, 2]
     for k in range(ids.shape[0]):
         dx, dy = p_map[k, 0] - pose[0], p_map[k, 1] - pose[1]
         r, f = math.hypot(dx, dy), ids[k]
         sigma = math.sqrt(max(place_var + r * r * turn_var + covs[k, 0, 0] + covs[k, 1, 1], 0.0))
-        if last_period[f] == limits[3]:
+        if last_step[f] == limits[3]:
             doubts[f] = 0
-        if last_period[f] == limits[3] or not NEAREST_M < r < limits[1] or sigma > limits[0]:
+        if last_step[f] == limits[3] or not NEAREST_M < r < limits[1] or sigma > limits[0]:
             continue
         x, y = c * dx + s * dy, c * dy - s * dx
         gone = is_seen_through(beams, r, math.atan2(y, x), SIGMAS * sigma)

@@ -40,7 +40,7 @@ def record_sightings(
     """The match with an id for every corner that is kept, and the corners (c,) that become landmarks now.
 
     `features` is written to: sightings are counted, new tracks are born in `room`; tracks not seen for
-    `config.window_periods` were dropped by `forget` before.
+    `config.window_steps` were dropped by `forget` before.
     """
     p_map, ripe = np.empty_like(corners.z), np.empty(len(corners), np.int64)
     if NEW in match.decision.tolist():
@@ -65,17 +65,17 @@ def record_sightings(
     return match, ripe[:count]
 
 
-def forget(features: FeatureTable, period: int, config: TrackConfig) -> int:
+def forget(features: FeatureTable, step: int, config: TrackConfig) -> int:
     """How many tracks die now because they were not seen lately."""
-    return _let_die(features.state, features.last_period, period - config.window_periods)
+    return _let_die(features.state, features.last_step, step - config.window_steps)
 
 
 @compiled
-def _let_die(state: Ints, last_period: Ints, oldest: int) -> int:
-    """Set the tracks dead that were last seen before the period `oldest`; returns how many."""
+def _let_die(state: Ints, last_step: Ints, oldest: int) -> int:
+    """Set the tracks dead that were last seen before the step `oldest`; returns how many."""
     count = 0
     for i in range(state.shape[0]):
-        if state[i] == TRACK and last_period[i] < oldest:
+        if state[i] == TRACK and last_step[i] < oldest:
             state[i] = DEAD
             count += 1
     return count
@@ -119,7 +119,7 @@ def _extend(features: FeatureTable, count: int, room: int, kind: Ints, convex: B
         "convex": convex,
         "normals": math.nan,
         "seen": 0,
-        "last_period": 0,
+        "last_step": 0,
         "p_map": p_map,
         "doubts": 0,
     }
@@ -169,16 +169,16 @@ def _count(
     return count
 
 
-def mark_seen(features: FeatureTable, ids: Ints, period: int) -> None:
-    """Note that the features `ids` (n,) were seen in `period`; those < 0 are none."""
-    _mark(features.last_period, ids, period)
+def mark_seen(features: FeatureTable, ids: Ints, step: int) -> None:
+    """Note that the features `ids` (n,) were seen in `step`; those < 0 are none."""
+    _mark(features.last_step, ids, step)
 
 
 @compiled
-def _mark(last_period: Ints, ids: Ints, period: int) -> None:
+def _mark(last_step: Ints, ids: Ints, step: int) -> None:
     for i in range(ids.shape[0]):
         if ids[i] >= 0:
-            last_period[ids[i]] = period
+            last_step[ids[i]] = step
 
 
 @compiled
@@ -234,12 +234,12 @@ def _turned(normals: Array, heading: float, known: Array, tolerance: float) -> b
 
 
 @compiled
-def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, oldest: int) -> bool:
-    """True when of some room among the landmarks `ids` no landmark was seen since the period `oldest`."""
+def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_step: Ints, oldest: int) -> bool:
+    """True when of some room among the landmarks `ids` no landmark was seen since the step `oldest`."""
     for i in ids:
         unseen = True
         for f in range(room.shape[0]):
-            if room[f] == room[i] and state[f] == LANDMARK and last_period[f] >= oldest:
+            if room[f] == room[i] and state[f] == LANDMARK and last_step[f] >= oldest:
                 unseen = False
                 break
         if unseen:
@@ -249,7 +249,7 @@ def room_unseen_since(ids: Ints, room: Ints, state: Ints, last_period: Ints, old
 
 @compiled
 def ends_of_bodies(
-    match: tuple[Ints, Ints, Array], z: Array, room: Ints, state: Ints, last_period: Ints, oldest: int, doubtful: Ints
+    match: tuple[Ints, Ints, Array], z: Array, room: Ints, state: Ints, last_step: Ints, oldest: int, doubtful: Ints
 ) -> int:
     """Write the corners (n,) to doubt: alone of a room unseen since `oldest`, and beside one that is no landmark.
 
@@ -265,7 +265,7 @@ def ends_of_bodies(
                 continue
             square = z[c, 0] ** 2 + z[k, 0] ** 2 - 2.0 * z[c, 0] * z[k, 0] * math.cos(z[c, 1] - z[k, 1])
             beside |= BODY_M[0] ** 2 < square < BODY_M[1] ** 2
-        if alone and beside and room_unseen_since(ids[c : c + 1], room, state, last_period, oldest):
+        if alone and beside and room_unseen_since(ids[c : c + 1], room, state, last_step, oldest):
             doubtful[count] = c
             count += 1
     return count

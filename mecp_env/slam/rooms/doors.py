@@ -156,7 +156,7 @@ def record_doorways(book: DoorMap, seen: Sighting, features: FeatureTable, room:
         if min(ids) >= 0 and confirmable:
             book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends)) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(ends, ids, room, 1, seen.period, book.sightings.get(ids, 0)), belief)
+        _note_candidate(book, Candidate(ends, ids, room, 1, seen.step, book.sightings.get(ids, 0)), belief)
 
 
 def rooms_next_door(book: DoorMap, room: int, sightings: int) -> set[int]:

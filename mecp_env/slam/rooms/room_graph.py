@@ -85,7 +85,7 @@ class RoomGraphEstimator:
 
         Says whether landmarks changed their room, by a merge or one by one.
         """
-        self.trail.add(seen.period, len(features.state), seen.belief.T_map_robot)
+        self.trail.add(seen.step, len(features.state), seen.belief.T_map_robot)
         before = self.book.next_id
         if not self.in_doorway:
             record_doorways(self.book, seen, features, self.current, self.config)
@@ -107,9 +107,9 @@ class RoomGraphEstimator:
                 continue
             left, room = self.current, self._open()
             self.book.set_doors([*self.book.doors[:d], replace(door, rooms=(room, left)), *self.book.doors[d + 1 :]])
-            period, born = passed
+            step, born = passed
             features.room[born:][features.room[born:] == left] = room
-            self.parted[room] = (left, period)
+            self.parted[room] = (left, step)
             self._arrive(room)
             return True
         return False

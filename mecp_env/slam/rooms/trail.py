@@ -21,11 +21,11 @@ class Trail:
     """Places some 0.1 m apart, and when they were passed."""
 
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; the last is where it is now
-    since: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) period, number of features then
+    since: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) step, number of features then
 
-    def add(self, period: int, features: int, T_map_robot: Array) -> None:
-        """Note where the robot is in a period, and how many features there are."""
-        here, now = T_map_robot[None, :2], np.array([[period, features]])
+    def add(self, step: int, features: int, T_map_robot: Array) -> None:
+        """Note where the robot is in a step, and how many features there are."""
+        here, now = T_map_robot[None, :2], np.array([[step, features]])
         n = len(self.p_map)
         still = n > 1 and bool(np.hypot(*(self.p_map[n - 2] - here[0])) < STEP_M)
         kept = slice(max(n - MOST, 0), n - 1 if still else n)
@@ -33,7 +33,7 @@ class Trail:
         self.since = np.concatenate([self.since[kept], self.since[n - 1 :] if still else now])
 
     def passed(self, jambs: Array) -> tuple[int, int] | None:
-        """Period and number of features when the robot went through a gap (2,2) m for good; None if it did not."""
+        """Step and number of features when the robot went through a gap (2,2) m for good; None if it did not."""
         at = last_crossing(self.p_map, jambs)
         return None if at < 0 else (int(self.since[at, 0]), int(self.since[at, 1]))
 

@@ -54,7 +54,7 @@ def test_the_loop_is_closed_and_pays(riekf):
     assert after < 0.5 * before
 
 
-def test_arcs_within_a_period_add_up():
+def test_arcs_within_a_step_add_up():
     runs = ring.monte_carlo(RIEKF, ring.make_course(laps=1), QUICK, arcs_per_step=4)
     assert BAND[0] < runs.mean_nees(0.0, 1.0) < BAND[1]
 

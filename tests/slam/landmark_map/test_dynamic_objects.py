@@ -52,19 +52,19 @@ def features(normals):
     """One row a landmark, never seen again since."""
     n = len(normals)
     return replace(
-        FeatureTable(), normals=np.array(normals, float), doubts=np.zeros(n, int), last_period=np.zeros(n, int)
+        FeatureTable(), normals=np.array(normals, float), doubts=np.zeros(n, int), last_step=np.zeros(n, int)
     )
 
 
 def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
-    """In which period the landmark is refuted, or None."""
+    """In which step the landmark is refuted, or None."""
     table, where = features([normals]), belief(landmark)
-    for period in range(1, scans + 1):
-        beams, _, segments, _ = front_end(take_scan(faces, seed=period))
-        if period in seen_in:
-            table.last_period[0] = period
-        if len(refuted(beams, segments, where, table, period, config)):
-            return period
+    for step in range(1, scans + 1):
+        beams, _, segments, _ = front_end(take_scan(faces, seed=step))
+        if step in seen_in:
+            table.last_step[0] = step
+        if len(refuted(beams, segments, where, table, step, config)):
+            return step
     return None
 
 

@@ -50,21 +50,19 @@ def graph_of(current=0, merged=None, in_doorway=False):
     return RoomGraph(current, in_doorway, (0, 1), (), (), merged or {})
 
 
-def see(table, points, period, kind=0, config=None):
+def see(table, points, step, kind=0, config=None):
     config = config or TrackConfig()
-    forget(table, period, config)
+    forget(table, step, config)
     match = match_of([Decision.NEW] * len(points))
     match, ripe = record_sightings(table, corners_at(points, kind), match, ORIGIN, 0, config)
-    mark_seen(table, match.ids[match.ids >= 0], period)
+    mark_seen(table, match.ids[match.ids >= 0], step)
     return match, ripe
 
 
 def test_a_corner_becomes_a_landmark_in_its_third_scan():
     table = FeatureTable()
-    for period, (decision, ripe) in enumerate(
-        [(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]
-    ):
-        match, found = see(table, [[2.0, 1.0]], period)
+    for step, (decision, ripe) in enumerate([(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]):
+        match, found = see(table, [[2.0, 1.0]], step)
         assert match.decision.tolist() == [int(decision)]
         assert match.ids.tolist() == [0]
         assert len(found) == ripe
@@ -72,7 +70,7 @@ def test_a_corner_becomes_a_landmark_in_its_third_scan():
 
 def test_a_jamb_needs_two():
     table = FeatureTable()
-    assert [len(see(table, [[2.0, 1.0]], period, kind=2)[1]) for period in range(2)] == [0, 1]
+    assert [len(see(table, [[2.0, 1.0]], step, kind=2)[1]) for step in range(2)] == [0, 1]
 
 
 def test_a_track_not_seen_again_dies_and_its_id_never_returns():

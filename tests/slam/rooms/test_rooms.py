@@ -32,7 +32,7 @@ def features():
     table.convex = np.ones(n, np.bool_)
     table.normals = np.zeros((n, 2))
     table.seen = np.ones(n, np.int64)
-    table.last_period = np.zeros(n, np.int64)
+    table.last_step = np.zeros(n, np.int64)
     table.p_map = np.zeros((n, 2))
     return table
 
@@ -323,8 +323,8 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
     book = DoorMap()
     belief = belief_at(0.0, -1.5)
     corners, match = sighting(belief, (0, 1), ((0, 1),))
-    for period in range(4):
-        seen = Sighting(corners, match, np.full(2, -1), belief, period)
+    for step in range(4):
+        seen = Sighting(corners, match, np.full(2, -1), belief, step)
         record_doorways(book, seen, features(), 0, RoomConfig())
     assert len(book.doors) == 1
     assert not book.candidates

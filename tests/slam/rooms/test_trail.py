@@ -36,18 +36,18 @@ def test_one_step_against_shapely():
 
 def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
     trail = Trail()
-    for period in range(20):
-        trail.add(period, 3, np.array([1.0, 2.0, 0.1 * period]))
+    for step in range(20):
+        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]))
     assert len(trail.p_map) == len(trail.since) == 2
-    for period in range(20, 20 + 2 * MOST):
-        trail.add(period, 5, np.array([1.0 + 0.2 * (period - 19), 2.0, 0.0]))
+    for step in range(20, 20 + 2 * MOST):
+        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]))
     assert len(trail.p_map) == len(trail.since) == MOST + 1
     assert trail.since[-1].tolist() == [19 + 2 * MOST, 5]
 
 
 def test_passed_tells_when_and_how_many_features_there_were():
     trail = Trail()
-    for period, y in enumerate((-1.0, -0.6, -0.2, 0.2, 0.6)):
-        trail.add(period, 10 + period, np.array([0.0, y, 1.6]))
+    for step, y in enumerate((-1.0, -0.6, -0.2, 0.2, 0.6)):
+        trail.add(step, 10 + step, np.array([0.0, y, 1.6]))
     assert trail.passed(GAP) == (3, 13)
     assert trail.passed(GAP + 3.0) is None
