@@ -50,6 +50,22 @@ def test_decisions_have_their_parts_and_a_row_in_the_index() -> None:
         assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE) == ["Context", "Decision", "Evidence", "Consequence"]
 
 
+def test_the_architecture_has_a_row_for_every_folder() -> None:
+    text = (ROOT / "docs/architecture.md").read_text()
+    for path in (ROOT / "mecp_env", ROOT / "mecp_env/slam"):
+        folders = [child.name for child in path.iterdir() if (child / "__init__.py").exists()]
+        assert not [name for name in folders if not re.search(rf"^\| .*`{name}/`", text, re.MULTILINE)]
+
+
+@pytest.mark.parametrize(
+    "document", [path for path in DOCUMENTS if path.parent.name != "decisions"], ids=lambda path: path.name
+)
+def test_paths_in_documents_exist(document: Path) -> None:
+    paths = re.findall(r"`((?:tests|mecp_env|slam|benchmarks|docs)/[\w./-]*(?:\.\w+|/))`", document.read_text())
+    found = [(ROOT / "mecp_env" if path.startswith("slam") else ROOT) / path for path in paths]
+    assert not [path for path in found if path.stem != "NAME" and not path.exists()]
+
+
 def test_the_readme_has_the_commands_that_ci_runs() -> None:
     readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci/run").read_text()
     for heading in re.findall(r'^run "(.+)"$', ci, re.MULTILINE):
