@@ -34,6 +34,15 @@ def test_the_estimator_loads_without_the_world_and_without_pictures() -> None:
     assert not {name for name in loaded if name.startswith(("mecp_env.world", "mecp_env.env", "mecp_env.render"))}
 
 
+def test_the_estimator_is_at_hand_and_loads_when_it_is_used() -> None:
+    code = """if True:
+        import sys, mecp_env.slam as slam
+        print("numba" in sys.modules)
+        from mecp_env.slam import Odometry, Scan, SlamConfig, SlamPipeline
+        print(all(getattr(slam, name).__name__ == name for name in slam.__all__), hasattr(slam, "SlamPipelin"))"""
+    assert run_python(code).split() == ["False", "True", "False"]
+
+
 def test_the_package_is_typed_and_carries_its_layouts() -> None:
     assert (ROOT / "mecp_env" / "py.typed").is_file()
     assert len(list((ROOT / "mecp_env" / "world" / "library").glob("*.json"))) >= 5

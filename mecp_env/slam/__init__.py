@@ -1,1 +1,35 @@
-"""The estimator: from scans and odometry to pose, landmarks, rooms, doors and a semantic grid."""
+"""The estimator: from scans and odometry to pose, landmarks, rooms, doors and a semantic grid.
+
+It runs alone on recorded data: `SlamPipeline(SlamConfig())`, then `start(scan)` and `step(odometry, scan)`. The names
+below are loaded when they are first used, so that a section of the configuration does not load the compiled functions.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mecp_env.core.messages import Odometry, Scan
+    from mecp_env.slam.checks import MatchError, SensorError
+    from mecp_env.slam.config import SlamConfig
+    from mecp_env.slam.messages import SlamOutput
+    from mecp_env.slam.pipeline import SlamPipeline
+
+__all__ = ["MatchError", "Odometry", "Scan", "SensorError", "SlamConfig", "SlamOutput", "SlamPipeline"]
+
+MODULES = {
+    "MatchError": "mecp_env.slam.checks",
+    "Odometry": "mecp_env.core.messages",
+    "Scan": "mecp_env.core.messages",
+    "SensorError": "mecp_env.slam.checks",
+    "SlamConfig": "mecp_env.slam.config",
+    "SlamOutput": "mecp_env.slam.messages",
+    "SlamPipeline": "mecp_env.slam.pipeline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(MODULES[name]), name)
