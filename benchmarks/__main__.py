@@ -13,8 +13,8 @@ from typing import Any
 from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
 from benchmarks.trees import TreeError
 
-OPEN = ("association", "filters")  # where what a user registers is compared, too
-COMPARED = ("speed", "start")  # with another commit
+OPEN = ("association", "filters")  # compare registered parts too
+COMPARED = ("speed", "start")  # comparable with another commit
 NAMES = ("speed", "start", "features", "filters", "association", "explorers", "worlds", "vector")
 
 
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:
-    """The options of a benchmark; ends the process with 2 for one that it does not have."""
+    """The options of a benchmark; ends the process with 2 for an unknown option."""
     if given.sets and not hasattr(module, "SETS"):
         parser().error(f"--sets: {given.name} is measured whole")
     if given.modules and given.name not in OPEN:
@@ -89,7 +89,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def positive(text: str) -> int:
-    """The number that `text` says, at least 1."""
+    """`text` as a number, at least 1."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"expected at least 1, given {number}")
@@ -104,7 +104,7 @@ def measure(name: str, module: Any, options: Options) -> Figures:
 
 
 def gate(module: Any, content: Figures, baseline: Path) -> int:
-    """Say what got worse than the committed baseline."""
+    """Print what is worse than the committed baseline."""
     gates = getattr(module, "GATES", ())
     if not gates or not baseline.is_file():
         print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")

@@ -1,12 +1,12 @@
 """Association in closed loop: the associators on the same breadth-first drives (derivations 3.4).
 
-`mecp_paper` is the association of the paper to the letter; the rows "without" switch one part of ours off. What the
-modules of `--with` register has rows, too: an associator, or ours with another filter.
+`mecp_paper` follows the text of the paper literally; each row "without" disables one part of `mecp`. Parts registered
+by the modules of `--with` have rows too: an associator, or `mecp` with another filter.
 
-The identity of a landmark is the true corner it was paired with most often. An *event* is the return to a room not
-visited for 30 scans or more in which at least two corners that are mapped can be seen; it succeeds when within five
-scans at least two pairings are right and none is wrong, and is a false closure when at least two are wrong. A pairing
-of a corner that the truth cannot name counts as wrong, too.
+The identity of a landmark is the true corner that it was matched with most often. An *event* is the return to a room
+that was not visited for at least 30 scans and of which at least two mapped corners are visible. It succeeds when five
+scans contain at least two correct matches and no wrong one, and is a false closure when they contain at least two wrong
+ones. A match of a corner without a true identity counts as wrong.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mecp_env.slam.config import SlamConfig
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-METHODS: dict[str, dict[str, Any]] = {  # fields of the association section, over those of the drive
+METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
     "mecp": {},
     "mecp without signature": {"use_signature": False},
     "mecp without polygons": {"use_polygons": False},
@@ -51,11 +51,11 @@ GATES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Every corner of a drive and what became of it, by what each landmark turned out to be."""
+    """Every corner of a drive with its true corner and that of the landmark it was matched with."""
 
     step: Ints
     true: Ints  # true corner, -1 for none
-    claimed: Ints  # true corner of the landmark it was paired with, -1 for none or no pairing
+    claimed: Ints  # true corner of the matched landmark, -1 for none or no match
     matched: NDArray[np.bool_]
 
     @property
@@ -64,7 +64,7 @@ class Pairs:
 
 
 def run(options: Options) -> Figures:
-    """Figures of every layout and associator."""
+    """Results of every layout and associator."""
     figures: Figures = {}
     rows = methods(options.modules)
     for layout, seeds in (chosen(options.sets, SEEDS, MOST) or SEEDS).items():
@@ -83,7 +83,7 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
 
 
 def compare(layout: str, modules: Sequence[str], seed: int) -> dict[str, Figures]:
-    """Counts of each associator on the drive of one seed."""
+    """Counts for each associator on the drive of one seed."""
     rows, drive = methods(modules), record_drive(layout, seed)
     return {name: counts(drive, replay(drive, with_change(drive, change))) for name, change in rows.items()}
 
@@ -94,7 +94,7 @@ def with_change(drive: Drive, change: dict[str, Any]) -> SlamConfig:
 
 
 def counts(drive: Drive, outcome: Replay) -> Figures:
-    """What is counted in one drive."""
+    """Counts of one drive."""
     tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
     pairs = all_pairs(outcome.log)
     rooms = rooms_of(drive)[: len(outcome.error_m)]
@@ -138,7 +138,7 @@ def rooms_of(drive: Drive) -> Ints:
 
 
 def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> list[tuple[int, int]]:
-    """Right and wrong pairings within five scans of each return to a room; see the module's text."""
+    """Correct and wrong matches within five scans of each return to a room; see the module docstring."""
     corner_room = drive.truth.outline.corners.room
     last_visit: dict[int, int] = {}
     events = []
@@ -146,7 +146,7 @@ def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> li
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
         window = (pairs.step > i) & (pairs.step <= i + WITHIN_SCANS)
-        # corners of this room, and spurious ones that were taken for one of them
+        # corners of this room, and spurious corners matched with one of them
         subject = np.where(pairs.true >= 0, pairs.true, pairs.claimed)
         window &= (subject >= 0) & (corner_room[subject] == room)
         if returned and mapped_before(log, np.unique(pairs.true[window & (pairs.true >= 0)]), i) >= 2:
@@ -160,7 +160,7 @@ def mapped_before(log: AssociationLog, corners: Ints, step: int) -> int:
 
 
 def swapped(drive: Drive, pairs: Pairs) -> int:
-    """Wrong pairs of two corners of different rooms that lie within 0.4 m: the two faces of a thin wall."""
+    """Wrong matches between corners of different rooms within 0.4 m: the two faces of a thin wall."""
     corners = drive.truth.outline.corners
     wrong = pairs.wrong & (pairs.true >= 0) & (pairs.claimed >= 0)
     true, claimed = pairs.true[wrong], pairs.claimed[wrong]
@@ -169,7 +169,7 @@ def swapped(drive: Drive, pairs: Pairs) -> int:
 
 
 def summarise(runs: list[Figures]) -> Figures:
-    """Figures of all seeds, each with its 95 % interval."""
+    """Results of all seeds, each with its 95 % interval."""
     table = {name: np.array([float(r[name]) for r in runs]) for name in runs[0]}
     per_thousand = table["corners"] / 1000.0
     return {
@@ -191,7 +191,7 @@ def summarise(runs: list[Figures]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """One table a layout: a row an associator."""
+    """One table per layout with one row per associator."""
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "nees", "diverged")
     lines = []

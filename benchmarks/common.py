@@ -1,4 +1,4 @@
-"""What all benchmarks share: intervals, the calibration kernel, parallel runs, result files and the gate.
+"""Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
 It may have `GATES`, the figures that must not get worse, and `report(figures) -> str`, tables in Markdown.
@@ -39,30 +39,30 @@ RESULTS = Path(__file__).parent / "results"
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the command line says to a benchmark."""
+    """Options of a benchmark from the command line."""
 
-    jobs: int = 1  # processes at the same time
-    quick: bool = False  # a small sample: does it run, roughly what does it say
-    sets: tuple[str, ...] = ()  # a part of it, where a benchmark has parts
-    modules: tuple[str, ...] = ()  # of others, which register associators or filters
+    jobs: int = 1  # parallel processes
+    quick: bool = False  # a small sample with rough results
+    sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
+    modules: tuple[str, ...] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
     sweeps: int = 4  # per scan, in that comparison
 
 
 class OptionError(ValueError):
-    """The command line asks for what a benchmark does not have."""
+    """An option on the command line that the benchmark does not support."""
 
 
 def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict[str, int]:
-    """How many runs of each part that the command line names, `NAME` or `NAME:COUNT`.
+    """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`.
 
-    Raises `OptionError` for a name that there is not, or no count.
+    Raises `OptionError` for an unknown name or an invalid count.
     """
     counts = {}
     for given in sets:
         name, _, count = given.partition(":")
         if name not in there_are:
-            raise OptionError(f"--sets {given}: {name!r} is none of {', '.join(there_are)}")
+            raise OptionError(f"--sets {given}: expected one of {', '.join(there_are)}, got {name!r}")
         if count and not (count.isdecimal() and 1 <= int(count) <= most):
             raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {most}")
         counts[name] = int(count or there_are[name])
@@ -70,7 +70,7 @@ def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict
 
 
 def load_modules(names: Iterable[str]) -> None:
-    """Import modules that register associators or filters of their own. Raises `OptionError` for one there is not."""
+    """Import modules that register custom associators or filters. Raises `OptionError` for a missing module."""
     for name in names:
         try:
             importlib.import_module(name)
@@ -82,7 +82,7 @@ def load_modules(names: Iterable[str]) -> None:
 class Gate:
     """A figure that must not get worse than the baseline."""
 
-    path: str  # names joined by "/"
+    path: str  # keys joined by "/"
     kind: Literal["time", "rate_per_s", "share", "error", "bound"]
     slack: float  # ratio above 1 for times, speeds and errors; difference for shares; a bound is the largest value
 
@@ -111,7 +111,7 @@ def _timed(call: Callable[[], object], calls: int) -> float:
 
 @compiled
 def _calibration(n: int) -> float:
-    """A fixed piece of work of the kind that the kernels do: trigonometry, divisions, branches, a small array."""
+    """A fixed workload like that of the compiled functions: trigonometry, divisions, branches, a small array."""
     table = np.zeros(512)
     x = 0.3
     for i in range(n):
@@ -121,12 +121,12 @@ def _calibration(n: int) -> float:
 
 
 def calibration_ms() -> float:
-    """Milliseconds that this machine takes now for the calibration kernel: times are compared by ratios to it."""
+    """Milliseconds of the calibration workload on this machine now; times are compared as ratios to it."""
     return 1e3 * best_of(lambda: _calibration(200_000))
 
 
 def machine() -> dict[str, str]:
-    """What the figures were measured on."""
+    """The machine and versions of a measurement."""
     return {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -139,7 +139,7 @@ def machine() -> dict[str, str]:
 
 @cache
 def commit() -> str:
-    """The commit of the clone that this runs from, with a `+` when something was changed since; "" elsewhere."""
+    """The commit of the current clone, with a `+` for uncommitted changes; "" outside a clone."""
     try:
         changed = "+" if _git("status", "--porcelain", "--untracked-files=no") else ""
         return _git("rev-parse", "HEAD") + changed
@@ -161,7 +161,7 @@ def _processor() -> str:
 
 
 def result(name: str, figures: Figures, calibration: float) -> Figures:
-    """A result file's content: the figures with when, where and how they were measured."""
+    """Content of a result file: the figures with date, machine and command."""
     return {
         "benchmark": name,
         "date": datetime.now(UTC).date().isoformat(),
@@ -183,7 +183,7 @@ def flatten(figures: Any, path: str = "") -> dict[str, Any]:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; numbers and estimates are written readably."""
+    """A Markdown table with formatted numbers and estimates."""
     lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
     lines += [f"| {' | '.join(readable(cell) for cell in row)} |" for row in rows]
     return "\n".join(lines)
@@ -201,7 +201,7 @@ def readable(figure: object) -> str:
 
 
 def markdown(content: Figures, report: str | None) -> str:
-    """The readable page of a result: where it comes from, then the report or all figures in one table."""
+    """The Markdown page of a result: its origin, then the report or all figures in one table."""
     where = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
     body = report or table(["figure", "value [95 % interval]"], flatten(content["figures"]).items())
     return (
@@ -212,14 +212,14 @@ def markdown(content: Figures, report: str | None) -> str:
 
 
 def save(content: Figures, page: str, path: Path) -> None:
-    """Write the result as JSON to `path`, and the page beside it."""
+    """Write the result as JSON to `path`, and the page next to it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=2) + "\n")
     path.with_suffix(".md").write_text(page)
 
 
 def failures(gates: Sequence[Gate], now: Figures, baseline: Figures) -> list[str]:
-    """What is worse in `now` than in `baseline`, one line each; a missing figure is a failure."""
+    """What is worse in `now` than in `baseline`, one line per figure; a missing figure is a failure."""
     measured, before = flatten(now["figures"]), flatten(baseline["figures"])
     speed = now["calibration_ms"] / baseline["calibration_ms"]
     lines = []
@@ -235,7 +235,7 @@ def failures(gates: Sequence[Gate], now: Figures, baseline: Figures) -> list[str
 
 
 def _is_worse(gate: Gate, value: float, base: float, speed: float) -> bool:
-    """True when `value` breaks the gate; `speed` is how much slower this machine is now than the baseline's was."""
+    """True when `value` fails the gate; `speed` is the slowdown of this machine relative to the baseline machine."""
     if gate.kind == "time":
         return value > gate.slack * base * speed
     if gate.kind == "rate_per_s":
@@ -246,7 +246,7 @@ def _is_worse(gate: Gate, value: float, base: float, speed: float) -> bool:
 
 
 def _better_end(figure: Any, gate: Gate) -> float | None:
-    """The end of the interval that speaks for the run: a small sample alone must not fail a gate."""
+    """The end of the interval that favours the run, so that a small sample alone does not fail a gate."""
     if not isinstance(figure, dict):
         return _value(figure)
     return _value(figure["high" if gate.kind in ("rate_per_s", "share") else "low"])

@@ -1,4 +1,4 @@
-"""Scores the corners of single scans against the true corners that can be seen from the pose."""
+"""Compare the corners of single scans with the true corners visible from the pose."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ DOOR_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What can be seen from one pose, in the robot's frame."""
+    """Ground truth visible from one pose, in the robot's frame."""
 
     p_robot: Array  # (n,2) m, corners in line of sight
     convex: Bools  # (n,)
     normals: Array  # (n,2) rad
     detectable: Bools  # (n,)
     doors: Array  # (d,2) m, centres of all doors
-    well_seen: Bools  # (d,) both posts of this side in sight, within 3 m and 30 degrees
+    well_seen: Bools  # (d,) both jambs of this side visible, within 3 m and 30 degrees
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One pose of one layout, what can be seen from it, and a scan for every preset."""
+    """One pose in one layout, the ground truth visible from it, and a scan for every preset."""
 
     layout: str
     truth: Truth
@@ -59,10 +59,10 @@ class Place:
 class Score:
     """The score of one scan."""
 
-    rows: Array  # (n,6) kind, convex, range m, error m, NIS, right: one row a corner
-    visible: tuple[int, int]  # true corners: detectable ones, the rest
-    found: tuple[int, int]  # of them
-    doors: tuple[int, int, int]  # well seen, found of them, gaps called a door that are none
+    rows: Array  # (n,6) kind, convex, range m, error m, NIS, correct: one row per corner
+    visible: tuple[int, int]  # true corners: detectable, others
+    found: tuple[int, int]  # found among them
+    doors: tuple[int, int, int]  # visible doors, found doors, false doors
     seconds: Array  # (4,) of the four stages
 
 
@@ -80,7 +80,7 @@ def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str,
 
 
 def truth_at(outline: Outline, laser: Laser, T_world_robot: Array) -> Truth:
-    """What can be seen from a pose."""
+    """Ground truth visible from a pose."""
     corners = outline.corners
     seen = laser.visible(corners.p_world, T_world_robot)
     detectable = [
@@ -116,7 +116,7 @@ def face_seen(outline: Outline, laser: Laser, T_world_robot: Array, corner: int,
 
 
 def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Bools:
-    """Which doors (d,) show both posts of the robot's side, within 3 m and 30 degrees."""
+    """Doors (d,) with both jambs of the robot's side visible, within 3 m and 30 degrees."""
     doors = outline.doors
     normal = np.column_stack([np.cos(doors.normal), np.sin(doors.normal)])
     offset = T_world_robot[:2] - doors.centre
@@ -131,7 +131,7 @@ def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Boo
 
 
 def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
-    """The corners of a scan and the seconds (4,) of the stages."""
+    """The corners of a scan and the time (4,) of each stage, s."""
     clock = [time.thread_time()]
     beams = merge_sweeps(scan, config.sensor)
     clock.append(time.thread_time())
@@ -149,12 +149,12 @@ def score_places(places: Sequence[Place], preset: tuple[str, int], config: SlamC
     laser = LaserConfig.parse({"preset": preset[0], "sweeps": preset[1]})
     sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
     config = config.model_copy(update={"sensor": sensor})
-    front_end(places[0].scans[preset], config)  # kernels are loaded before the clock runs
+    front_end(places[0].scans[preset], config)  # load compiled functions before timing
     return [score(place.truth, *front_end(place.scans[preset], config)) for place in places]
 
 
 def score(truth: Truth, corners: Corners, seconds: Array) -> Score:
-    """Compares the corners of a scan with the truth."""
+    """Compare the corners of a scan with ground truth."""
     partner = np.array(pair(truth, corners), dtype=np.int64)
     rows = np.full((len(corners), 6), np.nan)
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 5] = corners.kind, corners.convex, corners.z[:, 0], partner >= 0
@@ -192,7 +192,7 @@ def pair(truth: Truth, corners: Corners) -> list[int]:
 
 
 def score_doors(truth: Truth, corners: Corners) -> tuple[int, int, int]:
-    """Doors well seen, how many of them were found, and gaps called a door that are none."""
+    """Visible doors, how many of them were found, and false doors."""
     middles = polar_to_points(corners.z)[corners.doorways.jambs].mean(axis=1)
     offset = middles[:, None] - truth.doors[None]
     near = np.hypot(offset[..., 0], offset[..., 1]) < DOOR_M

@@ -1,9 +1,9 @@
-"""What a larger building and people cost: a step there against one in the bare paper layout, in the same run.
+"""The cost of a larger building and of pedestrians, relative to a step in the empty `paper` layout of the same run.
 
 The building is a generated one of the preset `hard`, test split, with at least 200 wall faces (the layout `paper` has
-98); a person is a polygon of 16 faces to the laser. Blocks of the settings take turns, so that what else the machine
-does strikes all alike, and each block is an exploration (or a random drive) of its own, from a start of its own; a
-ratio is of the times of one step in two blocks of the same turn.
+98). A pedestrian is a polygon with 16 faces for the laser. Settings are measured in alternating blocks, so that other
+load affects all of them. Each block is an exploration (or a random drive) with its own start; a ratio compares the time
+per step in two blocks of the same turn.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mecp_env.wrappers import GoalActions
 LEAST_FACES = 200
 PEOPLE = {"crowd": {"people": 8}}
 BARE = "paper"
-SETTINGS: dict[str, tuple[bool, dict[str, Any]]] = {  # whether in the generated building, and what moves there
+SETTINGS: dict[str, tuple[bool, dict[str, Any]]] = {  # whether in the generated building, and its dynamic obstacles
     BARE: (False, {}),
     "paper, 8 people": (False, PEOPLE),
     "200 walls": (True, {}),
@@ -37,18 +37,18 @@ MAX_STEPS = 3000
 
 
 def measure(turns: int) -> Figures:
-    """For random actions and the explorer: us a step of each setting, and its ratio to the bare layout."""
+    """For random actions and the explorer: us per step in each setting, and its ratio to the empty layout."""
     return {name: compared(drive, turns) for name, drive in (("random", drive_at_random), ("bfs", explore))}
 
 
 def compared(drive: Callable[[MecpEnv, int], None], turns: int) -> Figures:
-    """`us` of the environment's step, `with_driver_us` with planner and controller, their ratios to the bare layout."""
-    blocks = [{name: block(name, drive, turn) for name in SETTINGS} for turn in range(-1, turns)][1:]  # one to warm up
+    """`us` per environment step, `with_driver_us` with planner and controller, and their ratios to the empty layout."""
+    blocks = [{name: block(name, drive, turn) for name in SETTINGS} for turn in range(-1, turns)][1:]  # one for warm-up
     return {name: figures([(turn[name], turn[BARE]) for turn in blocks]) for name in SETTINGS}
 
 
 def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
-    """Of the blocks of a setting, each beside that of the bare layout."""
+    """The figures of a setting from its blocks, each paired with a block of the empty layout."""
     step = np.array([[step_us(watch) for watch in pair] for pair in pairs])
     whole = np.array([[step_us(watch) + drive_us(watch) for watch in pair] for pair in pairs])
     return {
@@ -60,7 +60,7 @@ def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
 
 
 def step_us(watch: Stopwatch) -> float:
-    """Mean time of a step, us."""
+    """Mean time per step, us."""
     return 1e6 * watch.seconds["step"] / watch.steps
 
 
@@ -81,7 +81,7 @@ def block(setting: str, drive: Callable[[MecpEnv, int], None], turn: int) -> Sto
 
 @cache
 def building(number: int) -> Layout:
-    """The generated building of a turn: of those with enough wall faces, in their order."""
+    """The generated building of a turn, among those with enough wall faces."""
     spec, index, found = GeneratorSpec.preset("hard"), -1, -1
     while found < number:
         index += 1
@@ -91,7 +91,7 @@ def building(number: int) -> Layout:
 
 
 def report(measured: Figures) -> str:
-    """One table, a row a setting."""
+    """One table with one row per setting."""
     names = ("us", "with_driver_us", "ratio", "with_driver_ratio")
     rows = [
         (actions, setting, *(values[name] for name in names))

@@ -1,4 +1,4 @@
-"""Recorded drives: what the sensors gave in a breadth-first episode, to compare estimators on the same data."""
+"""Recorded drives: the sensor data of a breadth-first episode, to compare estimators on the same data."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """One episode as the sensors saw it; the first scans are taken at rest, before any odometry."""
+    """The sensor data of one episode; the first scans are taken at rest, before any odometry."""
 
     truth: Truth
-    slam: SlamConfig  # the estimator it was driven with
+    slam: SlamConfig  # the estimator during the drive
     odometry: list[Odometry | None]
     scans: list[Scan]
     T_world_robot: list[Array]  # true poses
@@ -37,17 +37,17 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """What an estimator made of a drive."""
+    """The result of an estimator on a drive."""
 
     log: AssociationLog
     error_m: Array  # (n,) position error after each scan
-    nees: Array  # (n,) of the pose, 3 expected
+    nees: Array  # (n,) pose NEES, 3 expected
     duplicates: int
     diverged: bool
 
 
 class RecordingEnv(MecpEnv):
-    """The environment, keeping what its sensors gave."""
+    """The environment, recording its sensor data."""
 
     def __init__(self, config: EnvConfig | dict[str, Any] | None = None, **keywords: Any) -> None:
         super().__init__(config, **keywords)
@@ -61,13 +61,13 @@ class RecordingEnv(MecpEnv):
         return scan
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
-        odometry, scan = super()._sense(motion, T_world_robot)  # which looks
+        odometry, scan = super()._sense(motion, T_world_robot)  # calls `_look`
         self.drive.odometry[-1] = odometry
         return odometry, scan
 
 
 def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:
-    """A breadth-first exploration of `layout` by its own map, from a start that the seed chooses."""
+    """A breadth-first exploration of `layout` with the estimated map, from a start given by the seed."""
     inner = RecordingEnv(layout=layout, start="random", **keywords)
     env = GoalActions(inner)
     policy = BreadthFirst()
@@ -81,7 +81,7 @@ def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:
 
 
 def replay(drive: Drive, slam: SlamConfig) -> Replay:
-    """Run an estimator over a drive; its own decisions feed back into its filter (closed loop)."""
+    """Run an estimator on a drive; its decisions feed back into its filter (closed loop)."""
     pipeline = SlamPipeline(slam)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])

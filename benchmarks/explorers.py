@@ -1,8 +1,9 @@
-"""Explorers: breadth first against a random walk, each from a start that the seed draws.
+"""Explorers: breadth first against a random walk, from a start given by the seed.
 
-A seed is complete when its episode ends with every room and every door found and 95 % of the free area seen. A room is
-found when the centre of a room of the map lies in it, a door when a door of the map lies within 0.3 m, one to one; what
-is left over of the map is false. Steps and metres to a coverage are means over the seeds that reached it.
+A seed is complete when its episode terminates with every room and every door found and 95 % of the free area seen. A
+room is found when it contains the centre of a room of the map, a door when a door of the map lies within 0.3 m, one to
+one; other rooms and doors of the map are false. Steps and metres to a coverage are means over the seeds that reached
+it.
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ class Episode:
     metres: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
 
     def look(self, info: dict[str, Any]) -> None:
-        """Take in the info of one control step."""
+        """Record the info of one control step."""
         for level in LEVELS:
             if np.isnan(self.steps[level]) and info["coverage"] >= level:
                 self.steps[level], self.metres[level] = info["period"], info["metres"]
 
 
 def run(options: Options) -> Figures:
-    """Figures of every layout and explorer."""
+    """Results of every layout and explorer."""
     figures: Figures = {}
     for layout, seeds in (QUICK if options.quick else SEEDS).items():
         tasks = [(layout, where, seed) for where in EXPLORERS.values() for seed in range(seeds)]
@@ -64,7 +65,7 @@ def run(options: Options) -> Figures:
 
 
 def explore(task: tuple[str, str, int]) -> Episode:
-    """One episode: the layout, where the explorer's class is ("module:Class"), the seed."""
+    """One episode: the layout, the explorer's class ("module:Class"), the seed."""
     layout, where, seed = task
     module, _, name = where.partition(":")
     agent = getattr(importlib.import_module(module), name)()
@@ -85,13 +86,13 @@ def explore(task: tuple[str, str, int]) -> Episode:
 
 
 def is_complete(final: dict[str, float]) -> bool:
-    """True when every room and door was found and nearly all of the free area was seen."""
+    """True when every room and door was found and 95 % of the free area was seen."""
     found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
     return bool(found and final["coverage"] >= COMPLETE_COVERAGE)
 
 
 def summarise(episodes: list[Episode]) -> Figures:
-    """The figures of one explorer on one layout, each with its 95 % interval."""
+    """Results of one explorer on one layout, each with its 95 % interval."""
     finals = [episode.final for episode in episodes]
 
     def of(name: str) -> list[float]:
@@ -123,7 +124,7 @@ def summarise(episodes: list[Episode]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """One table a layout."""
+    """One table per layout."""
     parts = [__doc__ or ""]
     for layout, explorers in figures.items():
         seeds = next(iter(explorers.values()))["complete"]["n"]

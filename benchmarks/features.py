@@ -1,9 +1,9 @@
-"""Corners of single scans against the truth: precision, recall, error, calibration, cost, clustering thresholds.
+"""Corners of single scans against ground truth: precision, recall, error, calibration, cost, clustering thresholds.
 
-Random poses in the free space of every shipped layout. A corner is right when a true corner in line of sight lies
-within 0.25 m, is convex or concave like it, and its faces look the same way; pairs are one to one. A true corner is
-detectable when both its faces are at least 0.35 m long and at least 5 beams of one sweep and 0.3 m of a face beside it
-are visible.
+The poses are random in the free space of every included layout. A corner is correct when a visible true corner lies
+within 0.25 m, is convex or concave like it, and has faces with the same directions; pairs are one to one. A true corner
+is detectable when both its faces are at least 0.35 m long and at least 5 beams of one sweep and 0.3 m of a face next to
+it are visible.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mecp_env.world.layout import shipped_layouts
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SEED = 1  # not the one it was tuned on
+SEED = 1  # not the seed used for tuning
 PRESETS = tuple((preset, sweeps) for preset in ("paper", "lms200", "ideal") for sweeps in (4, 1))
 ABLATED = tuple((preset, sweeps) for preset in ("paper", "lms200") for sweeps in (4, 1))
 THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
@@ -51,7 +51,7 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """The figures of every preset and clustering threshold, from 80 poses a layout (8 with --quick)."""
+    """Results of every preset and clustering threshold, from 80 poses per layout (8 with --quick)."""
     poses = 8 if options.quick else 80
     tasks = [(layout, poses) for layout in shipped_layouts()]
     of_layouts = list(in_parallel(score_layout, tasks, options.jobs))
@@ -65,7 +65,7 @@ def run(options: Options) -> Figures:
 
 
 def key_of(preset: tuple[str, int]) -> str:
-    """The name of a preset in the figures."""
+    """The name of a preset in the results."""
     return f"{preset[0]} K={preset[1]}"
 
 
@@ -75,7 +75,7 @@ def ablation(scores: dict[str, list[Score]], key: str) -> Figures:
 
 
 def score_layout(task: tuple[str, int]) -> dict[str, list[Score]]:
-    """The scores of the poses of one layout: of every preset, and of the presets whose threshold is varied."""
+    """Scores of the poses of one layout, for every preset and for the presets with varied thresholds."""
     places = make_places(*task, SEED, PRESETS)
     scores = {key_of(preset): score_places(places, preset, SlamConfig()) for preset in PRESETS}
     for preset in ABLATED:
@@ -86,7 +86,7 @@ def score_layout(task: tuple[str, int]) -> dict[str, list[Score]]:
 
 
 def threshold(name: str) -> ClusteringConfig:
-    """The clustering that an entry of THRESHOLDS names."""
+    """The clustering configuration of an entry of THRESHOLDS."""
     if name.startswith("fixed_"):
         return ClusteringConfig(threshold="fixed", fixed_m=float(name.removeprefix("fixed_")))
     return ClusteringConfig.parse({"threshold": name})
@@ -106,7 +106,7 @@ def rates(scores: Sequence[Score]) -> Figures:
 
 
 def summary(scores: Sequence[Score]) -> Figures:
-    """All figures of one preset."""
+    """All results of one preset."""
     rows = np.concatenate([score.rows for score in scores])
     right = rows[rows[:, 5] == 1.0]
     seconds = np.array([score.seconds for score in scores])
@@ -124,13 +124,13 @@ def summary(scores: Sequence[Score]) -> Figures:
 
 
 def by_range(right: Array) -> Figures:
-    """Mean NIS in each bin of range."""
+    """Mean NIS per range bin."""
     inside = [(a, b, (right[:, 2] >= a) & (right[:, 2] < b)) for a, b in pairwise(RANGE_BINS_M)]
     return {f"{a:g}-{b:g} m": estimate(right[rows, 4]) for a, b, rows in inside}
 
 
 def report(figures: Figures) -> str:
-    """The readable page: presets, calibration, layouts, thresholds, times."""
+    """The page: presets, calibration, layouts, thresholds, times."""
     presets: dict[str, Any] = figures["presets"]
     names = ("precision", "recall", "recall_rest", "rms_error_m", "NIS", "NIS_over_13.8", "doors_found", "false_doors")
     parts = [
@@ -150,7 +150,7 @@ def report(figures: Figures) -> str:
 
 
 def calibration(preset: Figures) -> str:
-    """Mean NIS and number of corners of each kind and bin of range."""
+    """Mean NIS and number of corners per kind and range bin."""
     kinds = preset["NIS_by_kind_and_range"]
     bins = list(next(iter(kinds.values())))
     rows = [[kind, *(f"{readable(cells[b])} ({cells[b]['n']})" for b in bins)] for kind, cells in kinds.items()]
@@ -158,6 +158,6 @@ def calibration(preset: Figures) -> str:
 
 
 def rate_table(rows: dict[str, Figures]) -> str:
-    """Precision, recall and NIS of each row."""
+    """Precision, recall and NIS per row."""
     names = ("corners", "precision", "recall", "recall_rest", "NIS")
     return table(["", *names], [[key, *(row[name] for name in names)] for key, row in rows.items()])

@@ -1,7 +1,7 @@
-"""The filters: microseconds of each call over the size of the map, and consistency (NEES) on a ring of rooms.
+"""The filters: microseconds per call by map size, and consistency (NEES) on a ring of rooms.
 
-Identities are known here, so that nothing but the filter is measured. Three expected for the NEES of a pose; the 95 %
-band of the mean of 60 runs is 2.41-3.65.
+Correspondences are known, so that only the filter is measured. The expected NEES of a pose is 3; the 95 % band of the
+mean of 60 runs is 2.41-3.65.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mecp_env.slam.filters import FILTERS, make_filter
 Array = NDArray[np.float64]
 
 LANDMARKS = (25, 50, 100, 200)
-CORNERS = 12  # of a scan
+CORNERS = 12  # per scan
 READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
     "per_metre": (per_metre, 0.25),
     "per_step_0.25_m": (per_step, 0.25),
@@ -37,7 +37,7 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """Times of all filters, and NEES and error of each under every reading of the paper's odometry noise."""
+    """Times of all filters, and their NEES and error for every reading of the paper's odometry noise."""
     load_modules(options.modules)
     runs = 8 if options.quick else 60
     cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
@@ -68,7 +68,7 @@ def consistency(modules: Sequence[str], case: tuple[str, str, int]) -> Figures:
 
 
 def times_us(kind: str, count: int) -> Figures:
-    """Microseconds of each call with `count` landmarks and a scan of 12 corners, polygons of 5."""
+    """Microseconds per call with `count` landmarks, a scan of 12 corners and polygons with 5 vertices."""
     calls = prepared_calls(kind, count)
     return {name: 1e6 * best_of(call, repeats=15, calls=50) for name, call in calls.items()}
 
@@ -96,7 +96,7 @@ def prepared_calls(kind: str, count: int) -> dict[str, Callable[[], object]]:
 
 
 def sensor_cov(count: int) -> Array:
-    """(2n,2n) m, rad: corners of 1 cm and 0.3 degrees."""
+    """(2n,2n) m, rad: corner covariance for 1 cm and 0.3 degrees."""
     return np.diag(np.tile([0.01**2, 0.005**2], count))
 
 

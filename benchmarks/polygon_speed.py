@@ -1,7 +1,7 @@
-"""Time of the MECP search: the kernel with its lazy guard on random sites, and the whole stage on real scans.
+"""Time of the MECP search with its lazy wall-crossing check on random sites, and of the whole stage on real scans.
 
-Times are those of the processor spent by this thread. "kernel" is one call from Python of search and guard (720 beams
-that end on a wall 9 m away, tolerance 5 cm, two ties kept) for n sites in a 10 x 10 m square or on an ellipse.
+Times are CPU times of this thread. "kernel" is one call from Python of search and check (720 beams that end on a wall
+9 m away, tolerance 5 cm, two ties kept) for n sites in a 10 x 10 m square or on an ellipse.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def measure(sets: int = 100) -> Figures:
 
 
 def search(sites: Array) -> object:
-    """Search and guard on sites sorted by bearing."""
+    """Search and wall-crossing check on sites sorted by bearing."""
     return best_free_cycles(sites, SIGMAS[: len(sites)], 2, VIEW, LIMITS)
 
 
@@ -73,12 +73,12 @@ def convex(n: int, sets: int) -> list[Array]:
 
 
 def by_bearing(points: Array) -> Array:
-    """The points in the order that the kernels want."""
+    """The points in the order that the compiled functions expect."""
     return np.ascontiguousarray(points[order_by_bearing(points)])
 
 
 def on_scans(layout: str, scans: int) -> Figures:
-    """The whole stage, edge intervals included, on scans from random poses of a layout at the paper's noise."""
+    """The whole stage with edge intervals, on scans from random poses in a layout at the paper's noise."""
     seen = list(scans_of(layout, scans))
     config = PolygonConfig()
     return {
@@ -88,7 +88,7 @@ def on_scans(layout: str, scans: int) -> Figures:
 
 
 def scans_of(layout: str, scans: int) -> Iterator[SeenScan]:
-    """Corners, beams and which beams are walls', from random poses."""
+    """Corners, beams and the mask of beams on walls, from random poses."""
     outline, config, rng = build_outline(load_layout(layout)), SlamConfig(), np.random.default_rng(0)
     laser = Laser(outline, LaserConfig())
     for _ in range(scans):

@@ -1,7 +1,7 @@
-"""A ring of eight rooms driven along their centres, with known identities: the ground for tests of consistency.
+"""A ring of eight rooms driven along their centres, with known correspondences, for consistency tests.
 
-Rooms of 6 x 6 m stand on a 3 x 3 grid without its middle; the robot sees the four corners of the room it is in. The
-true path is the same in all runs (unless it slips), noise is on what is measured.
+Rooms of 6 x 6 m form a 3 x 3 grid without its centre; the robot sees the four corners of the room that it is in. The
+true path is the same in all runs (unless the robot slips); noise affects the measurements only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 ROOM_M = 6.0
 RING = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
-TURN_M = 0.5 / (math.pi / 2)  # noise of a turn, in metres of driving a radian
+TURN_M = 0.5 / (math.pi / 2)  # a turn of one radian counts as this many metres
 SENSOR_SIGMA = np.array([0.05, math.radians(0.3)])  # the paper's, range and bearing
 DISTANCE_SIGMA, HEADING_SIGMA = 0.1, math.radians(1.5)  # the paper's
 
@@ -38,12 +38,12 @@ def per_metre(arcs: Array) -> Array:
 
 
 def per_step(arcs: Array) -> Array:
-    """(M,2): the paper's sigmas in every step, however short."""
+    """(M,2): the paper's sigmas in every step, whatever its length."""
     return np.tile([DISTANCE_SIGMA**2, HEADING_SIGMA**2], (len(arcs), 1))
 
 
 def linear(arcs: Array) -> Array:
-    """(M,2): a tenth of the distance, 1.5 degrees a metre."""
+    """(M,2): a tenth of the distance, 1.5 degrees per metre."""
     length = np.abs(arcs[:, 0]) + TURN_M * np.abs(arcs[:, 1])
     return np.stack([(0.1 * length) ** 2, (HEADING_SIGMA * length) ** 2], axis=1)
 
@@ -79,18 +79,18 @@ def wrap(angle: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The truth of a drive, step by step."""
+    """Ground truth of a drive, step by step."""
 
-    arcs: Array  # (S,2) m, rad: distance and turn that odometry measures
-    slipped: Bools  # (S,) the bumper speaks
+    arcs: Array  # (S,2) m, rad: distance and turn measured by odometry
+    slipped: Bools  # (S,) bumper flag
     T_true: list[Array]  # (S) of (3,)
-    ids: list[Ints]  # (S) of (n,) corners in sight
+    ids: list[Ints]  # (S) of (n,) visible corners
     z: list[Array]  # (S) of (n,2) noise-free
     lap: Array  # (S,) laps driven at the end of the step
 
 
 def straight_and_turn(step_m: float, laps: float) -> Array:
-    """(S,2) distance and turn of each step: straight between the centres of rooms, turning on the spot at corners."""
+    """(S,2) distance and turn of each step: straight between room centres, turning in place at corners."""
     arcs: list[tuple[float, float]] = []
     steps = round(ROOM_M / step_m)
     for leg in range(math.ceil(laps * len(RING))):
@@ -119,7 +119,7 @@ def make_course(step_m: float = 0.25, laps: float = 2.0, slips: Array | None = N
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What is measured in one step."""
+    """The measurements of one step."""
 
     odometry: Odometry
     z: Array  # (n,2)
@@ -130,7 +130,7 @@ class Step:
 def drive(
     rng: np.random.Generator, course: Course, variance: Variance = per_metre, arcs_per_step: int = 1
 ) -> Iterator[Step]:
-    """The course as one robot measures it."""
+    """The measurements of one robot on the course."""
     for arc, slipped, ids, z in zip(course.arcs, course.slipped, course.ids, course.z, strict=True):
         parts = np.tile(arc / arcs_per_step, (arcs_per_step, 1))
         var = variance(parts)
@@ -141,7 +141,7 @@ def drive(
 
 
 def cycle(estimate: Filter, step: Step, iterate: bool = False) -> None:
-    """Predict, update by known landmarks, take in new ones."""
+    """Predict, update with known landmarks, augment new ones."""
     estimate.predict(step.odometry)
     known = np.isin(step.ids, estimate.ids)
     if known.all():
@@ -161,12 +161,12 @@ def pose_nees(belief: Belief, T_true: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What a set of runs gave."""
+    """The results of a set of runs."""
 
     nees: Array  # (runs, S)
     error_m: Array  # (runs, S)
     lap: Array  # (S,)
-    closure: int  # the step that comes home
+    closure: int  # the step that closes the loop
 
     def mean_nees(self, first_lap: float, last_lap: float) -> float:
         """Mean NEES between two lap counts."""

@@ -1,7 +1,7 @@
-"""Speed: steps a second of the whole environment, the share of each stage, the ray and the polygon kernels alone.
+"""Speed: steps per second of the whole environment, time per stage, and the ray and polygon functions alone.
 
-Everything runs on one core. Times are those of the processor spent by this thread, so that another load on the machine
-does not count; steps in which numba compiled or loaded a kernel are left out.
+Everything runs on one core. Times are CPU times of this thread, so that other load on the machine does not count; steps
+in which numba compiled or loaded a function are excluded.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """All figures; the environment is measured for 300 steps (--quick) or 3,000 a setting."""
+    """All results; the environment is measured for 3,000 steps per setting (--quick: 300)."""
     steps = 300 if options.quick else 3000
     return {
         "env": {f"K={k}": environment(k, steps) for k in SWEEPS},
@@ -53,14 +53,14 @@ def run(options: Options) -> Figures:
 
 
 def environment(sweeps: int, steps: int) -> Figures:
-    """Speed under random velocities and under the breadth-first explorer, in control steps a second."""
+    """Speed with random velocities and with the breadth-first explorer, in control steps per second."""
     return {"random": timed(sweeps, steps, drive_at_random), "bfs": timed(sweeps, steps, explore)}
 
 
 def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
-    """Steps a second of whole steps; then, on the same drive again, microseconds of each stage."""
+    """Steps per second of whole steps; then, on the same drive again, microseconds per stage."""
     env = MecpEnv(layout=LAYOUT, laser={"sweeps": sweeps, "beams": BEAMS}, max_steps=10**7)
-    drive(env, 50)  # loads the kernels
+    drive(env, 50)  # loads the compiled functions
     with timed_stages(each=False) as watch:
         drive(env, steps)
     with timed_stages() as stages:
@@ -69,7 +69,7 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
 
 
 def with_driver(watch: Stopwatch) -> float:
-    """Control steps a second when the planner and controller of the goal actions count too."""
+    """Control steps per second including planner and controller of the goal actions."""
     return watch.steps / (watch.seconds["step"] + watch.seconds["drive"])
 
 
@@ -101,7 +101,7 @@ def explore(env: MecpEnv, steps: int) -> None:
 
 
 def rays(poses: int) -> Figures:
-    """Median time of one sweep of 720 rays from random poses: kernel, its checked front, laser, pymunk, plain NumPy."""
+    """Median time of a sweep of 720 rays from random poses: compiled, with input checks, laser, pymunk, NumPy."""
     outline = build_outline(load_layout(LAYOUT))
     rng = np.random.default_rng(0)
     places = [random_free_pose(outline, rng, 0.3) for _ in range(poses)]
@@ -154,7 +154,7 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
 
 
 def median_us(call: Callable[[Any], object], items: list[Any]) -> float:
-    """Median over the items of the least of three calls each, us, after one call to load the kernels."""
+    """Median over the items of the fastest of three calls each, us, after one warm-up call."""
     call(items[0])
     return 1e6 * float(np.median([min(_once(call, item) for _ in range(3)) for item in items]))
 
@@ -166,7 +166,7 @@ def _once(call: Callable[[Any], object], item: Any) -> float:
 
 
 def report(figures: Figures) -> str:
-    """Tables: steps a second, share of the stages, rays, polygons."""
+    """Tables: steps per second, time per stage, rays, polygons."""
     settings = [(k, actions, values) for k, both in figures["env"].items() for actions, values in both.items()]
     speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
     names = [*STAGE_NAMES, "rest", "step", "drive"]
@@ -177,7 +177,7 @@ def report(figures: Figures) -> str:
     return "\n\n".join(
         [
             f"Times of the processor. {__doc__.splitlines()[0] if __doc__ else ''}",
-            "## Steps a second (layout `paper`, 720 beams, one core)",
+            "## Steps per second (layout `paper`, 720 beams, one core)",
             table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
             "## Where a step goes, us",
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),

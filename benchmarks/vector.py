@@ -1,9 +1,9 @@
-"""Many environments: control steps a second of 16 environments in every vector class, against a single one.
+"""Vector environments: control steps per second of 16 environments in every vector class, against a single one.
 
-All kinds run in the same process by turns, a few seconds each, the first one another in every round; a ratio is taken
-within a round, so that what else the machine does meets both. Processor time is that of all processes of a kind
-together. `batch` has as many workers as by default: one a core, with goals four. `small` is `velocity` with an
-observation without the grid, 5 of 79 kB: what the transport of the rest costs.
+All kinds run in the same process in turns of a few seconds, with another kind first in every round; a ratio is taken
+within a round, so that other load affects both. CPU time is that of all processes of a kind together. `batch` has its
+default number of workers: one per core, four per core with goals. `small` is `velocity` with an observation without the
+grid, 5 of 79 kB, and shows the cost of transport.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mecp_env.vector.crew import cores
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16
 SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}
-EPISODE = 300  # steps; a grown map costs more, and a single environment would otherwise have the largest
+EPISODE = 300  # steps; a larger map costs more, and the single environment would otherwise have the largest
 HELD = 10  # steps for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
 SINGLE, ASYNC, BATCH, SUBPROC = "single", "async", "batch", "subproc"
@@ -39,18 +39,18 @@ GATES = tuple(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("ov
 
 
 def run(options: Options) -> Figures:
-    """All figures; 12 rounds of 3 s a kind and setting (--quick: 3 of 0.5 s)."""
+    """All results; 12 rounds of 3 s per kind and setting (--quick: 3 of 0.5 s)."""
     rounds, seconds = (3, 0.5) if options.quick else (12, 3.0)
     return {name: compare(setting, rounds, seconds) for name, setting in SETTINGS.items()}
 
 
 def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
-    """The figures of each kind in a setting."""
+    """Results of each kind in a setting."""
     drivers = {kind: Driver(kind, setting) for kind in kinds or available()}
     names = list(drivers)
     try:
         for driver in drivers.values():
-            driver.measure(seconds)  # loads kernels and fills caches
+            driver.measure(seconds)  # loads compiled functions and fills caches
         turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds)]
         measured = [{name: drivers[name].measure(seconds) for name in turn} for turn in turns]
         memory = {name: driver.memory_mb() for name, driver in drivers.items()}
@@ -61,7 +61,7 @@ def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[s
 
 
 def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb: float) -> Figures:
-    """Speed, ratios and costs of a kind over the rounds."""
+    """Speed, ratios and cost of a kind over the rounds."""
     rates = np.array([turn[name][0] for turn in measured])
     others = {f"over_{other}": rates / [turn[other][0] for turn in measured] for other in (SINGLE, ASYNC)}
     return {
@@ -73,7 +73,7 @@ def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb
 
 
 def available() -> tuple[str, ...]:
-    """The kinds that can be made here."""
+    """The kinds whose libraries are installed."""
     return tuple(kind for kind in MAKERS if kind != SUBPROC or importlib.util.find_spec("stable_baselines3"))
 
 
@@ -85,7 +85,7 @@ def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
 
 
 def make_subproc(makers: list[Callable[[], Any]]) -> Any:
-    """The class of Stable-Baselines3; forked where that can be done, or each worker would load PyTorch first."""
+    """The class of Stable-Baselines3; forked where possible, because other workers would import PyTorch first."""
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
     return SubprocVecEnv(makers, start_method="fork" if "fork" in multiprocessing.get_all_start_methods() else None)
@@ -126,7 +126,7 @@ MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
 
 
 class Driver:
-    """Environments of one kind, and how they are driven: at random, the same way in each kind."""
+    """Environments of one kind and their random actions, the same for each kind."""
 
     def __init__(self, kind: str, setting: dict[str, Any]) -> None:
         self.venv = MAKERS[kind]([partial(make_env, setting)] * COUNT)
@@ -140,22 +140,22 @@ class Driver:
             self.observation = self.venv.reset(seed=0)[0]
 
     def measure(self, seconds: float) -> tuple[float, float]:
-        """Control steps a second, and microseconds of processor time a step, over at least so long."""
+        """Control steps per second, and microseconds of CPU time per step, over at least this time."""
         start, spent, steps = time.perf_counter(), self.processor_s(), 0
         while time.perf_counter() < start + seconds:
             steps += self.step()
         return steps / (time.perf_counter() - start), 1e6 * (self.processor_s() - spent) / steps
 
     def step(self) -> int:
-        """A step of all environments: how many control steps it took together."""
+        """One step of all environments: the total number of control steps."""
         row = self.venv.step(self.choose())
         self.observation, infos, self.steps = row[0], row[-1], self.steps + 1
         if isinstance(infos, tuple):
             return sum(info["periods"] for info in infos) if self.goals else len(infos)
-        return int(infos["periods"].sum() if self.goals else (infos["period"] > 0).sum())  # a reset is none
+        return int(infos["periods"].sum() if self.goals else (infos["period"] > 0).sum())  # without resets
 
     def choose(self) -> Any:
-        """A goal of each observation, or velocities that are held for a while."""
+        """A goal per observation, or velocities that are held for several steps."""
         if self.goals:
             masks = self.observation["goals"][:, :, 8] == 1.0
             return np.array([self.rng.choice(np.flatnonzero(mask)) if mask.any() else 0 for mask in masks])
@@ -165,12 +165,12 @@ class Driver:
         return self.held
 
     def pids(self) -> list[int]:
-        """Of all processes at work: this one, and its workers."""
+        """All running processes: this one and its workers."""
         workers = self.venv.pids if isinstance(self.venv, BatchEnv) else [p.pid for p in processes(self.venv)]
         return [os.getpid(), *workers]
 
     def processor_s(self) -> float:
-        """Seconds on a processor so far, of all threads of all processes; nan where the system does not tell."""
+        """CPU seconds of all threads of all processes until now; nan where the system does not report them."""
         try:
             threads = [thread for pid in self.pids() for thread in Path(f"/proc/{pid}/task").iterdir()]
             return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads) / 1e9
@@ -178,7 +178,7 @@ class Driver:
             return float("nan")
 
     def memory_mb(self) -> float:
-        """Memory of all processes, shared pages in parts (Pss); nan where the system does not tell."""
+        """Memory of all processes with shared pages divided (Pss); nan where the system does not report it."""
         try:
             pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in self.pids()]
         except OSError:
@@ -191,13 +191,13 @@ class Driver:
 
 
 def processes(venv: Any) -> list[Any]:
-    """The workers of a vector environment that is not ours."""
+    """The workers of another library's vector environment."""
     return list(getattr(venv, "processes", ()))
 
 
 def report(figures: Figures) -> str:
-    """A table a setting, a row a kind."""
-    heads = ["kind", "steps a second", "over a single one", "over async", "processor us a step", "memory MB"]
+    """One table per setting with one row per kind."""
+    heads = ["kind", "steps per second", "over a single one", "over async", "CPU us per step", "memory MB"]
     pages = [
         f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
         for setting, kinds in figures.items()

@@ -1,13 +1,13 @@
 """Worlds: the breadth-first explorer in generated buildings of the test split, and in real floor plans where present.
 
-Every preset is explored bare, with people (half as many as rooms, at most 8), and with clutter (as many boxes to push,
-and every door closed with probability 0.15).
+Every preset is explored empty, with pedestrians (half as many as rooms, at most 8), and with clutter (as many boxes to
+push, and every door closed with probability 0.15).
 
-A building is seen when the episode ends by itself with 95 % of the free area seen, complete when every room and door
-was found as well; lost, when the pose is more than 1 m off at the end or the filter diverged; stuck, when it is neither
-complete nor lost. Each building is started from a place that its number draws, each plan three times. Doors of plans
-are 0.55 to 1.9 m wide. What is not complete is kept in `runs/worlds/`: the layout, a picture, and the command that
-shows the episode again, with version and commit.
+A building is seen when the episode terminates with 95 % of the free area seen, complete when every room and door was
+found as well, lost when the pose error at the end exceeds 1 m or the filter diverged, and stuck when it is neither
+complete nor lost. Each building is started from a place given by its number, each plan three times. Doors of plans are
+0.55 to 1.9 m wide. Each episode that is not complete is kept in `runs/worlds/`: the layout, a picture, and the command
+that shows the episode again, with version and commit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
-PEOPLE = {"easy": 2, "medium": 4, "hard": 7, "huge": 8}  # of a preset; so many boxes stand about where there is clutter
+PEOPLE = {"easy": 2, "medium": 4, "hard": 7, "huge": 8}  # of a preset; also the number of boxes with clutter
 CLOSED_DOORS = 0.15
 COUNTS = {"": 100, "_people": 100, "_clutter": 100}
 HUGE_COUNTS = {"": 30, "_people": 10, "_clutter": 10}
@@ -37,7 +37,7 @@ QUICK = {"easy": 3, "easy_clutter": 2, "medium": 2, "medium_people": 2, "medium_
 
 
 def further(preset: str) -> dict[str, dict[str, Any]]:
-    """What the settings of a preset add to the configuration."""
+    """The configuration that the settings of a preset add."""
     n = PEOPLE[preset]
     people = {"crowd": {"people": n}}
     return {"": {}, "_people": people, "_clutter": {"clutter": {"movable_boxes": n, "closed_doors": CLOSED_DOORS}}}
@@ -72,11 +72,11 @@ class Visit:
     terminated: bool
     diverged: bool
     steps_per_s: float
-    saturated: int  # values of the last observation that were cut, rows left out
+    saturated: int  # clipped values and omitted rows of the last observation
 
     @property
     def seen(self) -> bool:
-        """True when the explorer found an end and had seen nearly everything."""
+        """True when the explorer terminated and had seen 95 % of the free area."""
         return self.terminated and self.final["coverage"] >= COMPLETE_COVERAGE
 
     @property
@@ -90,7 +90,7 @@ class Visit:
 
 
 def run(options: Options) -> Figures:
-    """Figures of each setting."""
+    """Results of each setting."""
     figures: Figures = {}
     for setting, count in counts(options).items():
         visits = list(in_parallel(visit, [(setting, index) for index in range(count)], options.jobs))
@@ -99,9 +99,9 @@ def run(options: Options) -> Figures:
 
 
 def counts(options: Options) -> dict[str, int]:
-    """How many buildings of each setting: those that the command line names, `NAME` or `NAME:COUNT`, or all.
+    """Number of buildings per setting: those named on the command line as `NAME` or `NAME:COUNT`, or all.
 
-    Raises `OptionError` for a name that there is not, or no count.
+    Raises `OptionError` for an unknown name or an invalid count.
     """
     there_are = BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
     return chosen(options.sets, there_are, MOST) or (QUICK if options.quick else there_are)
@@ -127,7 +127,7 @@ def building(setting: str, index: int) -> Layout:
 
 
 def visit(task: tuple[str, int]) -> Visit:
-    """Explore one building, from a start that its number draws."""
+    """Explore one building, from a start given by its number."""
     setting, index = task
     layout = building(setting, index)
     env = make(layout=layout, actions="goal", max_steps=MAX_STEPS, start="random", **added(setting))
@@ -146,12 +146,12 @@ def visit(task: tuple[str, int]) -> Visit:
 
 
 def added(setting: str) -> dict[str, Any]:
-    """What a setting adds to the configuration."""
+    """The configuration that a setting adds."""
     return SETTINGS[setting][1] if setting in SETTINGS else {}
 
 
 def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
-    """Write what is needed to look at an episode again."""
+    """Write what is needed to repeat an episode."""
     setting, seed = task
     folder = KEPT / f"{layout.name}_{setting}_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -165,14 +165,14 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
 
 
 def flags(setting: str) -> str:
-    """What a setting adds to the command line of the demo."""
+    """The options of the demo that a setting adds."""
     sections = added(setting).items()
     fields = [(f"{section}.{name}", value) for section, values in sections for name, value in values.items()]
     return "".join(f" --config.{name.replace('_', '-')} {value}" for name, value in fields)
 
 
 def summarise(visits: list[Visit]) -> Figures:
-    """The figures of one preset, each with its 95 % interval."""
+    """Results of one preset, each with its 95 % interval."""
     return (
         outcomes(visits)
         | totals([visit.final for visit in visits])
@@ -184,13 +184,13 @@ def summarise(visits: list[Visit]) -> Figures:
 
 
 def outcomes(visits: list[Visit]) -> Figures:
-    """How the episodes ended."""
+    """Shares of the outcomes of the episodes."""
     ends = {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
     return {"seen": share(visit.seen for visit in visits)} | ends
 
 
 def totals(finals: list[dict[str, float]]) -> Figures:
-    """What was found, how well, at what cost."""
+    """Coverage, precision and cost."""
 
     def of(name: str) -> list[float]:
         return [final[name] for final in finals]
@@ -220,7 +220,7 @@ def totals(finals: list[dict[str, float]]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """A table for each preset, a column a setting; the plans last."""
+    """One table per preset with one column per setting; the plans last."""
     presets = dict.fromkeys(SETTINGS[name][0] if name in SETTINGS else name for name in figures)
     return "\n\n".join([__doc__ or "", *(page(preset, figures) for preset in presets)])
 
@@ -235,7 +235,7 @@ def page(preset: str, figures: Figures) -> str:
 
 
 def title(setting: str) -> str:
-    """A setting as the head of a column."""
+    """The column heading of a setting."""
     people, clutter = added(setting).get("crowd", {}), added(setting).get("clutter", {})
     if people:
         return f"{people['people']} people"
