@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.core.paths import exists, is_folder
 from mecp_env.core.settings import guess
 from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -48,7 +49,7 @@ def expand(word: str, reading: Reading | None = None) -> list[str]:
     series = SERIES.fullmatch(word)
     if series:
         return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
-    if word and Path(word).is_dir():
+    if word and is_folder(word):
         return _files(Path(word), reading or Reading())
     return [word]
 
@@ -89,7 +90,7 @@ def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
     """Raise `ConfigError` if one of the files that will be written is one that these buildings are read from."""
     sources = [source for word in words for source in _sources(Path(word))]
     for path in written:
-        if any(path.exists() and path.samefile(source) for source in sources):
+        if any(exists(path) and path.samefile(source) for source in sources):
             raise ConfigError(f"{path} is what the building is read from and would be overwritten; name another file")
 
 
@@ -98,12 +99,12 @@ def _sources(path: Path) -> list[Path]:
     from mecp_env.floorplans.map_server import image_of
 
     image = image_of(path) if path.suffix.lower() in (".yaml", ".yml") else None
-    return [source for source in (path, image) if source is not None and source.exists()]
+    return [source for source in (path, image) if source is not None and exists(source)]
 
 
 def stem(word: str) -> str:
     """A name for what is kept of a building: `hard-7` for `hard:7`, of a file its name without ending."""
-    return Path(word).stem if Path(word).exists() else word.replace(":", "-")
+    return Path(word).stem if exists(word) else word.replace(":", "-")
 
 
 def counted(layout: Layout) -> str:
@@ -127,7 +128,7 @@ def load(word: str, reading: Reading | None = None) -> Layout:
         return generate(GeneratorSpec.preset(series[1]), int(series[2]))
     if word in shipped_layouts():
         return load_layout(word)
-    if not word or not Path(word).exists():
+    if not word or not exists(word):
         raise _no_such(word)
     from mecp_env.floorplans import load_plan
 

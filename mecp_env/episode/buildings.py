@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.paths import is_folder
 from mecp_env.core.settings import shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
@@ -114,7 +115,7 @@ def _plans(path: Any = None, **reading: Any) -> PlanFiles:
     """The plan at `path`, or all in that folder and those in it, in the order of their paths."""
     place = Path(_path(path))
     images = reading.get("resolution_m") is not None
-    paths = plan_files(place, reading.get("kind"), images) if place.is_dir() else (place,)
+    paths = plan_files(place, reading.get("kind"), images) if is_folder(place) else (place,)
     return PlanFiles(paths, reading)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 from shapely.errors import GEOSException
 
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import exists
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
 from mecp_env.floorplans.files import MAX_JSON_BYTES, read_bytes
@@ -57,7 +58,7 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
         _agreed(kind, "map_server")
         return layout_of(read_map_server(path, options), options)
     if path.suffix.lower() != ".json":
-        if not path.exists():
+        if not exists(path):
             raise LayoutError("no such file or folder")
         raise LayoutError(f"a plan file ends in .json, {', '.join((*YAML, *IMAGES))}, given {path.suffix!r:.80}")
     return _load_json(path, kind, options)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import exists
 from mecp_env.floorplans.files import STRIP_PIXELS, grey, read_image
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
@@ -17,7 +18,7 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     """The floor of an image whose pixels have `options.resolution_m`, brighter than `options.free_above`."""
     if options.resolution_m is None:
         sheet = path.with_suffix(".yaml")
-        beside = f" ({sheet.name} lies beside it)" if sheet.is_file() else ""
+        beside = f" ({sheet.name} lies beside it)" if exists(sheet) else ""
         raise LayoutError(f"resolution_m: metres a pixel are missing; give them, or name a map_server yaml{beside}")
     levels, opaque = grey(read_image(path))
     threshold = otsu(levels) if options.free_above is None else options.free_above

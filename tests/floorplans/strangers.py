@@ -31,7 +31,7 @@ def plan(name: str) -> object:
 
 def costs(reader: Reader, sound: str, paths: Sequence[Path]) -> list[Row]:
     """What each file costs in a process that has read a sound one before, and how long the refusal is."""
-    call = f"import sys; from tests.world import strangers; strangers.main(strangers.{reader.__name__}, *sys.argv[1:])"
+    call = f"import sys; from tests.floorplans.strangers import *; main({reader.__name__}, *sys.argv[1:])"
     run = subprocess.run([sys.executable, "-c", call, sound, *paths], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr[-2000:]
     rows = [line.split(";") for line in run.stdout.splitlines()]

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -290,3 +291,12 @@ def test_any_drawing_becomes_a_sound_layout_or_is_refused(
     path = plans.save(turned, tmp_path_factory.mktemp("drawn") / "plan.png")
     layout = load_plan(path, resolution_m=0.05, free_above=100)
     assert layout.rooms
+
+
+@pytest.mark.parametrize("ending", ["", ".png", ".yaml", ".json"])
+@pytest.mark.parametrize("name", ["x" * 5000, "nul\0byte"])
+def test_a_name_that_no_file_can_have_is_refused(name: str, ending: str) -> None:
+    with pytest.raises(LayoutError, match=r"no such file|cannot be read|resolution_m"):
+        load_plan(name + ending)
+    with pytest.raises(LayoutError, match=r"no such file|cannot be read|resolution_m"):
+        gym.make("mecp_env/FloorPlan-v0", plan=name + ending)
