@@ -106,13 +106,14 @@ class EnvConfig(Settings):
 
     @property
     def estimator_config(self) -> SlamConfig:
-        """`slam` as the estimator gets it: the sensor follows the laser unless set, "known" has its own associator."""
+        """`slam` as the estimator gets it: the sensor follows the laser unless set, "known" merges no landmarks."""
         laser = self.laser
         sensor = {"range_sigma_m": laser.range_sigma_m, "bearing_sigma_deg": laser.bearing_sigma_deg}
         slam = self.slam.model_copy(update={"sensor": following(self.slam.sensor, sensor)})
         if self.estimator != "known":
             return slam
-        return slam.model_copy(update={"association": slam.association.model_copy(update={"method": "known"})})
+        known = slam.association.model_copy(update={"method": "known"})
+        return slam.model_copy(update={"association": known, "tracks": slam.tracks.model_copy(update={"fuse_m": 0.0})})
 
     @property
     def planning_config(self) -> PlanningConfig:

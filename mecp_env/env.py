@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar
 
 import gymnasium
@@ -39,13 +37,13 @@ from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.render.view import View
-from mecp_env.slam.messages import Corners, SlamOutput
+from mecp_env.slam.association import OracleAssociator
+from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
@@ -325,7 +323,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         pose = self._site.T_world_robot
         pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._site.truth, pose, self._site.others())
         for _ in range(SCANS_AT_REST):
-            report = pipeline.start(self._look(pose), identities=self._identities(pose))
+            self._inject_truth(pipeline, pose)
+            report = pipeline.start(self._look(pose))
             metrics.look(self._site.truth, pose, report, self._site.others())
         self._episode = episode = Episode(pipeline, report, metrics)
         self.refresh_goals()
@@ -337,8 +336,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """What SLAM makes of this step; only "known" and "truth" are told anything that is true."""
         odometry, scan = self._sense(motion, T_world_robot)
         exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
-        identities = self._identities(T_world_robot)
-        return episode.pipeline.step(odometry, scan, identities=identities, T_map_robot=exact)
+        self._inject_truth(episode.pipeline, T_world_robot)
+        return episode.pipeline.step(odometry, scan, T_map_robot=exact)
 
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
@@ -349,11 +348,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         odometry = measure(motion, self.config.odometry, self.np_random)
         return odometry, self._look(T_world_robot)
 
-    def _identities(self, T_world_robot: Array) -> Callable[[Corners], Ints] | None:
-        """How to identify corners, where the estimator is told."""
-        if self.config.estimator != "known":
-            return None
-        return partial(self._site.truth.identify, T_world_robot=T_world_robot, others=self._site.others())
+    def _inject_truth(self, pipeline: SlamPipeline, T_world_robot: Array) -> None:
+        """With the estimator "known", give the associator the true correspondences of the next scan."""
+        if self.config.estimator == "known":
+            assert isinstance(pipeline.associator, OracleAssociator)
+            source = self._site.truth.correspondences(T_world_robot, self._site.others())
+            pipeline.associator.correspondences = source
 
     def _find_goals(self, episode: Episode) -> None:
         """Look for goals anew when the map changed, at most every few steps, and at once when none is left."""

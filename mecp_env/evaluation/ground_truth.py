@@ -40,16 +40,33 @@ class Others(NamedTuple):
 NOBODY = Others(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
 
 
-def identify(corners: Corners, T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> Ints:
-    """(n,) index of the true corner that each corner of a scan is, or -1 for a spurious one.
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueCorrespondences:
+    """Which true corner each corner of a scan is, seen from a true pose; plain data."""
 
-    The nearest true corner that is visible from the true pose, past whoever stands there, and within 0.3 m, one to one.
-    Those of boxes come after those of the building.
-    """
+    T_world_robot: Array  # (3,)
+    p_world: Array  # (C,2) m, true corners: those of boxes come after those of the building
+    segments: Array  # (S,2,2) m, world: what may hide them
+
+    def __call__(self, corners: Corners) -> Ints:
+        """(n,) index of the true corner of each corner, or -1 for a spurious one.
+
+        The nearest true corner that is visible from the pose and within 0.3 m, one to one.
+        """
+        return kernels.identify_corners(corners.z, self.T_world_robot, self.p_world, self.segments, IDENTITY_GATE_M)
+
+
+def true_correspondences(T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> TrueCorrespondences:
+    """The correspondences of a scan taken at a pose (3,) in the building, with what moves in it."""
     true, segments = outline.corners.p_world, outline.segments
     if len(others.faces):
         true, segments = np.concatenate([true, others.corners]), np.concatenate([segments, others.faces])
-    return kernels.identify_corners(corners.z, T_world_robot, true, segments, IDENTITY_GATE_M)
+    return TrueCorrespondences(T_world_robot, true, segments)
+
+
+def identify(corners: Corners, T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> Ints:
+    """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""
+    return true_correspondences(T_world_robot, outline, others)(corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +125,10 @@ class Truth:
         level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
         scan = self.laser.scan(level, NO_NOISE)
         return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
+
+    def correspondences(self, T_world_robot: Array, others: Others = NOBODY) -> TrueCorrespondences:
+        """Which true corner each corner of a scan is, for a scan taken at a pose (3,)."""
+        return true_correspondences(T_world_robot, self.outline, others)
 
     def identify(self, corners: Corners, T_world_robot: Array, others: Others = NOBODY) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""

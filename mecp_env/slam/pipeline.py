@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import inside_polygon
-from mecp_env.slam.association import Associator, OracleAssociator, ignored, make_associator
+from mecp_env.slam.association import ignored, make_associator
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import make_filter
@@ -48,13 +47,12 @@ from mecp_env.slam.messages import (
     Sighting,
     SlamOutput,
 )
-from mecp_env.slam.protocols import Filter, FilterError
+from mecp_env.slam.protocols import Associator, Filter, FilterError
 from mecp_env.slam.rooms.doors import forget_jambs, rename_jambs
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Identities = Callable[[Corners], Ints]
 
 
 @dataclass(slots=True, eq=False)
@@ -62,8 +60,8 @@ class SlamPipeline:
     """EKF-SLAM with MECP data association over odometry and laser scans.
 
     The map frame is the robot's pose when `start` is called. `step` takes one control step. `config` may be a dict.
-    Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then. Put an
-    associator of your own into `associator`; `MatchError` says what is wrong with a match that it gave.
+    Both raise `SensorError` for a scan or a reading that is not what it must be; nothing is changed then. Set
+    `associator` to an `Associator` of your own; `MatchError` names what is wrong with a match that it returns.
     """
 
     config: SlamConfig
@@ -91,24 +89,16 @@ class SlamPipeline:
         self.step_count = 0
         self.diverged = False
 
-    def start(self, scan: Scan, *, identities: Identities | None = None) -> SlamOutput:
+    def start(self, scan: Scan) -> SlamOutput:
         """The report of a scan taken at rest: the first ones belong to the start pose, before any motion."""
         check_scan(scan)
         self.step_count += 1
-        return self._observe(scan, identities)
+        return self._observe(scan)
 
-    def step(
-        self,
-        odometry: Odometry,
-        scan: Scan,
-        *,
-        identities: Identities | None = None,
-        T_map_robot: Array | None = None,
-    ) -> SlamOutput:
+    def step(self, odometry: Odometry, scan: Scan, *, T_map_robot: Array | None = None) -> SlamOutput:
         """The report of one control step: the motion, then the scan at its end.
 
-        `identities` (true corner of each corner) serves `method="known"` alone; `T_map_robot`, the true pose, replaces
-        the estimate where an upper bound is wanted.
+        `T_map_robot`, the true pose, replaces the estimate where an upper bound is wanted.
         """
         check_odometry(odometry)
         check_scan(scan)
@@ -116,7 +106,7 @@ class SlamPipeline:
         self.filter.predict(odometry)
         if T_map_robot is not None:
             self.filter.set_pose(T_map_robot)
-        return self._observe(scan, identities)
+        return self._observe(scan)
 
     def visible_landmarks(self, p_map: Array) -> Ints:
         """Ids of the landmarks that can be seen from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
@@ -130,7 +120,7 @@ class SlamPipeline:
                 visible.update(ids if inside_polygon(float(p_map[0]), float(p_map[1]), ring) else ())
         return np.array(sorted(visible), np.int64)
 
-    def _observe(self, scan: Scan, identities: Identities | None) -> SlamOutput:
+    def _observe(self, scan: Scan) -> SlamOutput:
         config = self.config
         beams = merge_sweeps(scan, config.sensor)  # III-A.1, dense scan
         clusters = cluster_beams(beams, config.clustering, config.sensor)  # III-A.1
@@ -140,7 +130,6 @@ class SlamPipeline:
         predicted = self.filter.belief()
         corners, through = self.rooms.mark_beyond(corners, predicted)
         polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
-        self._tell_identities(corners, identities)
         match = self._localise(corners, polygons, predicted, through)  # III-B
         belief = self._watched(self.filter.belief())
         # Differs from the paper: its world is static; what stands on floor seen free before moves, and is not mapped.
@@ -176,10 +165,6 @@ class SlamPipeline:
         forget_jambs(self.rooms.book, gone)
         self.polygons.prune(self.features, self.rooms.graph())
         return self.filter.belief()
-
-    def _tell_identities(self, corners: Corners, identities: Identities | None) -> None:
-        if isinstance(self.associator, OracleAssociator):
-            self.associator.identities = np.full(len(corners), -1) if identities is None else identities(corners)
 
     def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], predicted: Belief, through: Ints) -> Match:
         """Recognise corners and correct the filter by them; a covariance no longer positive means divergence."""
@@ -237,8 +222,8 @@ class SlamPipeline:
         dead = forget(self.features, self.step_count, self.config.tracks)
         room = self.rooms.current
         match, ripe = record_sightings(self.features, corners, match, belief, room, self.config.tracks)
-        self._remember_births(match)
         self._adopt(corners, match, ripe)
+        self.associator.remember(match)
         mark_seen(self.features, match.ids, self.step_count)
         belief = self.filter.belief() if len(ripe) else belief
         seen = Sighting(corners, match, through, belief, self.step_count)
@@ -257,11 +242,6 @@ class SlamPipeline:
         self.diverged |= not max(x, y) < self.config.filter.diverged_sigma_m**2
         return belief
 
-    def _remember_births(self, match: Match) -> None:
-        if isinstance(self.associator, OracleAssociator):
-            for i in np.flatnonzero(match.decision == int(Decision.NEW)):
-                self.associator.born(int(i), int(match.ids[i]))
-
     def _adopt(self, corners: Corners, match: Match, ripe: Ints) -> None:
         """Tracks seen often enough become landmarks, from this sighting alone: earlier ones were not kept.
 
@@ -276,8 +256,7 @@ class SlamPipeline:
 
     def _duplicate(self, match: Match, belief: Belief) -> tuple[int, int] | None:
         """Two landmarks that are one corner, older and younger."""
-        known = self.config.association.method == "known"
-        return None if known else find_duplicate(self.features, belief, match, self.config.tracks)
+        return find_duplicate(self.features, belief, match, self.config.tracks)
 
     def _fuse(self, match: Match, pair: tuple[int, int] | None) -> Match:
         """Make one landmark of two that are one corner; the match names the one that is kept."""

@@ -1,4 +1,7 @@
-"""What stages may know of each other: the filter. World coordinates outside, stable ids; slots are its own business."""
+"""What the stages of the estimator know of each other: associator and filter.
+
+A filter takes and gives world coordinates and stable ids; how it stores them is private to it.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from typing import Protocol, Self
 
 from mecp_env.core.errors import MecpError
 from mecp_env.core.messages import Odometry
-from mecp_env.slam.messages import Array, Belief, Ints
+from mecp_env.slam.messages import Array, Belief, Corners, Ints, MapView, Match, Polygon
 
 
 class FilterError(MecpError):
@@ -67,3 +70,17 @@ class Filter(Protocol):
 
     def set_pose(self, T_map_robot: Array) -> None:
         """The pose is exactly this (estimator "truth"); the landmarks keep their covariance."""
+
+
+class Associator(Protocol):
+    """Decides for each corner of a scan which landmark it is, if any. Derive from this class to get the defaults."""
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """A new match with one decision per corner; the map and the filter stay as they are.
+
+        The pipeline raises `MatchError` for columns of another length or type and for ids that were never given out.
+        Name a landmark at most once.
+        """
+
+    def remember(self, match: Match) -> None:
+        """Called once per scan, after tracks and landmarks were initialised: `match` has the ids of new features."""

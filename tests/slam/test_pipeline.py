@@ -13,6 +13,7 @@ from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.protocols import Associator
 from tests.slam.drives import scripted_drive
 
 SENSORS = {
@@ -162,8 +163,8 @@ def test_true_identities_are_the_upper_bound(drive):
         def tell(corners, pose=pose):
             return identify(corners, pose, drive.outline)
 
-        start = pipeline.start(scan, identities=tell) if odometry is None else None
-        report = start or pipeline.step(odometry, scan, identities=tell)
+        pipeline.associator.correspondences = tell
+        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
         for i in np.flatnonzero(report.match.decision == int(Decision.LANDMARK)):
             owners[int(report.match.ids[i])].add(int(tell(report.corners)[i]))
     assert all(len(corners) == 1 for corners in owners.values())
@@ -245,7 +246,7 @@ def test_landmarks_beyond_the_capacity_are_counted(drive):
     assert pipeline.filter.dropped > 0
 
 
-class Foreign:
+class Foreign(Associator):
     """An associator that answers with what it was given."""
 
     def __init__(self, answer):

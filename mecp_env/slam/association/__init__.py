@@ -3,13 +3,14 @@
 from collections.abc import Callable
 
 from mecp_env.core.registry import register
-from mecp_env.slam.association.base import Associator, ignored, undecided
+from mecp_env.slam.association.base import ignored, undecided
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.association.oracle import OracleAssociator
 from mecp_env.slam.association.single_corners import settle
 from mecp_env.slam.config import METHODS, AssociationConfig
+from mecp_env.slam.protocols import Associator
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,

@@ -1,35 +1,22 @@
-"""What all associators share: the interface, gates, the corner signature, one-to-one pairing (III-B)."""
+"""What all associators share: gates, the corner signature, one-to-one pairing (III-B)."""
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.messages import NO_ID, Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.messages import NO_ID, Decision, Match, Reason
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 NEW, IGNORED = int(Decision.NEW), int(Decision.IGNORED)
 UNSEEN, AMBIGUOUS = int(Reason.UNSEEN), int(Reason.AMBIGUOUS)
-
-
-class Associator(Protocol):
-    """Decides for each corner of a scan which landmark it is, if any."""
-
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision a corner; nothing is written to the map or the filter.
-
-        `undecided` makes the match to fill in: ids (n,), `Decision` and `Reason` (n,), NIS (n,). The pipeline raises
-        `MatchError` for columns of another length or type and for ids that were never given out. Name a landmark once.
-        """
 
 
 @lru_cache

@@ -15,7 +15,7 @@ from mecp_env.slam.association.polygon_matching import RingMatch, match_rings
 from mecp_env.slam.association.single_corners import pairing_table, pairs_beside_ring, settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.protocols import Associator, Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ POLYGON, JOINT, AMBIGUOUS = int(Reason.POLYGON), int(Reason.JOINT), int(Reason.A
 
 
 @dataclass(slots=True, eq=False)
-class MecpAssociator:
+class MecpAssociator(Associator):
     """Polygons first, globally; then everything else jointly, within the room where rooms are used."""
 
     config: AssociationConfig

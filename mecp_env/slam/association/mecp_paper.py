@@ -13,14 +13,14 @@ from mecp_env.slam.association.polygon_matching import known_rings
 from mecp_env.slam.association.single_corners import pairing_table
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.protocols import Associator, Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True, eq=False)
-class MecpPaperAssociator:
+class MecpPaperAssociator(Associator):
     """Polygon centres by the paper's covariance (eq. 3), two vertices by NIS, the rest implicitly; then the room."""
 
     config: AssociationConfig

@@ -10,11 +10,11 @@ from mecp_env.slam.association.base import chi2_gate, one_to_one, undecided
 from mecp_env.slam.association.single_corners import settle
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.protocols import Associator, Filter
 
 
 @dataclass(slots=True, eq=False)
-class NearestAssociator:
+class NearestAssociator(Associator):
     """No polygons, no rooms, no signature: the smallest Mahalanobis distance inside the gate, each landmark once."""
 
     config: AssociationConfig

@@ -1,35 +1,53 @@
-"""Association by true identities, handed in from outside: the upper bound (estimator="known")."""
+"""Known correspondences: association from ground truth, an upper bound (estimator="known")."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mecp_env.slam.association.base import undecided
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, Ints, MapView, Match, Polygon, Reason
+from mecp_env.slam.protocols import Associator, Filter
+
+
+class Correspondences(Protocol):
+    """Ground truth about the corners of one scan."""
+
+    def __call__(self, corners: Corners) -> Ints:
+        """(n,) number of the true corner that each corner of the scan is, -1 for a false detection."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoCorrespondences:
+    """Every corner is a false detection: what an `OracleAssociator` knows until it is given a source."""
+
+    def __call__(self, corners: Corners) -> Ints:
+        """(n,) of -1."""
+        return np.full(len(corners), -1)
 
 
 @dataclass(slots=True, eq=False)
-class OracleAssociator:
-    """Pairs each corner with the feature first born from the same true corner; the caller tells who is who.
+class OracleAssociator(Associator):
+    """Pairs each corner with the feature that was initialised from the same true corner.
 
-    `identities` (n,) is set before each scan by whoever knows the truth: the true corner of each corner, -1 for none.
+    Whoever knows the truth sets `correspondences` before each scan; it must be plain data to be part of a state.
     """
 
     config: AssociationConfig
-    identities: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    correspondences: Correspondences = field(default_factory=NoCorrespondences)
+    true_corner: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) of each corner of the last scan
     feature_of: dict[int, int] = field(default_factory=dict)  # true corner -> feature id
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision a corner: its landmark or track if the true corner has one, new otherwise."""
+        """One decision per corner: its landmark or track if the true corner has one, new otherwise."""
         match = undecided(len(corners))
-        for i, identity in enumerate(self.identities.tolist()):
-            feature = self.feature_of.get(identity, NO_ID)
-            if identity < 0 or (corners.beyond[i] >= 0 and feature == NO_ID):
+        self.true_corner = self.correspondences(corners)
+        for i, true_corner in enumerate(self.true_corner.tolist()):
+            feature = self.feature_of.get(true_corner, NO_ID)
+            if true_corner < 0 or (corners.beyond[i] >= 0 and feature == NO_ID):
                 match.decision[i], match.reason[i] = int(Decision.IGNORED), int(Reason.IDENTITY)
             elif feature != NO_ID and view.features.state[feature] != int(FeatureState.DEAD):
                 state = view.features.state[feature]
@@ -39,6 +57,7 @@ class OracleAssociator:
                 match.reason[i] = int(Reason.IDENTITY)
         return match
 
-    def born(self, corner: int, feature: int) -> None:
-        """Remember that corner `corner` of the last scan became the new feature `feature`."""
-        self.feature_of[int(self.identities[corner])] = feature
+    def remember(self, match: Match) -> None:
+        """Note which new feature was initialised from which true corner."""
+        new = match.decision == int(Decision.NEW)
+        self.feature_of.update(zip(self.true_corner[new].tolist(), match.ids[new].tolist(), strict=True))
