@@ -126,7 +126,7 @@ def without_furniture(area: Polygon) -> Polygon:
 
 
 def is_furniture(island: Polygon) -> bool:
-    """Whether what stands on the floor is no wall."""
+    """True when an island in the floor is furniture, not a wall."""
     around = np.array(shapely.minimum_rotated_rectangle(island).exterior.coords)
     sides = np.hypot(*np.diff(around, axis=0).T)
     full = island.area >= FURNITURE_FILL * sides[0] * sides[1] and sides.min() >= FURNITURE_M[0]

@@ -1,4 +1,4 @@
-"""Files of strangers: how large, where, and what is in them, before anything is decoded."""
+"""Untrusted files: size, header and contents are checked before anything is decoded."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def _labels(image: Image.Image) -> Labels:
 
 
 def _number_patches(labels: Labels, here: NDArray[np.bool_], last: int) -> int:
-    """Give each patch of `here` (h,w) a number of its own above `last`, in place, small ones stay walls; the last."""
+    """The last number given: each patch of `here` (h,w) gets one above `last`, in place; small patches stay walls."""
     patches, _ = ndimage.label(here)
     sizes = np.bincount(patches.ravel())
     sizes[0] = 0

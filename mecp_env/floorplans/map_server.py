@@ -82,7 +82,7 @@ def _check_events(text: str) -> None:
 
 
 def _check_keys(text: str) -> None:
-    """No field of the file, or of a mapping in it, is given twice: which of the two is meant nobody can tell."""
+    """Raise LayoutError for a field that the file, or a mapping in it, gives twice: which one is meant is unknown."""
     left = [yaml.compose(text, Loader=yaml.SafeLoader)]
     while left:
         node = left.pop()

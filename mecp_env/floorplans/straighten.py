@@ -164,7 +164,7 @@ def _rings(area: Polygon) -> list[Array]:
 
 
 def _from_corners(area: Polygon, noise_m: float) -> Polygon:
-    """`area`, the outline counter-clockwise, with rings that begin where their longest edge begins.
+    """`area`, the outline counter-clockwise, with rings that start where their longest edge starts.
 
     A ring that begins amid an edge has a corner there that is none; the end of a wall would be cut in two.
     """

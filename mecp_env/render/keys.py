@@ -1,4 +1,4 @@
-"""The strip below a frame that says what the keys do."""
+"""The strip below a frame with the meaning of each key."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from mecp_env.slam.messages import Cell, SemanticGrid
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend says so
+ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
 
 
 def draw_world(brush: Brush, view: View, box: Box) -> None:
@@ -71,7 +71,7 @@ def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Came
 
 
 def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Image:
-    """The semantic grid as seen by the camera, one colour a room, uint8 (box height, box width, 3)."""
+    """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3)."""
     colours = _cell_colours(grid)
     across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
     pixels = np.column_stack([box.left + across.ravel(), box.top + down.ravel()])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 
-UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; nobody sees their windows
+UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; their windows are not visible
 FIX = "start it on a desktop or with DISPLAY set (ssh -X, xvfb-run), or do without the window"
 
 

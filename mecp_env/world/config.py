@@ -95,18 +95,18 @@ class OdometryConfig(Settings):
 
 
 class CrowdConfig(Settings):
-    """People: round, each with a size and a speed of its own, who walk from room to room along shortest ways."""
+    """People: round, each with its own size and speed, who walk from room to room along shortest ways."""
 
-    people: int = Field(0, ge=0, le=50)  # as many as find room; `summary()` tells how many there are
+    people: int = Field(0, ge=0, le=50)  # at most; fewer where there is no room for them, see `summary()`
     radius_m: Sizes = (0.2, 0.3)
     speed_m_s: Speeds = (0.3, 1.2)
-    pause_s: Times = (0.0, 5.0)  # how long one stands where he wanted to go
-    polite: bool = True  # they make way for each other and for the robot; else they walk until they bump
+    pause_s: Times = (0.0, 5.0)  # how long a person stands at a destination
+    polite: bool = True  # they avoid each other and the robot; else they walk until they touch it
 
 
 class ClutterConfig(Settings):
     """What else is not as the plan has it: boxes that the robot can push, doors that are closed for an episode."""
 
-    movable_boxes: int = Field(0, ge=0, le=50)  # as many as find room; `summary()` tells how many there are
+    movable_boxes: int = Field(0, ge=0, le=50)  # at most; fewer where there is no room for them, see `summary()`
     box_m: Sizes = (0.3, 0.6)  # length of a side
     closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door that is not at the start

@@ -73,7 +73,7 @@ class Door(_Part):
     centre: Point  # on the middle line of a wall; the middle of a gap
     width_m: Annotated[float, Strict(), Field(ge=0.1, le=20.0)] = 0.9
     rooms: tuple[Name, Name]
-    direction_deg: Degrees  # heading of somebody who walks from the first room to the second
+    direction_deg: Degrees  # heading of a walk from the first room to the second
     opening: Literal["cut", "gap"] = "cut"
     depth_m: Annotated[float, Strict(), Field(ge=0.01, le=5.0)] | None = None  # of a gap: how thick its wall is
 

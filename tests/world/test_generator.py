@@ -258,9 +258,9 @@ def test_what_no_building_can_be_is_refused() -> None:
         generate({"loops": 9})
     with pytest.raises(ConfigError, match="max_doors: 1, too few to join 8 rooms"):
         generate({"max_doors": 1})
-    with pytest.raises(ConfigError, match=r"difficulty: 'medum' is none of .*; did you mean 'medium'"):
+    with pytest.raises(ConfigError, match=r"difficulty: 'medum' is not one of .*; did you mean 'medium'"):
         GeneratorSpec.preset("medum")
-    with pytest.raises(ConfigError, match=r"split: 'tests' is none of .*; did you mean 'test'"):
+    with pytest.raises(ConfigError, match=r"split: 'tests' is not one of .*; did you mean 'test'"):
         split_seed("tests", 0)
     with pytest.raises(ConfigError, match="difficulty"):
         GeneratorSpec.preset("brutal")

@@ -21,7 +21,7 @@ class Opening(NamedTuple):
     centre: Point
     width: float  # m
     rooms: tuple[int, int]
-    heading: float  # rad, of somebody who walks from the first room to the second
+    heading: float  # rad, of a walk from the first room to the second
 
 
 def plan_doors(

@@ -103,11 +103,11 @@ class Room:
         self.low, self.high = self.ring.min(axis=0), self.ring.max(axis=0)
 
     def put_all(self, kinds: list[str], rng: np.random.Generator) -> list[str]:
-        """Put pieces where they are in nobody's way; those for which no such place was found."""
+        """The pieces for which no free place was found; all others are placed where they block no passage."""
         return [kind for kind in kinds if not self.put(kind, rng)]
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
-        """Put a piece where it is in nobody's way; False where no such place was found."""
+        """Place a piece where it blocks no passage; False where no such place was found."""
         places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _standing(kind, self, rng)
         fits = np.flatnonzero(_is_clear(places, self))
         if not len(fits):

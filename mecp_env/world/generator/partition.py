@@ -13,7 +13,7 @@ from mecp_env.world.generator.spec import ROOMS_OF, GeneratorSpec
 
 GRID_M = 0.05  # walls lie on multiples of this
 CUTS = 20  # through one rectangle that are looked at,
-ATTEMPTS = 3  # and followed, before the one around it is cut anew
+ATTEMPTS = 3  # and followed, before the one around it is cut again
 CORRIDOR_M = 1.8  # wide, for a first guess of the plot
 LONGEST = 3.0  # times as long as wide a room may be
 NARROWEST_M = 2.6  # of a room
@@ -41,7 +41,7 @@ class Rect(NamedTuple):
 
 
 class Item(NamedTuple):
-    """What shall get a rectangle of its own: a room, a shaped room with those in its notches, or a yard."""
+    """What gets its own rectangle: a room, a shaped room with those in its notches, or a yard."""
 
     shape: str
     area: float  # m^2

@@ -21,7 +21,7 @@ Turn = Annotated[float, Field(ge=-180.0, le=180.0)]
 
 ROOMS_OF = {"rectangle": 1, "L": 2, "U": 2, "T": 3, "yard": 0}  # a shape with those that fill its notches
 
-# seeds of the buildings; whoever reports results trains on the first, chooses on the second, reports the third
+# seeds of the buildings; train on the first, select on the second, report on the third
 SPLITS: dict[str, range] = {
     "train": range(1_000_000),
     "validation": range(1_000_000, 1_001_000),
@@ -66,7 +66,7 @@ class GeneratorSpec(Settings):
         """The specification of a difficulty, with `fields` over it. Raises `ConfigError` for an unknown one."""
         if difficulty not in DIFFICULTIES:
             raise ConfigError(
-                f"difficulty: {difficulty!r:.80} is none of {', '.join(DIFFICULTIES)}{guess(difficulty, DIFFICULTIES)}"
+                f"difficulty: {difficulty!r:.80} is not one of {', '.join(DIFFICULTIES)}{guess(difficulty, DIFFICULTIES)}"
             )
         return cls(**(DIFFICULTIES[difficulty] | fields))
 
@@ -140,8 +140,8 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
 
 
 def unknown_split(split: object) -> str:
-    """What to say about an unknown split."""
-    return f"split: {split!r:.80} is none of {', '.join(SPLITS)}{guess(split, SPLITS)}"
+    """The message for an unknown split."""
+    return f"split: {split!r:.80} is not one of {', '.join(SPLITS)}{guess(split, SPLITS)}"
 
 
 def split_seed(split: str, index: int) -> int:
