@@ -65,9 +65,8 @@ class GeneratorSpec(Settings):
     def preset(cls, difficulty: str = "medium", **fields: Any) -> Self:
         """The specification of a difficulty, with `fields` over it. Raises `ConfigError` for an unknown one."""
         if difficulty not in DIFFICULTIES:
-            raise ConfigError(
-                f"difficulty: {difficulty!r:.80} is not one of {', '.join(DIFFICULTIES)}{guess(difficulty, DIFFICULTIES)}"
-            )
+            known, nearest = ", ".join(DIFFICULTIES), guess(difficulty, DIFFICULTIES)
+            raise ConfigError(f"difficulty: {difficulty!r:.80} is not one of {known}{nearest}")
         return cls(**(DIFFICULTIES[difficulty] | fields))
 
     def drawn_thickness_m(self, rng: np.random.Generator) -> float:
