@@ -17,7 +17,7 @@ def frame(step: int) -> np.ndarray:
     return picture
 
 
-@pytest.mark.parametrize("periods", [3, 41, 1000])
+@pytest.mark.parametrize("steps", [3, 41, 1000])
 def test_a_film_has_bounded_length_and_even_spacing(steps: int) -> None:
     film, drawn = Film(most_frames=20, every=2), []
     for step in range(steps):
