@@ -12,7 +12,7 @@ from mecp_env.config import EnvConfig
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.env import MecpEnv
-from mecp_env.evaluation.ground_truth import Truth
+from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.config import SlamConfig
@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 class Drive:
     """The sensor data of one episode; the first scans are taken at rest, before any odometry."""
 
-    truth: Truth
+    truth: GroundTruth
     slam: SlamConfig  # the estimator during the drive
     odometry: list[Odometry | None]
     scans: list[Scan]
@@ -51,7 +51,7 @@ class RecordingEnv(MecpEnv):
 
     def __init__(self, config: EnvConfig | dict[str, Any] | None = None, **keywords: Any) -> None:
         super().__init__(config, **keywords)
-        self.drive = Drive(self._site.truth, self._slam, [], [], [])
+        self.drive = Drive(self._true_world.truth, self._slam, [], [], [])
 
     def _look(self, T_world_robot: Array) -> Scan:
         scan = super()._look(T_world_robot)
@@ -87,12 +87,12 @@ def replay(drive: Drive, slam: SlamConfig) -> Replay:
     T_map_world = inverse(drive.T_world_robot[0])
     errors, nees = [], []
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        log.record(report, drive.truth.identify(report.corners, T_world_robot))
-        error = compose(T_map_world, T_world_robot) - report.belief.T_map_robot
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        log.record(output, drive.truth.identify(output.corners, T_world_robot))
+        error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         errors.append(float(np.hypot(error[0], error[1])))
-        nees.append(float(error @ np.linalg.solve(report.belief.pose_cov, error)))
-        if report.diverged:
+        nees.append(float(error @ np.linalg.solve(output.belief.pose_cov, error)))
+        if output.diverged:
             break
-    return Replay(log, np.array(errors), np.array(nees), log.duplicates(report.belief.ids), report.diverged)
+    return Replay(log, np.array(errors), np.array(nees), log.duplicates(output.belief.ids), output.diverged)

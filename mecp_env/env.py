@@ -23,20 +23,20 @@ from mecp_env.episode.episode import (
     PARTS,
     STATE_FORMAT,
     STATE_VERSION,
-    Episode,
+    EpisodeState,
     check_parts,
     check_state,
     goals_key,
     nearest_goal,
 )
 from mecp_env.episode.observations import Observer
-from mecp_env.episode.rewards import TERMS, Moment, events, quantities, remember, weigh
+from mecp_env.episode.rewards import TERMS, RewardInputs, apply_weights, events, measured_terms, remember
 from mecp_env.episode.start import parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
-from mecp_env.render.view import View
+from mecp_env.render.view import SceneView
 from mecp_env.slam.association import OracleAssociator
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
@@ -65,7 +65,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Action Space
 
-    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, the shares of the largest speed (0.75 m/s) and of
+    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, the fractions of the largest speed (0.75 m/s) and of
       the largest turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (the turns at half of the largest rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
@@ -131,13 +131,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
         self.config = EnvConfig.build(config, **keywords)
         self.render_mode = render_mode
-        self._site = TrueWorld(self.config)
-        self._start = self._site.check_start(self.config.start)
+        self._true_world = TrueWorld(self.config)
+        self._start = self._true_world.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
         self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
-        self._episode: Episode | None = None
+        self._episode: EpisodeState | None = None
         self._screen: Any = None
         self._window: Any = None
         self._spec: EnvSpec | None = None
@@ -152,26 +152,26 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         other option, a pose that is not free, a building that there is not; nothing is changed then.
         """
         given = parse_options(options)
-        building = self._site.check_building(given.get("building"))
-        start = self._site.check_start(given.get("start", self._start))
+        building = self._true_world.check_building(given.get("building"))
+        start = self._true_world.check_start(given.get("start", self._start))
         super().reset(seed=seed)
-        self._site.begin(building, start, self.np_random)
+        self._true_world.begin(building, start, self.np_random)
         self._observer = self._new_observer()
         episode = self._begin()
         observation = self._observe(episode)
         self._show()
-        return observation, self._info(episode, self._site.T_world_robot, dict.fromkeys(TERMS, 0.0))
+        return observation, self._info(episode, self._true_world.T_world_robot, dict.fromkeys(TERMS, 0.0))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step: observation, reward, terminated, truncated, info.
 
         Raises `ActionError`; the environment is then as it was. Raises `ResetNeeded` before `reset` and after the end.
         """
-        shares = self._actions.shares(action)
+        command = self._actions.command(action)
         episode = self._running()
-        motion = self._site.drive(shares)
-        pose = self._site.T_world_robot
-        episode.report = self._estimate(episode, motion, pose)
+        motion = self._true_world.drive(command)
+        pose = self._true_world.T_world_robot
+        episode.slam_output = self._estimate(episode, motion, pose)
         self._find_goals(episode)
         self._compare(episode, motion, pose)
         terminated, truncated = self._ends(episode)
@@ -204,11 +204,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "format": STATE_FORMAT,
             "version": STATE_VERSION,
             "config": self.config.to_json(),
-            "building": self._site.building,
+            "building": self._true_world.building,
             "random": generator_data(self.np_random),
             "seed": self._np_random_seed,
-            "simulation": encode(self._site.simulation.get_state()),
-            "moving": encode(self._site.movers.state),
+            "simulation": encode(self._true_world.simulation.get_state()),
+            "moving": encode(self._true_world.movers.state),
             "episode": encode(self._episode),
         }
 
@@ -221,37 +221,37 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
         """
         check_state(state, self.config)
-        building = self._site.building_of(state)
+        building = self._true_world.building_of(state)
         generator = make_generator(state["random"])
         body, moving, episode = (decode(state[part]) for part in PARTS)
         check_parts(state["seed"], body, moving, episode, SlamPipeline(self._slam))
-        self._site.restore(building, moving, body)
+        self._true_world.restore(building, moving, body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
 
-    def view(self) -> View:
+    def view(self) -> SceneView:
         """The present moment as plain data for a picture: truth and belief."""
         episode = self._started()
-        return View(
-            segments=self._site.outline.segments,
-            T_world_robot=self._site.T_world_robot,
-            moving=self._site.movers.faces,
+        return SceneView(
+            segments=self._true_world.outline.segments,
+            T_world_robot=self._true_world.T_world_robot,
+            moving=self._true_world.movers.faces,
             T_world_map=episode.metrics.T_world_map,
             path_world=episode.path_world.points[: episode.path_world.count].copy(),
             path_map=episode.path_map.points[: episode.path_map.count].copy(),
-            report=episode.report,
+            slam_output=episode.slam_output,
             robot_radius_m=self.config.robot.radius_m,
             p_goals=episode.goals.p_map,
             goal_kinds=np.asarray(episode.goals.kind, np.int64),
             target=nearest_goal(episode.goals, episode.target),
-            title=f"{self._site.outline.name}, {self.config.estimator}, step {episode.metrics.steps}",
-            metrics=figures(episode.metrics, self._site.truth, episode.report),
+            title=f"{self._true_world.outline.name}, {self.config.estimator}, step {episode.metrics.steps}",
+            metrics=figures(episode.metrics, self._true_world.truth, episode.slam_output),
         )
 
     @property
-    def report(self) -> SlamOutput:
+    def slam_output(self) -> SlamOutput:
         """What the estimator saw and decided in the last step."""
-        return self._started().report
+        return self._started().slam_output
 
     @property
     def goals(self) -> Goals:
@@ -265,7 +265,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
         """Remember how a drive to a goal ended, and look for goals anew."""
         episode = self._started()
-        episode.book.record(goals, row, ended, self._planning.goals)
+        episode.goal_history.record(goals, row, ended, self._planning.goals)
         episode.target = None
         self.refresh_goals()
 
@@ -276,7 +276,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def summary(self) -> dict[str, float]:
         """The figures of the episode so far, from ground truth (see `EpisodeMetrics.summary`, `TrueWorld.counts`)."""
         episode = self._started()
-        return episode.metrics.summary(self._site.truth, episode.report) | self._site.counts()
+        return episode.metrics.summary(self._true_world.truth, episode.slam_output) | self._true_world.counts()
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -303,13 +303,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         if state["state"] is not None:
             self.set_state(state["state"])
 
-    def _running(self) -> Episode:
+    def _running(self) -> EpisodeState:
         episode = self._started()
         if episode.over:
             raise ResetNeeded("step() after the end of the episode; call reset()")
         return episode
 
-    def _started(self) -> Episode:
+    def _started(self) -> EpisodeState:
         if self._episode is None:
             raise ResetNeeded("call reset() first")
         return self._episode
@@ -318,21 +318,24 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         parts = self.config.observation
         return Observer(parts.map, self.config.laser.beams if parts.scan else 0, self.config.laser.max_range_m)
 
-    def _begin(self) -> Episode:
+    def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
-        pose = self._site.T_world_robot
-        pipeline, metrics = SlamPipeline(self._slam), EpisodeMetrics.begin(self._site.truth, pose, self._site.others())
+        pose = self._true_world.T_world_robot
+        pipeline, metrics = (
+            SlamPipeline(self._slam),
+            EpisodeMetrics.begin(self._true_world.truth, pose, self._true_world.obstacles()),
+        )
         for _ in range(SCANS_AT_REST):
             self._inject_truth(pipeline, pose)
-            report = pipeline.start(self._look(pose))
-            metrics.look(self._site.truth, pose, report, self._site.others())
-        self._episode = episode = Episode(pipeline, report, metrics)
+            output = pipeline.start(self._look(pose))
+            metrics.look(self._true_world.truth, pose, output, self._true_world.obstacles())
+        self._episode = episode = EpisodeState(pipeline, output, metrics)
         self.refresh_goals()
-        remember(episode.memory, self._moment(episode), self.config.reward)
+        remember(episode.memory, self._reward_inputs(episode), self.config.reward)
         self._follow(episode, pose)
         return episode
 
-    def _estimate(self, episode: Episode, motion: Motion, T_world_robot: Array) -> SlamOutput:
+    def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
         """What SLAM makes of this step; only "known" and "truth" are told anything that is true."""
         odometry, scan = self._sense(motion, T_world_robot)
         exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
@@ -341,7 +344,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
-        return self._site.look(T_world_robot, self.np_random)
+        return self._true_world.look(T_world_robot, self.np_random)
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
         """What odometry and laser measure of a step."""
@@ -352,93 +355,93 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """With the estimator "known", give the associator the true correspondences of the next scan."""
         if self.config.estimator == "known":
             assert isinstance(pipeline.associator, OracleAssociator)
-            source = self._site.truth.correspondences(T_world_robot, self._site.others())
+            source = self._true_world.truth.correspondences(T_world_robot, self._true_world.obstacles())
             pipeline.associator.correspondences = source
 
-    def _find_goals(self, episode: Episode) -> None:
+    def _find_goals(self, episode: EpisodeState) -> None:
         """Look for goals anew when the map changed, at most every few steps, and at once when none is left."""
-        episode.book.notice(episode.report)
-        due = episode.report.step - episode.goals_step >= self.config.goal_steps
-        if (due and episode.goals_key != goals_key(episode.report)) or not len(episode.goals):
+        episode.goal_history.notice(episode.slam_output)
+        due = episode.slam_output.step - episode.goals_step >= self.config.goal_steps
+        if (due and episode.goals_key != goals_key(episode.slam_output)) or not len(episode.goals):
             self.refresh_goals()
 
     def refresh_goals(self) -> None:
         """Look for goals now, however lately that was done; the grid is told which rooms have none left."""
         episode = self._started()
-        episode.goals = find_goals(episode.report, episode.book, self._planning)
-        painter, graph = episode.pipeline.grid, episode.report.graph
-        painter.complete(complete_rooms(episode.goals, episode.book, graph))
+        episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
+        painter, graph = episode.pipeline.grid, episode.slam_output.graph
+        painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
         if not len(episode.goals):
-            episode.report = replace(episode.report, grid=painter.finish(graph))
-        episode.goals_step, episode.goals_key = episode.report.step, goals_key(episode.report)
+            episode.slam_output = replace(episode.slam_output, grid=painter.finish(graph))
+        episode.goals_step, episode.goals_key = episode.slam_output.step, goals_key(episode.slam_output)
 
-    def _compare(self, episode: Episode, motion: Motion, T_world_robot: Array) -> None:
+    def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:
         """Hold the belief against the truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
-        episode.metrics.look(self._site.truth, T_world_robot, episode.report, self._site.others())
+        episode.metrics.look(self._true_world.truth, T_world_robot, episode.slam_output, self._true_world.obstacles())
         self._follow(episode, T_world_robot)
 
-    def _follow(self, episode: Episode, T_world_robot: Array) -> None:
-        episode.path_map.add(episode.report.belief.T_map_robot)
+    def _follow(self, episode: EpisodeState, T_world_robot: Array) -> None:
+        episode.path_map.add(episode.slam_output.belief.T_map_robot)
         episode.path_world.add(T_world_robot)
 
-    def _ends(self, episode: Episode) -> tuple[bool, bool]:
+    def _ends(self, episode: EpisodeState) -> tuple[bool, bool]:
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
-        seen = enough is not None and episode.metrics.coverage(self._site.truth) >= enough
-        lost = episode.report.diverged  # then it does not matter what the map says
+        seen = enough is not None and episode.metrics.coverage(self._true_world.truth) >= enough
+        lost = episode.slam_output.diverged  # then it does not matter what the map says
         done = (self._nothing_left(episode) or seen) and not lost
         cut = not done and (episode.metrics.steps >= self.config.max_steps or lost)
         episode.over = done or cut
         if episode.over:
-            episode.metrics.compare_map(self._site.truth, episode.report, due=True)
+            episode.metrics.compare_map(self._true_world.truth, episode.slam_output, due=True)
         return done, cut
 
-    def _nothing_left(self, episode: Episode) -> bool:
+    def _nothing_left(self, episode: EpisodeState) -> bool:
         """True when no goal is left: at once, or for a while where people walk, who may hide a door or bar a way."""
-        empty = not len(episode.goals) and len(episode.report.map_polygons) > 0
+        empty = not len(episode.goals) and len(episode.slam_output.map_polygons) > 0
         episode.quiet = episode.quiet + 1 if empty else 0
         if not self.config.crowd.people:
             return empty
         if empty:
             episode.pipeline.grid.look_again()
-            episode.book.forgive()
+            episode.goal_history.retry_refused(self._planning.goals)
         return episode.quiet >= self.config.end.quiet_steps
 
-    def _rewards(self, episode: Episode, terminated: bool) -> dict[str, float]:
+    def _rewards(self, episode: EpisodeState, terminated: bool) -> dict[str, float]:
         """The terms of this step's reward, weighted."""
-        measured = quantities(episode.memory, self._moment(episode), self.config.reward)
-        happened = events(episode.memory, episode.contact, terminated, episode.report.diverged)
-        return weigh(self.config.reward, measured | happened)
+        measured = measured_terms(episode.memory, self._reward_inputs(episode), self.config.reward)
+        happened = events(episode.memory, episode.contact, terminated, episode.slam_output.diverged)
+        return apply_weights(self.config.reward, measured | happened)
 
-    def _moment(self, episode: Episode) -> Moment:
+    def _reward_inputs(self, episode: EpisodeState) -> RewardInputs:
         """What the reward is measured on."""
-        report = episode.report
+        output = episode.slam_output
         true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
-        return Moment(report.belief, report.grid, report.diverged, true_area)
+        return RewardInputs(output.belief, output.grid, output.diverged, true_area)
 
-    def _observe(self, episode: Episode) -> Observation:
+    def _observe(self, episode: EpisodeState) -> Observation:
         features = episode.pipeline.features
         observation, episode.saturated = self._observer.observe(
-            episode.report, features, episode.goals, episode.path_map
+            episode.slam_output, features, episode.goals, episode.path_map
         )
         return observation
 
-    def _info(self, episode: Episode, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
-        """Truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
+    def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
+        """GroundTruth, metrics and reward terms: fixed keys, all finite, no wall clock."""
         return {
             "period": episode.metrics.steps,
             "event": "",
-            "building": self._site.building,
+            "building": self._true_world.building,
             "truth_pose": episode.metrics.T_map_robot.copy(),
-            "truth_room": self._site.truth.room_at(T_world_robot[:2]),
+            "truth_room": self._true_world.truth.room_at(T_world_robot[:2]),
             "goals": len(episode.goals),
             "contact": episode.contact,
-            "diverged": episode.report.diverged,
+            "diverged": episode.slam_output.diverged,
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that found no room in a full filter
-            **figures(episode.metrics, self._site.truth, episode.report),
+            **figures(episode.metrics, self._true_world.truth, episode.slam_output),
             **{REWARD_KEYS[name]: value for name, value in terms.items()},
         }
 
@@ -454,7 +457,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode == "human":
             from mecp_env.render.window import Window
 
-            self._window = self._window or Window(str(self._site.outline.name))
+            self._window = self._window or Window(str(self._true_world.outline.name))
             self._window.show(self._paint())
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv, Observation
-from mecp_env.episode.actions import check_choice, to_shares
+from mecp_env.episode.actions import check_choice, normalised_command
 from mecp_env.episode.observations import GOALS
 from mecp_env.planning.goal_list import Outcome
 from mecp_env.planning.navigator import Navigator, Target
@@ -82,12 +82,12 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         goals, steps = self.base.goals, list[Step]()
         self.navigator.start(Target.of(goals, row))
         self.base.aim_at(goals.p_map[row])
-        command = self.navigator.step(self.base.report)
+        command = self.navigator.step(self.base.slam_output)
         while self.navigator.outcome == Outcome.RUNNING:
             steps.append(self._step(*command))
             if steps[-1][2] or steps[-1][3]:
                 return steps
-            command = self.navigator.step(self.base.report)
+            command = self.navigator.step(self.base.slam_output)
         self.base.record_drive(goals, row, self.navigator.outcome)
         return steps
 
@@ -98,7 +98,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         """One control step with a command in m/s and rad/s."""
         robot = self.base.config.robot
         observation, reward, terminated, truncated, info = self.env.step(
-            to_shares(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
+            normalised_command(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
         )
         step = observation, float(reward), terminated, truncated, info
         if self.callback is not None:

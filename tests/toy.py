@@ -156,8 +156,8 @@ class Toy:
         intervals = np.array([[edge, 0.0, 1.0, label] for edge, label in enumerate(labels)], np.float64)
         self.polygons.append(MapPolygon(np.array(ids), intervals, room))
 
-    def report(self, completed: tuple[int, ...] = ()) -> SlamOutput:
-        """What the estimator would report of this step."""
+    def output(self, completed: tuple[int, ...] = ()) -> SlamOutput:
+        """What the estimator would output of this step."""
         self.step += 1
         beams, segments = look(self.T_world_robot, self.rng, self.sigma)
         belief, graph = self.belief(), self.graph()

@@ -22,7 +22,7 @@ from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.render.view import View
+from mecp_env.render.view import SceneView
 from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ class Run:
     def look(self) -> None:
         """Keep what belongs to the present step."""
         view = self.env.view()
-        self.estimated.append(view.report.belief.T_map_robot.copy())
+        self.estimated.append(view.slam_output.belief.T_map_robot.copy())
         self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
         self.film.offer(self.steps, lambda: self.screen.frame(view))
 
@@ -88,8 +88,8 @@ class Run:
         save(map_figure(view), folder / "map.png")
         self._film_end(view)
         self.film.save(folder / "run.gif")
-        save_map_server(view.report.grid, folder / "belief")
-        save_svg(view.report.grid, folder / "belief.svg")
+        save_map_server(view.slam_output.grid, folder / "belief")
+        save_svg(view.slam_output.grid, folder / "belief.svg")
         (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
         (folder / "config.json").write_text(json.dumps(self._recipe(), indent=2) + "\n")
         period_s = self.env.config.robot.period_s
@@ -107,7 +107,7 @@ class Run:
             "us_per_period": times,
         }
 
-    def _film_end(self, view: View) -> None:
+    def _film_end(self, view: SceneView) -> None:
         """The film ends with the last step, whether its turn has come or not."""
         self.film.frames.append(self.screen.frame(view))
 

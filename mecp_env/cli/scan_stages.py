@@ -26,12 +26,12 @@ def draw(config: EnvConfig, seed: int, step: int, folder: Path) -> list[Path]:
     if step < 0:
         raise ConfigError(f"step: {step}, at least 0")
     run = Run.begin(config, seed)
-    report = recognition(run, step)
+    output = recognition(run, step)
     slam = run.env.config.estimator_config
-    clusters = cluster_beams(report.beams, slam.clustering, slam.sensor)
+    clusters = cluster_beams(output.beams, slam.clustering, slam.sensor)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for number, (name, figure) in enumerate(stage_figures(report, clusters).items(), start=1):
+    for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
         paths.append(folder / f"{number}-{name}.png")
         save(figure, paths[-1], dpi=80)
     return paths
@@ -41,11 +41,11 @@ def recognition(run: Run, step: int) -> SlamOutput:
     """Explore until the first scan from `step` on in which a polygon is recognised."""
 
     def stop(run: Run) -> None:
-        if run.steps >= step and run.env.report.match.known >= 0:
+        if run.steps >= step and run.env.slam_output.match.known >= 0:
             raise _Reached
 
     try:
         run.explore(stop)
     except _Reached:
-        return run.env.report
+        return run.env.slam_output
     raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")

@@ -48,7 +48,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("grid", GridPainter, "paint"),
     ("goals", env, "find_goals"),
     ("truth metrics", EpisodeMetrics, "look"),
-    ("rewards", env, "quantities"),
+    ("rewards", env, "measured_terms"),
     ("observation", Observer, "observe"),
     ("info", env.MecpEnv, "_info"),
 )

@@ -26,7 +26,7 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 @compiled
-def cheapest_ways(
+def cost_to_go(
     label: Bytes, row: int, column: int, limits: tuple[float, float, float, int]
 ) -> tuple[Distances, Bytes, Costs, Bytes]:
     """Clearance, cost of the cells, cost of the ways from a cell, and the step that leads to each cell; all (H,W).
@@ -169,7 +169,7 @@ def within_border(cost: Bytes) -> Bytes:
 
 
 @compiled
-def way_lengths(total: Costs, step: Bytes, places: Array) -> Array:
+def path_lengths(total: Costs, step: Bytes, places: Array) -> Array:
     """(g,) length of the way to the cell nearest to each place, in tenths of a cell; -1: there is none.
 
     `places` (g,3): x, y and how near the way must come, in cells.
@@ -193,7 +193,7 @@ def way_length(step: Bytes, row: int, column: int) -> int:
 
 
 @compiled
-def smooth_way(step: Bytes, row: int, column: int, distance: Distances, cost: Bytes, least: float) -> Array:
+def smooth_path(step: Bytes, row: int, column: int, distance: Distances, cost: Bytes, least: float) -> Array:
     """The way (n,2) to a cell that was reached, in cells (x, y), without the points that `shorten` leaves out."""
     cells = trace_back(step, row, column)
     points = np.empty(cells.shape)

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from mecp_env.core.errors import ActionError
 
 DISCRETE = ("stop", "forward", "back", "left", "right")
-COMMANDS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.5], [0.0, -0.5]])  # (5,2) shares of the limits
+COMMANDS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.5], [0.0, -0.5]])  # (5,2) normalised
 NUMBERS = (int, float, np.integer, np.floating)
 
 
 def check_velocity(action: Any) -> tuple[float, float]:
-    """The two shares in [-1, 1] that `action` holds.
+    """The normalised command, two numbers in [-1, 1] that `action` holds.
 
     Accepts an array (2,) of floats or integers, or a list or tuple of two numbers. Raises `ActionError` that names
     the value and the bound for anything else: nan, infinity, another shape or type, a value out of range.
     """
     pair = velocity_pair(action)
-    for name, share in zip(("forward", "turn"), pair, strict=True):
-        if not -1.0 <= share <= 1.0:  # also false for nan
-            raise ActionError(f"action[{name}]: {share!r} does not lie in [-1, 1]")
+    for name, value in zip(("forward", "turn"), pair, strict=True):
+        if not -1.0 <= value <= 1.0:  # also false for nan
+            raise ActionError(f"action[{name}]: {value!r} does not lie in [-1, 1]")
     return pair
 
 
@@ -36,7 +36,7 @@ def velocity_pair(action: Any) -> tuple[float, float]:
                 f"action: expected an array of 2 floats in [-1, 1], given shape {action.shape}, dtype {action.dtype}"
             )
         return float(action[0]), float(action[1])
-    if not isinstance(action, list | tuple) or len(action) != 2 or not all(is_number(share) for share in action):
+    if not isinstance(action, list | tuple) or len(action) != 2 or not all(is_number(value) for value in action):
         raise ActionError(f"action: expected 2 floats in [-1, 1], given {type(action).__name__} {action!r:.80}")
     return to_float(action[0]), to_float(action[1])
 
@@ -70,13 +70,13 @@ def check_choice(action: Any, n: int) -> int:
 
 
 class VelocityActions:
-    """Box(-1, 1, (2,)): shares of the largest forward speed and of the largest turn rate (counter-clockwise)."""
+    """Box(-1, 1, (2,)): fractions of the largest forward speed and of the largest turn rate (counter-clockwise)."""
 
     def __init__(self) -> None:
         self.space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def shares(self, action: Any) -> tuple[float, float]:
-        """Forward and turn share in [-1, 1] of `action`. Raises `ActionError`."""
+    def command(self, action: Any) -> tuple[float, float]:
+        """Forward and turn command in [-1, 1] of `action`. Raises `ActionError`."""
         return check_velocity(action)
 
 
@@ -86,8 +86,8 @@ class DiscreteActions:
     def __init__(self) -> None:
         self.space: spaces.Space[Any] = spaces.Discrete(len(DISCRETE))
 
-    def shares(self, action: Any) -> tuple[float, float]:
-        """Forward and turn share in [-1, 1] of `action`. Raises `ActionError`."""
+    def command(self, action: Any) -> tuple[float, float]:
+        """Forward and turn command in [-1, 1] of `action`. Raises `ActionError`."""
         forward, turn = COMMANDS[check_choice(action, len(DISCRETE))]
         return float(forward), float(turn)
 
@@ -97,7 +97,7 @@ def make_actions(kind: str) -> VelocityActions | DiscreteActions:
     return DiscreteActions() if kind == "discrete" else VelocityActions()
 
 
-def to_shares(v: float, w: float, limits: tuple[float, float]) -> NDArray[np.float32]:
+def normalised_command(v: float, w: float, limits: tuple[float, float]) -> NDArray[np.float32]:
     """The velocity action (2,) for a command of v m/s and w rad/s under `limits` (m/s, rad/s), cut to [-1, 1]."""
-    shares = (max(-1.0, min(1.0, v / limits[0])), max(-1.0, min(1.0, w / limits[1])))
-    return np.array(shares, np.float32)
+    command = (max(-1.0, min(1.0, v / limits[0])), max(-1.0, min(1.0, w / limits[1])))
+    return np.array(command, np.float32)

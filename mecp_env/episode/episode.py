@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mecp_env.config import EnvConfig
 from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_check import check_fields, examples_of
-from mecp_env.episode.observations import Trail
+from mecp_env.episode.observations import TravelledPath
 from mecp_env.episode.rewards import RewardMemory
 from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.goals import GoalHistory, Goals
@@ -26,19 +26,19 @@ PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 
 @dataclass(slots=True, eq=False)
-class Episode:
+class EpisodeState:
     """All that lives over the steps of an episode beside the body and the random numbers; plain state."""
 
     pipeline: SlamPipeline
-    report: SlamOutput
+    slam_output: SlamOutput
     metrics: EpisodeMetrics
-    book: GoalHistory = field(default_factory=GoalHistory)
+    goal_history: GoalHistory = field(default_factory=GoalHistory)
     goals: Goals = field(default_factory=Goals)
     goals_step: int = -1  # when they were looked for
     goals_key: tuple[int, ...] = ()  # of the map they were looked for on
     memory: RewardMemory = field(default_factory=RewardMemory)
-    path_map: Trail = field(default_factory=Trail)
-    path_world: Trail = field(default_factory=Trail)
+    path_map: TravelledPath = field(default_factory=TravelledPath)
+    path_world: TravelledPath = field(default_factory=TravelledPath)
     target: Array | None = None  # (2,) m, map frame: where a goal action drives to
     quiet: int = 0  # steps without a goal, in a row
     contact: bool = False
@@ -46,10 +46,10 @@ class Episode:
     over: bool = False
 
 
-def goals_key(report: SlamOutput) -> tuple[int, ...]:
+def goals_key(output: SlamOutput) -> tuple[int, ...]:
     """Changes whenever other goals may be found."""
-    graph = report.graph
-    return report.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
+    graph = output.graph
+    return output.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
 
 
 def nearest_goal(goals: Goals, target: Array | None) -> int:
@@ -81,4 +81,4 @@ def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipe
     check_fields(moving, Moving, "state.moving", examples)
     if not is_whole(moving):
         raise StateError("state.moving: arrays of the wrong shape")
-    check_fields(episode, Episode, "state.episode", examples)
+    check_fields(episode, EpisodeState, "state.episode", examples)

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mecp_env.episode import observation_arrays as kernels
+from mecp_env.episode import observation_arrays
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
 
@@ -28,7 +28,7 @@ NOTHING_MERGED = np.empty(0, np.int64)
 
 
 @dataclass(slots=True, eq=False)
-class Trail:
+class TravelledPath:
     """Where the robot believed to be, a point every 0.1 m, in the map frame; not redrawn by a loop closure."""
 
     points: Array = field(default_factory=lambda: np.zeros((256, 2)))  # (capacity,2) m
@@ -63,10 +63,10 @@ def make_space(with_map: bool, beams: int, max_range_m: float) -> spaces.Dict:
         ),
         "landmarks": bounds(LANDMARKS, [-far, -far, 0, -cov, 0, -1, 0, 0], [far, far, cov, cov, cov, label, 2, 1]),
         "goals": bounds(GOALS, [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]),
-        "grid": spaces.Box(0, 255, (len(kernels.LAYERS), GRID[0], GRID[0]), np.uint8),
+        "grid": spaces.Box(0, 255, (len(observation_arrays.LAYERS), GRID[0], GRID[0]), np.uint8),
     }
     if with_map:
-        parts["map"] = spaces.Box(0, 255, (len(kernels.LAYERS), MAP[0], MAP[0]), np.uint8)
+        parts["map"] = spaces.Box(0, 255, (len(observation_arrays.LAYERS), MAP[0], MAP[0]), np.uint8)
     if beams:
         parts["scan"] = spaces.Box(0.0, max_range_m, (beams,), np.float32)
     return spaces.Dict(parts)
@@ -100,39 +100,41 @@ class Observer:
         self._cache: dict[int, tuple[NDArray[np.uint8], Array]] = {}  # pool width -> codes, their corner
 
     def observe(
-        self, report: SlamOutput, features: FeatureTable, goals: Goals, trail: Trail
+        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath
     ) -> tuple[dict[str, NDArray[Any]], int]:
         """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
-        observation, outside = self._tables(report, features, goals)
-        observation["grid"] = self._window(report, trail, GRID)
+        observation, outside = self._tables(output, features, goals)
+        observation["grid"] = self._window(output, trail, GRID)
         if "map" in self.space.spaces:
-            observation["map"] = self._window(report, trail, MAP)
+            observation["map"] = self._window(output, trail, MAP)
         if "scan" in self.space.spaces:
-            observation["scan"] = scan = report.beams.ranges.astype(np.float32)
-            outside += kernels.saturate(scan.reshape(1, -1), self._scan_limits, 0)
-        left_out = max(0, len(report.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
+            observation["scan"] = scan = output.beams.ranges.astype(np.float32)
+            outside += observation_arrays.saturate(scan.reshape(1, -1), self._scan_limits, 0)
+        left_out = max(0, len(output.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
         return observation, left_out + outside
 
-    def _tables(self, report: SlamOutput, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
+    def _tables(self, output: SlamOutput, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
         """The parts that are tables, and how many of their values were cut."""
-        belief = report.belief
+        belief = output.belief
         pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
         landmarks, goal_table = np.zeros((LANDMARKS, 8), np.float32), self._goal_columns(goals).copy()
         T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
-        outside: int = kernels.fill_tables(
+        outside: int = observation_arrays.fill_tables(
             (pose, pose_cov, landmarks, goal_table),
             (T_map_robot, cov, belief.p_map, belief.covs),
-            (belief.ids, features.room, features.kind, self._rooms(report.graph)),
+            (belief.ids, features.room, features.kind, self._rooms(output.graph)),
             goals.p_map,
             self._limits,
         )
         return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goal_table}, outside
 
-    def _window(self, report: SlamOutput, trail: Trail, size: tuple[int, float]) -> NDArray[np.uint8]:
-        grid, pose = report.grid, np.ascontiguousarray(report.belief.T_map_robot)
-        pooled, corner = self._pooled(grid, report.graph.current, max(1, round(size[1] / grid.resolution_m)))
+    def _window(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> NDArray[np.uint8]:
+        grid, pose = output.grid, np.ascontiguousarray(output.belief.T_map_robot)
+        pooled, corner = self._pooled(grid, output.graph.current, max(1, round(size[1] / grid.resolution_m)))
         path = trail.points[: trail.count]
-        layers: NDArray[np.uint8] = kernels.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
+        layers: NDArray[np.uint8] = observation_arrays.window_layers(
+            pooled, corner, grid.resolution_m, pose, size, path
+        )
         return layers
 
     def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[NDArray[np.uint8], Array]:
@@ -140,7 +142,9 @@ class Observer:
             self._key = (grid.version, room)
             self._cache = {}
         if width not in self._cache:
-            codes = kernels.pool_codes(kernels.cell_codes(grid.label, grid.polygon, grid.room, room), width)
+            codes = observation_arrays.pool_codes(
+                observation_arrays.cell_codes(grid.label, grid.polygon, grid.room, room), width
+            )
             self._cache[width] = codes, grid.origin - 0.5 * (width - 1) * grid.resolution_m
         return self._cache[width]
 

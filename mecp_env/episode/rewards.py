@@ -27,7 +27,7 @@ COMPLETION_M2 = 100.0  # the unit of a completed area
 AHEAD_M = 5.0  # how far from the robot a wall typically is that it draws
 
 
-class Moment(NamedTuple):
+class RewardInputs(NamedTuple):
     """What the measured terms of a step are measured on."""
 
     belief: Belief
@@ -46,29 +46,29 @@ class RewardMemory:
     grid_version: int = -1  # of the map whose area that is
 
 
-def remember(memory: RewardMemory, now: Moment, config: RewardConfig) -> None:
+def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
     """Bring `memory` up to this step."""
-    sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(now.belief.pose_cov), now.belief.covs)
-    memory.area_m2 = area(memory, now, sigma <= config.area_sigma_m)
-    memory.landmark_nat = 0.0 if now.diverged else landmark_nat
+    sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
+    memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
+    memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
 
 
-def area(memory: RewardMemory, now: Moment, sure: bool) -> float:
+def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
     """m^2 that count as mapped: the cells not UNKNOWN, as they were when the robot last was `sure` of its pose.
 
     What it draws while it is not sure counts once it is sure again, if it still stands. A map that diverged is none.
     """
-    if now.true_area_m2 is not None:
-        return now.true_area_m2
-    if now.diverged:
+    if inputs.true_area_m2 is not None:
+        return inputs.true_area_m2
+    if inputs.diverged:
         return 0.0
-    if not sure or now.grid.version == memory.grid_version:
+    if not sure or inputs.grid.version == memory.grid_version:
         return memory.area_m2
-    memory.grid_version = now.grid.version
-    return mapped_area(now.grid)
+    memory.grid_version = inputs.grid.version
+    return mapped_area(inputs.grid)
 
 
-def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[str, float]:
+def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
     """The terms that are measured, in their own units; `memory` is brought up to this step.
 
     - `area`: m^2 newly mapped, what a redrawn map lost taken off (see `area`); with `source="truth"` newly seen.
@@ -76,7 +76,7 @@ def quantities(memory: RewardMemory, now: Moment, config: RewardConfig) -> dict[
     - `landmark_information`: nat, by how much the mean of -0.5 log det P over the landmarks grew.
     """
     area_m2, pose_nat, landmark_nat = memory.area_m2, memory.pose_nat, memory.landmark_nat
-    remember(memory, now, config)
+    remember(memory, inputs, config)
     return {
         "area": memory.area_m2 - area_m2,
         "pose_information": memory.pose_nat - pose_nat,
@@ -100,7 +100,7 @@ def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool
     }
 
 
-def weigh(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
+def apply_weights(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
     """Each term times its weight, in the order of `TERMS`; the reward is their sum."""
     return {name: getattr(config, name) * terms[name] for name in TERMS}
 

@@ -13,7 +13,7 @@ from mecp_env.core.messages import Scan
 from mecp_env.core.snapshot import StateError
 from mecp_env.episode.buildings import check_building, draw_building, make_source
 from mecp_env.episode.start import Start, check_start, start_pose
-from mecp_env.evaluation.ground_truth import CELL_M, NOBODY, Others, Truth
+from mecp_env.evaluation.ground_truth import CELL_M, NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.laser import Laser
 from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_movers
@@ -33,11 +33,11 @@ class TrueWorld:
 
     building: int
     outline: Outline
-    truth: Truth
+    truth: GroundTruth
     laser: Laser
     simulation: Simulation
     movers: Movers
-    _others: Others | None  # None: not worked out yet
+    _obstacles: DynamicObstacles | None  # None: not worked out yet
 
     def __init__(self, config: EnvConfig) -> None:
         """The first building of `config`, nobody in it. Raises `ConfigError` or `LayoutError`."""
@@ -64,21 +64,23 @@ class TrueWorld:
         self._admit(moving)
         self.simulation.set_state(body)
 
-    def drive(self, shares: tuple[float, float]) -> Motion:
-        """One control step at these shares of the robot's largest speed and turn rate."""
-        robot, self._others = self._config.robot, None
-        return self.simulation.step(shares[0] * robot.max_speed_m_s, shares[1] * robot.max_turn_rad_s)
+    def drive(self, command: tuple[float, float]) -> Motion:
+        """One control step at a normalised command: fractions of the robot's largest speed and turn rate."""
+        robot, self._obstacles = self._config.robot, None
+        return self.simulation.step(command[0] * robot.max_speed_m_s, command[1] * robot.max_turn_rad_s)
 
     def look(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
         """A scan from where the robot is."""
-        return self.laser.scan(T_world_robot, rng, self.others().faces)
+        return self.laser.scan(T_world_robot, rng, self.obstacles().faces)
 
-    def others(self) -> Others:
+    def obstacles(self) -> DynamicObstacles:
         """What moves beside the robot, as laser and metrics want it; worked out once a step."""
-        if self._others is None:
+        if self._obstacles is None:
             movers = self.movers
-            self._others = Others(movers.faces, movers.box_corners, movers.walking) if len(movers) else NOBODY
-        return self._others
+            self._obstacles = (
+                DynamicObstacles(movers.faces, movers.box_corners, movers.walking) if len(movers) else NO_OBSTACLES
+            )
+        return self._obstacles
 
     def counts(self) -> dict[str, float]:
         """The people, boxes and closed doors that there are; fewer than were asked for where no more found room."""
@@ -117,10 +119,10 @@ class TrueWorld:
     def _enter(self, outline: Outline) -> None:
         """Be among these walls."""
         self.outline = outline
-        self.truth = Truth(outline, self._config.laser.max_range_m)
+        self.truth = GroundTruth(outline, self._config.laser.max_range_m)
         self.laser = Laser(outline, self._config.laser)
         self.simulation = Simulation(outline, self._config.robot)
-        self.movers, self._others = no_movers(self._config.robot), NOBODY
+        self.movers, self._obstacles = no_movers(self._config.robot), NO_OBSTACLES
         self._ways: Ways | None = None  # of people, where there are any
 
     def _populate(self, start: Array, rng: np.random.Generator) -> None:
@@ -131,7 +133,7 @@ class TrueWorld:
         if wants_movers(self._config.crowd, clutter):
             self.movers.populate(self.outline, clutter, rng)
             self.simulation.admit(self.movers)
-            self._others = None
+            self._obstacles = None
 
     def _admit(self, moving: Moving) -> None:
         """Be in the building with these doors closed, among these people and boxes."""
@@ -141,5 +143,5 @@ class TrueWorld:
         crowd = self._config.crowd
         if self._ways is None and wants_movers(crowd, self._config.clutter):
             self._ways = Ways(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])
-        self.movers, self._others = Movers(self._ways, crowd, self._config.robot, moving), None
+        self.movers, self._obstacles = Movers(self._ways, crowd, self._config.robot, moving), None
         self.simulation.admit(self.movers)

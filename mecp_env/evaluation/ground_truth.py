@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.evaluation import metric_arrays as kernels
+from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-CELL_M = kernels.CELL_M
+CELL_M = metric_arrays.CELL_M
 MARGIN_M = 1.0  # of the rasters around the building
 BEAMS = 720
 BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
@@ -29,7 +29,7 @@ NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
 IDENTITY_GATE_M = 0.3
 
 
-class Others(NamedTuple):
+class DynamicObstacles(NamedTuple):
     """What moves beside the robot, at one moment, in the world frame."""
 
     faces: Array  # (m,2,2) m, free space on the left
@@ -37,7 +37,7 @@ class Others(NamedTuple):
     walking: Array  # (n,3) m, place and reach of what may have moved by itself or slides
 
 
-NOBODY = Others(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
+NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,24 +53,30 @@ class TrueCorrespondences:
 
         The nearest true corner that is visible from the pose and within 0.3 m, one to one.
         """
-        return kernels.identify_corners(corners.z, self.T_world_robot, self.p_world, self.segments, IDENTITY_GATE_M)
+        return metric_arrays.identify_corners(
+            corners.z, self.T_world_robot, self.p_world, self.segments, IDENTITY_GATE_M
+        )
 
 
-def true_correspondences(T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> TrueCorrespondences:
+def true_correspondences(
+    T_world_robot: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
+) -> TrueCorrespondences:
     """The correspondences of a scan taken at a pose (3,) in the building, with what moves in it."""
     true, segments = outline.corners.p_world, outline.segments
-    if len(others.faces):
-        true, segments = np.concatenate([true, others.corners]), np.concatenate([segments, others.faces])
+    if len(obstacles.faces):
+        true, segments = np.concatenate([true, obstacles.corners]), np.concatenate([segments, obstacles.faces])
     return TrueCorrespondences(T_world_robot, true, segments)
 
 
-def identify(corners: Corners, T_world_robot: Array, outline: Outline, others: Others = NOBODY) -> Ints:
+def identify(
+    corners: Corners, T_world_robot: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
+) -> Ints:
     """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""
-    return true_correspondences(T_world_robot, outline, others)(corners)
+    return true_correspondences(T_world_robot, outline, obstacles)(corners)
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class GroundTruth:
     """An outline with its rasters; what follows from a layout and never changes."""
 
     outline: Outline
@@ -124,12 +130,12 @@ class Truth:
         """Mark in `seen` (H,W) the free cells in sight from the true pose (3,); how many are new."""
         level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
         scan = self.laser.scan(level, NO_NOISE)
-        return kernels.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
+        return metric_arrays.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
 
-    def correspondences(self, T_world_robot: Array, others: Others = NOBODY) -> TrueCorrespondences:
+    def correspondences(self, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> TrueCorrespondences:
         """Which true corner each corner of a scan is, for a scan taken at a pose (3,)."""
-        return true_correspondences(T_world_robot, self.outline, others)
+        return true_correspondences(T_world_robot, self.outline, obstacles)
 
-    def identify(self, corners: Corners, T_world_robot: Array, others: Others = NOBODY) -> Ints:
+    def identify(self, corners: Corners, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""
-        return identify(corners, T_world_robot, self.outline, others)
+        return identify(corners, T_world_robot, self.outline, obstacles)

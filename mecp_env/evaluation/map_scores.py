@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import inverse, to_map
-from mecp_env.evaluation import metric_arrays as kernels
-from mecp_env.evaluation.ground_truth import Truth
+from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.messages import Belief, Cell, Door, SemanticGrid, SlamOutput
 
 Array = NDArray[np.float64]
@@ -18,32 +18,32 @@ Ints = NDArray[np.int64]
 DOOR_GATE_M = 0.3
 
 
-def doors_found(truth: Truth, report: SlamOutput, T_world_map: Array) -> tuple[int, int]:
+def doors_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> tuple[int, int]:
     """How many true doors are in the map (its centre within 0.3 m, one to one), and how many doors there are none.
 
     A door of the map whose jambs are no longer landmarks counts as none.
     """
-    p_world = to_map(T_world_map, door_centres(report.graph.doors, report.belief))
-    found: int = kernels.count_pairs(p_world, truth.outline.doors.centre, DOOR_GATE_M)
+    p_world = to_map(T_world_map, door_centres(output.graph.doors, output.belief))
+    found: int = metric_arrays.count_pairs(p_world, truth.outline.doors.centre, DOOR_GATE_M)
     return found, len(p_world) - found
 
 
 def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
     jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors], np.int64)
-    return kernels.jamb_middles(jambs.reshape(-1, 4), belief.ids, belief.p_map)
+    return metric_arrays.jamb_middles(jambs.reshape(-1, 4), belief.ids, belief.p_map)
 
 
-def door_error(truth: Truth, report: SlamOutput, T_world_map: Array) -> float:
+def door_error(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> float:
     """Mean distance (m) of the doors found from the truth: of the middle of each face that is known; 0 without one."""
-    doors = report.graph.doors
-    p_world = to_map(T_world_map, door_centres(doors, report.belief))
+    doors = output.graph.doors
+    p_world = to_map(T_world_map, door_centres(doors, output.belief))
     found = nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M)
-    errors = [_face_error(truth, doors[d], report.belief, T_world_map, true) for d, true in found]
+    errors = [_face_error(truth, doors[d], output.belief, T_world_map, true) for d, true in found]
     return float(np.mean(errors)) if errors else 0.0
 
 
-def _face_error(truth: Truth, door: Door, belief: Belief, T_world_map: Array, true: int) -> float:
+def _face_error(truth: GroundTruth, door: Door, belief: Belief, T_world_map: Array, true: int) -> float:
     """Mean distance (m) of the middles of the door's known faces from the nearer face of the true door."""
     true_doors = truth.outline.doors
     ahead = np.array([np.cos(true_doors.normal[true]), np.sin(true_doors.normal[true])])
@@ -53,20 +53,20 @@ def _face_error(truth: Truth, door: Door, belief: Belief, T_world_map: Array, tr
     return float(distances(to_map(T_world_map, p_map), faces).min(axis=1).mean())
 
 
-def covers(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
+def covers(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
     """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
     p_map = to_map(inverse(T_world_map), truth.centres[truth.free])
     free = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
     return float(cells_at(grid, grid.polygon, p_map, False).mean()), float(free.mean())
 
 
-def rooms_found(truth: Truth, report: SlamOutput, T_world_map: Array) -> tuple[int, int]:
+def rooms_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> tuple[int, int]:
     """How many true rooms hold the centre of a room of the map (one to one), and how many rooms hold none.
 
     The centre of a room of the map is its cell farthest from every other room, so that the centre of a U-shaped room
     lies well inside it. A room that no cell was painted of yet counts as neither.
     """
-    p_map = room_centres(report.grid, np.array(report.graph.rooms, np.int64))
+    p_map = room_centres(output.grid, np.array(output.graph.rooms, np.int64))
     p_world = to_map(T_world_map, p_map[~np.isnan(p_map[:, 0])])
     rooms = [truth.room_at(centre) for centre in p_world]
     found = len(set(rooms) - {-1})
@@ -77,11 +77,11 @@ def room_centres(grid: SemanticGrid, rooms: Ints) -> Array:
     """(n,2) m, map frame: the cell of each room (n,) farthest from every other room; nan without a cell."""
     if not len(rooms) or not grid.room.size:
         return np.full((len(rooms), 2), np.nan)
-    centres: Array = grid.origin + (kernels.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
+    centres: Array = grid.origin + (metric_arrays.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
     return centres
 
 
-def grid_iou(truth: Truth, grid: SemanticGrid, T_world_map: Array) -> float:
+def grid_iou(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> float:
     """Intersection over union of the free cells (doors included) of the map's grid and of the truth.
 
     Counted on the truth's raster, which reaches 1 m beyond the building.

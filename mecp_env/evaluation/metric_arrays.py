@@ -308,11 +308,11 @@ def deepest_cells(room: NDArray[np.int16], depth: NDArray[np.int32], most: int) 
 
 
 @compiled
-def tread(trodden: Bools, corner: Array, walking: Array) -> None:
+def mark_discs(visited_by_obstacles: Bools, corner: Array, walking: Array) -> None:
     """Mark the cells (H,W) whose middle lies within `BESIDE_M` of something at a place, of a reach (n,3) m."""
     for i in range(walking.shape[0]):
         x, y = (walking[i, 0] - corner[0]) / CELL_M, (walking[i, 1] - corner[1]) / CELL_M
-        mark_disc(trodden, x, y, (walking[i, 2] + BESIDE_M) / CELL_M)
+        mark_disc(visited_by_obstacles, x, y, (walking[i, 2] + BESIDE_M) / CELL_M)
 
 
 @compiled
@@ -325,12 +325,12 @@ def mark_disc(cells: Bools, x: float, y: float, radius: float) -> None:
 
 
 @compiled
-def count_trodden(trodden: Bools, corner: Array, p_world: Array) -> int:
+def count_marked(visited_by_obstacles: Bools, corner: Array, p_world: Array) -> int:
     """How many points (n,2) lie on marked cells."""
     count = 0
     for i in range(p_world.shape[0]):
         column = math.floor((p_world[i, 0] - corner[0]) / CELL_M)
         row = math.floor((p_world[i, 1] - corner[1]) / CELL_M)
-        if 0 <= row < trodden.shape[0] and 0 <= column < trodden.shape[1]:
-            count += trodden[row, column]
+        if 0 <= row < visited_by_obstacles.shape[0] and 0 <= column < visited_by_obstacles.shape[1]:
+            count += visited_by_obstacles[row, column]
     return count

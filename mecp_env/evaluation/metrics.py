@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import to_map
-from mecp_env.evaluation import metric_arrays as kernels
-from mecp_env.evaluation.ground_truth import NOBODY, Others, Truth, identify
+from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth, identify
 from mecp_env.evaluation.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
 from mecp_env.slam.messages import Belief, SlamOutput
 
-__all__ = ["AssociationLog", "EpisodeMetrics", "Truth", "identify"]
+__all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth", "identify"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,17 +41,17 @@ class AssociationLog:
         self.counts = np.zeros(4, np.int64)
         self.rows = np.empty((1024, 4), np.int64)
 
-    def record(self, report: SlamOutput, truth: Ints) -> None:
+    def record(self, output: SlamOutput, truth: Ints) -> None:
         """Add a scan whose corners truly are `truth` (n,)."""
-        match, landmarks = report.match, report.belief.ids
+        match, landmarks = output.match, output.belief.ids
         rows = self._new_rows(len(match.ids))
-        most = kernels.note_scan(rows, report.step, truth, match.ids, match.decision, landmarks)
+        most = metric_arrays.note_scan(rows, output.step, truth, match.ids, match.decision, landmarks)
         self._reserve(most)
-        kernels.score_scan(self.votes, self.features, rows, self.counts, landmarks, report.step)
+        metric_arrays.score_scan(self.votes, self.features, rows, self.counts, landmarks, output.step)
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
-        return int(kernels.count_duplicates(self.features, landmarks, self.true_corners))
+        return int(metric_arrays.count_duplicates(self.features, landmarks, self.true_corners))
 
     def final_counts(self) -> Ints:
         """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
@@ -102,22 +102,28 @@ class EpisodeMetrics:
     doors: tuple[int, int] = (0, 0)  # found, false
     compared_rooms: tuple[int, ...] = ()
     compared_doors: int = 0
-    trodden: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))  # (H,W) by what moves
+    visited_by_obstacles: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros((0, 0), np.bool_)
+    )  # (H,W) by what moves
 
     @classmethod
-    def begin(cls, truth: Truth, T_world_robot: Array, others: Others = NOBODY) -> EpisodeMetrics:
+    def begin(
+        cls, truth: GroundTruth, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES
+    ) -> EpisodeMetrics:
         """The metrics of an episode that starts at the true pose (3,) among what moves."""
-        log = AssociationLog(len(truth.outline.corners) + len(others.corners))
+        log = AssociationLog(len(truth.outline.corners) + len(obstacles.corners))
         return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log)
 
-    def look(self, truth: Truth, T_world_robot: Array, report: SlamOutput, others: Others = NOBODY) -> None:
+    def look(
+        self, truth: GroundTruth, T_world_robot: Array, output: SlamOutput, obstacles: DynamicObstacles = NO_OBSTACLES
+    ) -> None:
         """Take in what the robot sees and believes at the true pose (3,) among what moves."""
         self.T_map_robot = self.in_map(T_world_robot)
         self._sweep(truth, T_world_robot)
-        self.association.record(report, truth.identify(report.corners, T_world_robot, others))
-        self._tread(truth, others.walking)
-        self._compare_pose(report.belief)
-        self.compare_map(truth, report, due=report.step % MAP_STEPS == 0)
+        self.association.record(output, truth.identify(output.corners, T_world_robot, obstacles))
+        self._mark_obstacles(truth, obstacles.walking)
+        self._compare_pose(output.belief)
+        self.compare_map(truth, output, due=output.step % MAP_STEPS == 0)
 
     def move(self, increments: Array, contact: bool) -> None:
         """Count one control step: the true increments (M,2) of the body and whether it touched something."""
@@ -128,16 +134,16 @@ class EpisodeMetrics:
             metres += abs(distance)
         self.metres += metres
 
-    def coverage(self, truth: Truth) -> float:
+    def coverage(self, truth: GroundTruth) -> float:
         """Share of the true free area that the robot has seen."""
         return self.seen_cells / truth.free_cells
 
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
-        T_map_robot: Array = kernels.pose_between(self.T_world_map, T_world_robot)
+        T_map_robot: Array = metric_arrays.pose_between(self.T_world_map, T_world_robot)
         return T_map_robot
 
-    def _sweep(self, truth: Truth, T_world_robot: Array) -> None:
+    def _sweep(self, truth: GroundTruth, T_world_robot: Array) -> None:
         self.new_cells = 0
         x, y, _ = T_world_robot.tolist()
         if math.dist(self.swept_from.tolist(), (x, y)) >= SWEEP_STEP_M:
@@ -145,72 +151,72 @@ class EpisodeMetrics:
             self.new_cells = int(truth.sweep(T_world_robot, self.seen))
             self.seen_cells += self.new_cells
 
-    def _tread(self, truth: Truth, walking: Array) -> None:
+    def _mark_obstacles(self, truth: GroundTruth, walking: Array) -> None:
         """Note where something that moves is now, (n,3) m: place and reach."""
         if not len(walking):
             return
-        if not self.trodden.size:
-            self.trodden = np.zeros_like(truth.free)
-        kernels.tread(self.trodden, truth.corner, walking)
+        if not self.visited_by_obstacles.size:
+            self.visited_by_obstacles = np.zeros_like(truth.free)
+        metric_arrays.mark_discs(self.visited_by_obstacles, truth.corner, walking)
 
-    def landmarks_on_movers(self, truth: Truth, belief: Belief) -> int:
+    def landmarks_on_movers(self, truth: GroundTruth, belief: Belief) -> int:
         """How many landmarks lie within 0.15 m of where something that moves has been, and never were a true corner.
 
         An upper bound: a corner misjudged on a wall that people pass counts, too.
         """
-        if not self.trodden.size or not len(belief.ids):
+        if not self.visited_by_obstacles.size or not len(belief.ids):
             return 0
         p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
         nameless = self.association.features[belief.ids, 0] < 0
-        return int(kernels.count_trodden(self.trodden, truth.corner, p_world[nameless]))
+        return int(metric_arrays.count_marked(self.visited_by_obstacles, truth.corner, p_world[nameless]))
 
     def _compare_pose(self, belief: Belief) -> None:
-        errors = kernels.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
+        errors = metric_arrays.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
         self.pose_error_m, self.heading_error_rad, self.nees = errors
         self.squared_error_sum += self.pose_error_m**2
         self.nees_sum += self.nees
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
 
-    def compare_map(self, truth: Truth, report: SlamOutput, due: bool) -> None:
+    def compare_map(self, truth: GroundTruth, output: SlamOutput, due: bool) -> None:
         """Hold rooms and doors against the truth where there is a new one, and all of them when that is `due`."""
-        if due or report.graph.rooms != self.compared_rooms:
-            self.compared_rooms = report.graph.rooms
-            self.rooms = rooms_found(truth, report, self.T_world_map)
-        if due or len(report.graph.doors) != self.compared_doors:
-            self.compared_doors = len(report.graph.doors)
-            self.doors = doors_found(truth, report, self.T_world_map)
+        if due or output.graph.rooms != self.compared_rooms:
+            self.compared_rooms = output.graph.rooms
+            self.rooms = rooms_found(truth, output, self.T_world_map)
+        if due or len(output.graph.doors) != self.compared_doors:
+            self.compared_doors = len(output.graph.doors)
+            self.doors = doors_found(truth, output, self.T_world_map)
 
-    def summary(self, truth: Truth, report: SlamOutput) -> dict[str, float]:
+    def summary(self, truth: GroundTruth, output: SlamOutput) -> dict[str, float]:
         """The figures of the episode so far; lengths in metres, NEES of 3 degrees of freedom (3 expected)."""
         tp, fp, fn, _ = (int(count) for count in self.association.final_counts())
-        rooms, rooms_false = rooms_found(truth, report, self.T_world_map)
-        doors, doors_false = doors_found(truth, report, self.T_world_map)
-        polygon_cover, grid_cover = covers(truth, report.grid, self.T_world_map)
-        looks = max(1, report.step)
+        rooms, rooms_false = rooms_found(truth, output, self.T_world_map)
+        doors, doors_false = doors_found(truth, output, self.T_world_map)
+        polygon_cover, grid_cover = covers(truth, output.grid, self.T_world_map)
+        looks = max(1, output.step)
         return {
             "periods": self.steps,
             "metres": self.metres,
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
-            "free_area_m2": truth.free_cells * kernels.CELL_M**2,
+            "free_area_m2": truth.free_cells * metric_arrays.CELL_M**2,
             "rooms": len(truth.outline.rooms),
             "rooms_found": rooms,
             "rooms_false": rooms_false,
             "doors": len(truth.outline.doors),
             "doors_found": doors,
             "doors_false": doors_false,
-            "door_error_m": door_error(truth, report, self.T_world_map),
+            "door_error_m": door_error(truth, output, self.T_world_map),
             "polygon_cover": polygon_cover,
             "grid_cover": grid_cover,
-            "grid_iou": grid_iou(truth, report.grid, self.T_world_map),
+            "grid_iou": grid_iou(truth, output.grid, self.T_world_map),
             "pose_rmse_m": math.sqrt(self.squared_error_sum / looks),
             "pose_error_final_m": self.pose_error_m,
             "pose_error_worst_m": self.worst_error_m,
             "heading_error_final_rad": self.heading_error_rad,
             "nees_mean": self.nees_sum / looks,
-            "landmarks": len(report.belief.ids),
-            "duplicates": self.association.duplicates(report.belief.ids),
-            "landmarks_on_movers": self.landmarks_on_movers(truth, report.belief),
+            "landmarks": len(output.belief.ids),
+            "duplicates": self.association.duplicates(output.belief.ids),
+            "landmarks_on_movers": self.landmarks_on_movers(truth, output.belief),
             "association_precision": share(tp, fp),
             "association_recall": share(tp, fn),
             "association_false": fp,
@@ -218,7 +224,7 @@ class EpisodeMetrics:
         }
 
 
-def figures(metrics: EpisodeMetrics, truth: Truth, report: SlamOutput) -> dict[str, float]:
+def figures(metrics: EpisodeMetrics, truth: GroundTruth, output: SlamOutput) -> dict[str, float]:
     """The figures of this step, cheap enough for every step; the association counts go by the majority so far."""
     tp, fp, fn, tn = metrics.association.counts.tolist()
     return {
@@ -226,8 +232,8 @@ def figures(metrics: EpisodeMetrics, truth: Truth, report: SlamOutput) -> dict[s
         "pose_error_m": metrics.pose_error_m,
         "heading_error_rad": metrics.heading_error_rad,
         "nees": metrics.nees,
-        "landmarks": len(report.belief.ids),
-        "duplicates": metrics.association.duplicates(report.belief.ids),
+        "landmarks": len(output.belief.ids),
+        "duplicates": metrics.association.duplicates(output.belief.ids),
         "association_tp": tp,
         "association_fp": fp,
         "association_fn": fn,

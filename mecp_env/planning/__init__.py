@@ -1,1 +1,1 @@
-"""Belief to way: goals, paths, control, and the paper's explorer. Knows the estimate only, never the truth."""
+"""From belief to path: goals, paths, control, the paper's explorer. It uses the estimate only, never ground truth."""

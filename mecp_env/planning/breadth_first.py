@@ -19,11 +19,11 @@ class BreadthFirst:
 
     1. While the room in which the robot is holds an open edge, a door candidate or a frontier, one of those is next:
        the nearest level of the room's polygon graph first (neighbours share a vertex, level 0 is where the room was
-       entered), in a level the shortest way.
+       entered), in a level the shortest path.
     2. Then the same in the nearest room that was left early: it is completed before a new one.
-    3. Then an unexplored door: of the room fewest doors away from the first room, in a level the shortest way.
+    3. Then an unexplored door: of the room fewest doors away from the first room, in a level the shortest path.
 
-    The list puts the goals of the robot's own room first, and then those of other rooms by the way there: so the room
+    The list puts the goals of the robot's own room first, and then those of other rooms by the path there: so the room
     of the first row that is no door is the one to complete now.
     """
 

@@ -12,8 +12,8 @@ class GoalsConfig(Settings):
 
     open_beyond_m: float = Field(0.4, gt=0.0, le=2.0)  # the goal lies so far beyond the middle of an open interval
     open_width_m: float = Field(0.5, gt=0.0, le=5.0)  # narrower open intervals are no goals
-    bare_m: float = Field(0.6, gt=0.0, le=5.0)  # pieces of floor without a polygon as wide are goals
-    bare_cells: int = Field(10, ge=1, le=1000)  # and of so many cells, not counting the rim
+    uncovered_m: float = Field(0.6, gt=0.0, le=5.0)  # width of floor outside polygons that is a goal
+    uncovered_cells: int = Field(10, ge=1, le=1000)  # cells of it, without the rim
     further_m: float = Field(1.0, gt=0.0, le=5.0)  # into a room without a polygon, from where it was entered
     candidate_m: float = Field(1.5, gt=0.0, le=5.0)  # a door candidate is looked at from so far
     door_beyond_m: float = Field(0.9, gt=0.0, le=3.0)  # the goal lies so far beyond the middle of a door
@@ -22,6 +22,7 @@ class GoalsConfig(Settings):
     reach_m: float = Field(0.8, gt=0.0, le=3.0)  # a goal counts as reachable when the robot can come so near
     apart_m: float = Field(0.5, gt=0.0, le=5.0)  # goals of one kind as near are one
     refusals: int = Field(3, ge=1, le=100)  # a goal refused so often is given up
+    retries: int = Field(2, ge=0, le=100)  # how often refused goals are tried again where people walk
     visits: int = Field(2, ge=1, le=100)  # a goal that reaching does not settle is given up after so many visits
     settled: int = Field(6, ge=1, le=100)  # and one that is settled from afar, and a goal again, so often
 

@@ -13,14 +13,14 @@ from mecp_env.slam.messages import Array, MergedScan
 
 NEAR_M = 2.0  # what is farther away does not slow the robot
 SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # of the wanted speed, tried from the fastest
-BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the wanted curvature where the way is blocked
+BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the wanted curvature where the path is blocked
 STEP_M = 0.05
 
 Limits = tuple[float, float, float, float, float, float, float]  # as from `limits_of`
 
 
 def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
-    """What the kernels of the controller need to know."""
+    """What the compiled functions of the controller need."""
     return (
         control.lookahead_m,
         math.radians(control.turn_first_deg),
@@ -37,7 +37,7 @@ def follow(
 ) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) of the next step along a path (n,2) m, map frame.
 
-    (0, w) turns on the spot; (0, 0) says that something seen bars every way on.
+    (0, w) turns on the spot; (0, 0) means that something seen blocks every arc.
     """
     seen = (beams.ranges, beams.bearings, beams.hit)
     v, w = follow_path(path, T_map_robot, seen, limits_of(control, body))
@@ -102,7 +102,7 @@ def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits)
 
 @compiled
 def stop_path(v: float, step: float, acceleration: float) -> float:
-    """Length of the way driven in a step at speed v, and to stop after it, m."""
+    """Length of the path driven in a step at speed v, and to stop after it, m."""
     return abs(v) * step + v * v / (2.0 * acceleration)
 
 
@@ -161,7 +161,7 @@ def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length:
 
 @compiled
 def look_ahead(path: Array, T_map_robot: Array, ahead: float) -> tuple[float, float, float]:
-    """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the way left there."""
+    """Point (robot frame) of the path (n,2) `ahead` (m) of its place nearest to the robot, and the path left there."""
     best, best_leg, best_share = math.inf, 0, 0.0
     for i in range(path.shape[0] - 1):
         dx, dy = path[i + 1, 0] - path[i, 0], path[i + 1, 1] - path[i, 1]

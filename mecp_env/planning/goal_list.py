@@ -17,7 +17,7 @@ class GoalKind(IntEnum):
     OPEN = 0  # the floor beyond an open edge of a polygon
     CANDIDATE = 1  # a gap that may be a door
     FRONTIER = 2  # unknown cells beside the known floor of a room
-    DOOR = 3  # a door nobody has gone through
+    DOOR = 3  # an unexplored door
 
 
 class Outcome(IntEnum):
@@ -35,7 +35,7 @@ LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 
 @dataclass(slots=True, eq=False)
 class Goal:
-    """One thing left to see; visits, way and level are filled in as they become known."""
+    """One thing left to see; visits, path and level are filled in as they become known."""
 
     kind: GoalKind
     x: float  # m, map frame
@@ -44,7 +44,7 @@ class Goal:
     room: int  # on this side
     door: int = NO_ID  # id, for a door
     visits: int = 0  # drives that ended there or were refused
-    path_m: float = 0.0  # length of the way there
+    path_m: float = 0.0  # length of the path there
     level: int = 0  # of the polygon; door: of the room
 
 
@@ -57,7 +57,7 @@ class Goals:
     size_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) width of the opening
     room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) on this side
     level: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) of the polygon; door: of the room
-    path_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) length of the way there
+    path_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) length of the path there
     visits: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) drives that ended there or were refused
     door: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) door id, NO_ID for the other kinds
 

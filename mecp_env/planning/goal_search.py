@@ -1,4 +1,4 @@
-"""Kernels that look for goals: frontiers, bare floor, clusters of cells, strips beyond open edges."""
+"""Compiled functions that find goals: frontiers, floor outside polygons, clusters of cells, open edges."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 def floor_clusters(
     layers: tuple[Bytes, Bools, Rooms], lines: Array, clear: tuple[float, float], sizes: tuple[int, int, int]
 ) -> tuple[Ints, Ints]:
-    """Clusters (c,4) of bare floor and of frontiers, as from `clusters`.
+    """Clusters (c,4) of floor outside polygons and of frontiers, as from `clusters`.
 
     `layers`: label, polygon and room of the grid. `lines` (d,2,2): doors and candidates, in cells. `clear`: how far
     floor keeps from a line not to be joined across it, and goals from the middle of one, in cells. `sizes`: span of
-    `bare_cells`, the least cluster of bare cells and of frontier cells.
+    `uncovered_cells`, the least cluster of uncovered cells and of frontier cells.
     """
     label, polygon, room = layers
     adopted = adopt_rooms(label, room, lines, clear[0])
@@ -39,9 +39,9 @@ def floor_clusters(
     for i in range(lines.shape[0]):
         middles[i, 0] = (lines[i, 0, 0] + lines[i, 1, 0]) / 2.0
         middles[i, 1] = (lines[i, 0, 1] + lines[i, 1, 1]) / 2.0
-    bare, bare_at = bare_cells((label, polygon, adopted), sizes[0], middles, clear[1])
+    uncovered, bare_at = uncovered_cells((label, polygon, adopted), sizes[0], middles, clear[1])
     frontier, frontier_at = frontier_cells(label, adopted, middles, clear[1])
-    return clusters(bare, bare_at, adopted, sizes[1]), clusters(frontier, frontier_at, adopted, sizes[2])
+    return clusters(uncovered, bare_at, adopted, sizes[1]), clusters(frontier, frontier_at, adopted, sizes[2])
 
 
 @compiled
@@ -122,30 +122,30 @@ def frontier_cells(label: Bytes, room: Rooms, doors: Array, clear: float) -> tup
 
 
 @compiled
-def bare_cells(grid: tuple[Bytes, Bools, Rooms], span: int, doors: Array, clear: float) -> tuple[Bytes, Ints]:
+def uncovered_cells(grid: tuple[Bytes, Bools, Rooms], span: int, doors: Array, clear: float) -> tuple[Bytes, Ints]:
     """(H,W) 1 at FREE cells of a room that no polygon covers, nor its neighbours `span` cells away; and where (n,2).
 
     `grid`: label, polygon and room; not within `clear` of the doors' middles (d,2), in cells.
     """
     label, polygon, room = grid
-    bare = np.zeros(label.shape, np.uint8)
+    uncovered = np.zeros(label.shape, np.uint8)
     cells = np.empty((label.size, 2), np.int64)
     n = 0
     for row in range(span, label.shape[0] - span):
         for column in range(span, label.shape[1] - span):
             if polygon[row, column] or label[row, column] != FREE or room[row, column] < 0:
                 continue
-            wide = _is_bare(label, polygon, span, row, column)
+            wide = _is_uncovered(label, polygon, span, row, column)
             wide = wide and not _near_any(doors, column + 0.5, row + 0.5, clear)
             if wide:
-                bare[row, column] = 1
+                uncovered[row, column] = 1
                 cells[n, 0], cells[n, 1] = row, column
                 n += 1
-    return bare, cells[:n].copy()
+    return uncovered, cells[:n].copy()
 
 
 @compiled
-def _is_bare(label: Bytes, polygon: Bools, span: int, row: int, column: int) -> bool:
+def _is_uncovered(label: Bytes, polygon: Bools, span: int, row: int, column: int) -> bool:
     """True when the eight cells `span` away from a cell are FREE, and no polygon covers one."""
     for k in range(8):
         r, c = row + span * DROW[k], column + span * DCOL[k]
@@ -208,7 +208,7 @@ def _collect(marked: Bytes, room: Rooms, queue: Ints, row: int, column: int) -> 
 
 
 @compiled
-def uncovered_strips(
+def uncovered_intervals(
     rings: tuple[Array, Ints], intervals: tuple[Array, Ints], limits: tuple[int, float, float], layer: Layer
 ) -> Array:
     """Wide intervals of one label beyond which no polygon lies (s,6): middle x, y, outward normal, width, polygon.
@@ -219,7 +219,7 @@ def uncovered_strips(
     width, and how far beyond the edge the strip lies, m. `layer`: the polygons on the grid (H,W), origin, resolution.
     """
     (p_map, first), (stretch, rows), (label, least, beyond) = rings, intervals, limits
-    strips = np.empty((stretch.shape[0], 6))
+    edges = np.empty((stretch.shape[0], 6))
     n = 0
     for owner in range(first.shape[0] - 1):
         for i in range(rows[owner], rows[owner + 1]):
@@ -233,11 +233,11 @@ def uncovered_strips(
             nx, ny, covered = dy / length, -dx / length, 0
             for k in (0, 2, 1):  # the last is the middle
                 share = stretch[i, 1] + (stretch[i, 2] - stretch[i, 1]) * (0.3 + 0.2 * k)
-                strips[n, 0], strips[n, 1] = p_map[a, 0] + share * dx, p_map[a, 1] + share * dy
-                covered += _is_covered(layer, strips[n, 0] + beyond * nx, strips[n, 1] + beyond * ny)
-            strips[n, 2], strips[n, 3], strips[n, 4], strips[n, 5] = nx, ny, width, owner
+                edges[n, 0], edges[n, 1] = p_map[a, 0] + share * dx, p_map[a, 1] + share * dy
+                covered += _is_covered(layer, edges[n, 0] + beyond * nx, edges[n, 1] + beyond * ny)
+            edges[n, 2], edges[n, 3], edges[n, 4], edges[n, 5] = nx, ny, width, owner
             n += 1 if covered <= 1 else 0
-    return strips[:n].copy()
+    return edges[:n].copy()
 
 
 @compiled
@@ -250,17 +250,17 @@ def _is_covered(layer: Layer, x: float, y: float) -> int:
 
 
 @compiled
-def before_wall(layer: Labels, strips: Array, depth: float) -> Bools:
-    """(s,) whether a wall lies within `depth` (m) behind the middle of each strip (s,6) of `uncovered_strips`.
+def before_wall(layer: Labels, edges: Array, depth: float) -> Bools:
+    """(s,) whether a wall lies within `depth` (m) behind the middle of each strip (s,6) of `uncovered_intervals`.
 
     `layer`: the labels of the grid (H,W), its origin and resolution.
     """
     label, origin, resolution = layer
-    walled = np.zeros(strips.shape[0], np.bool_)
+    walled = np.zeros(edges.shape[0], np.bool_)
     steps = int(2.0 * depth / resolution)
-    for i in range(strips.shape[0]):
+    for i in range(edges.shape[0]):
         for k in range(1, steps + 1):
-            x, y = strips[i, 0] + depth * k / steps * strips[i, 2], strips[i, 1] + depth * k / steps * strips[i, 3]
+            x, y = edges[i, 0] + depth * k / steps * edges[i, 2], edges[i, 1] + depth * k / steps * edges[i, 3]
             row, column = math.floor((y - origin[1]) / resolution), math.floor((x - origin[0]) / resolution)
             inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
             walled[i] |= inside and label[row, column] == OCCUPIED

@@ -1,6 +1,6 @@
-"""Where goals come from: open edges, bare floor, rooms without a polygon, candidates, frontiers, doors.
+"""Where goals come from: open edges, floor outside polygons, rooms without a polygon, candidates, frontiers, doors.
 
-They are few, so they are plain lists; only the cells of the grid are searched by a kernel.
+They are few, so they are plain lists; only the cells of the grid are searched by a compiled function.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.planning import goal_search as kernels
+from mecp_env.planning import goal_search
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
 from mecp_env.slam.messages import (
@@ -27,7 +27,7 @@ from mecp_env.slam.messages import (
 )
 
 Point = tuple[float, float]
-Strip = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room
+OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room
 Places = dict[int, list[float]]  # id -> x, y in m, map frame
 
 OPEN_EDGE, GAP_EDGE = int(EdgeLabel.OPEN), int(EdgeLabel.GAP)
@@ -49,18 +49,18 @@ class DoorPlace(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Survey:
+class GoalContext:
     """What the search for goals needs again and again."""
 
-    report: SlamOutput
+    slam_output: SlamOutput
     places: Places  # of the landmarks
     doors: list[DoorPlace]  # of the graph's doors
 
     @classmethod
-    def of(cls, report: SlamOutput) -> Survey:
-        """The survey of a step."""
-        places = landmark_places(report.belief)
-        return cls(report, places, [door_place(door, places) for door in report.graph.doors])
+    def of(cls, output: SlamOutput) -> GoalContext:
+        """The context of a step."""
+        places = landmark_places(output.belief)
+        return cls(output, places, [door_place(door, places) for door in output.graph.doors])
 
 
 def landmark_places(belief: Belief) -> Places:
@@ -77,20 +77,20 @@ def door_place(door: Door, places: Places) -> DoorPlace:
 
 
 def length_of(dx: float, dy: float) -> float:
-    """Length of a vector, with the last bit as kernels and arrays have it."""
+    """Length of a vector, with the last bit as compiled functions and arrays have it."""
     return float(np.hypot(dx, dy))
 
 
-def find_everything(survey: Survey, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
+def find_everything(context: GoalContext, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
     """All goals, reachable or not; `entry` tells where each room was entered, (2,) m, map frame.
 
-    Where no polygon lies: beyond open edges; in rooms without one on bare floor; without either further in.
+    Where no polygon lies: beyond open edges; in rooms without one on floor outside polygons; without either further in.
     """
-    bare, frontiers = floor_goals(survey, config)
-    uncovered = open_goals(survey, config)
-    uncovered += without_rooms(bare, uncovered)
-    uncovered += without_rooms(empty_room_goals(survey, entry, config), uncovered)
-    return [*uncovered, *candidate_goals(survey, config), *frontiers, *door_goals(survey, config)]
+    floor, frontiers = floor_goals(context, config)
+    goals = open_goals(context, config)
+    goals += without_rooms(floor, goals)
+    goals += without_rooms(empty_room_goals(context, entry, config), goals)
+    return [*goals, *candidate_goals(context, config), *frontiers, *door_goals(context, config)]
 
 
 def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:
@@ -99,14 +99,14 @@ def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:
     return [goal for goal in goals if goal.room not in rooms]
 
 
-def open_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+def open_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     """A goal beyond each wide open interval of a known polygon, unless another polygon covers the strip there.
 
     FREE cells do not close an open edge, or every edge would be closed by the scan that saw
     it; the paper asks for rooms divided into polygons, so that only a polygon does.
     Of those as near to each other as `apart_m` the widest.
     """
-    found = strips_beyond(survey, (OPEN_EDGE, config.open_width_m, config.open_beyond_m))
+    found = uncovered_intervals(context, (OPEN_EDGE, config.open_width_m, config.open_beyond_m))
     beyond = config.open_beyond_m
     goals = [Goal(OPEN, x + beyond * nx, y + beyond * ny, width, room) for x, y, nx, ny, width, room in found]
     return widest(goals, config.apart_m)
@@ -121,23 +121,23 @@ def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
     return kept
 
 
-def strips_beyond(survey: Survey, limits: tuple[int, float, float]) -> list[Strip]:
+def uncovered_intervals(context: GoalContext, limits: tuple[int, float, float]) -> list[OpenEdge]:
     """Intervals of known polygons beyond which none lies, however near: middle, outward normal, width, room.
 
     `limits`: their EdgeLabel, the least width and how far beyond the edge is looked, m.
     """
-    report, grid = survey.report, survey.report.grid
-    polygons = [polygon for polygon in report.map_polygons if len(polygon.intervals)]
+    output, grid = context.slam_output, context.slam_output.grid
+    polygons = [polygon for polygon in output.map_polygons if len(polygon.intervals)]
     if not polygons:
         return []
-    strips = kernels.uncovered_strips(
-        rings_of(polygons, survey.places),
+    edges = goal_search.uncovered_intervals(
+        rings_of(polygons, context.places),
         (np.concatenate([polygon.intervals for polygon in polygons]), starts([len(p.intervals) for p in polygons])),
         limits,
         (grid.polygon, grid.origin, grid.resolution_m),
     )
-    rooms = [report.graph.resolve(polygon.room) for polygon in polygons]
-    return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in strips.tolist()]
+    rooms = [output.graph.resolve(polygon.room) for polygon in polygons]
+    return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in edges.tolist()]
 
 
 def rings_of(polygons: list[MapPolygon], places: Places) -> tuple[Array, Ints]:
@@ -151,36 +151,36 @@ def starts(lengths: list[int]) -> Ints:
     return np.array([0, *accumulate(lengths)], np.int64)
 
 
-def floor_goals(survey: Survey, config: GoalsConfig) -> tuple[list[Goal], list[Goal]]:
+def floor_goals(context: GoalContext, config: GoalsConfig) -> tuple[list[Goal], list[Goal]]:
     """The middle of each wide piece of floor that no polygon covers, and of each frontier to unknown cells.
 
     "There is no region of the room that is not occupied by at least one polygon" (III-B): a room just entered has no
     polygon yet, and none with an open edge. Frontiers lie between the floor of a room and unknown cells, away from
     doors and candidates.
     """
-    grid = survey.report.grid
-    span = max(round(config.bare_m / 2 / grid.resolution_m), 1)
-    sizes = (span, config.bare_cells, config.frontier_cells)
+    grid = context.slam_output.grid
+    span = max(round(config.uncovered_m / 2 / grid.resolution_m), 1)
+    sizes = (span, config.uncovered_cells, config.frontier_cells)
     clear = (BARRIER_CELLS, config.door_clear_m / grid.resolution_m)
     layers = (grid.label, grid.polygon, grid.room)
-    bare, frontiers = kernels.floor_clusters(layers, barriers(survey), clear, sizes)
-    return cluster_goals(OPEN, survey, bare), cluster_goals(FRONTIER, survey, frontiers)
+    uncovered, frontiers = goal_search.floor_clusters(layers, barriers(context), clear, sizes)
+    return cluster_goals(OPEN, context, uncovered), cluster_goals(FRONTIER, context, frontiers)
 
 
-def barriers(survey: Survey) -> Array:
+def barriers(context: GoalContext) -> Array:
     """(d,2,2) the lines across the doors and the candidates, in cells: floor does not join floor there."""
-    report, lines = survey.report, list[tuple[Point, Point]]()
-    for door in survey.doors:
+    output, lines = context.slam_output, list[tuple[Point, Point]]()
+    for door in context.doors:
         half_x, half_y = 0.5 * door.width * -door.onward_y, 0.5 * door.width * door.onward_x
         lines.append(((door.x - half_x, door.y - half_y), (door.x + half_x, door.y + half_y)))
-    p_map = np.array([*lines, *(candidate.ends for candidate in report.graph.candidates)], np.float64)
-    in_cells: Array = (p_map.reshape(-1, 2, 2) - report.grid.origin) / report.grid.resolution_m
+    p_map = np.array([*lines, *(candidate.ends for candidate in output.graph.candidates)], np.float64)
+    in_cells: Array = (p_map.reshape(-1, 2, 2) - output.grid.origin) / output.grid.resolution_m
     return in_cells
 
 
-def cluster_goals(kind: GoalKind, survey: Survey, clusters: Ints) -> list[Goal]:
+def cluster_goals(kind: GoalKind, context: GoalContext, clusters: Ints) -> list[Goal]:
     """A goal in the middle of each cluster (c,4) of cells: row, column, size, room."""
-    grid, graph = survey.report.grid, survey.report.graph
+    grid, graph = context.slam_output.grid, context.slam_output.graph
     (left, low), cell = grid.origin.tolist(), grid.resolution_m
     return [
         Goal(kind, left + (column + 0.5) * cell, low + (row + 0.5) * cell, size * cell, graph.resolve(room))
@@ -188,16 +188,16 @@ def cluster_goals(kind: GoalKind, survey: Survey, clusters: Ints) -> list[Goal]:
     ]
 
 
-def empty_room_goals(survey: Survey, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
+def empty_room_goals(context: GoalContext, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
     """A place further into each room that was entered and has no polygon yet.
 
     Its floor may be covered all the same: when it is a known room, entered by another door, which a polygon will tell.
     """
-    graph = survey.report.graph
-    known = {graph.resolve(polygon.room) for polygon in survey.report.map_polygons}
+    graph = context.slam_output.graph
+    known = {graph.resolve(polygon.room) for polygon in context.slam_output.map_polygons}
     empty = sorted({room for room in entry if graph.resolve(room) == room} - known)
-    places = [(room, further_in(entry[room], survey.doors, config.further_m)) for room in empty]
-    return [Goal(OPEN, x, y, config.bare_m, room) for room, (x, y) in places]
+    places = [(room, further_in(entry[room], context.doors, config.further_m)) for room in empty]
+    return [Goal(OPEN, x, y, config.uncovered_m, room) for room, (x, y) in places]
 
 
 def further_in(p_entry: Array, doors: list[DoorPlace], further_m: float) -> Point:
@@ -209,49 +209,53 @@ def further_in(p_entry: Array, doors: list[DoorPlace], further_m: float) -> Poin
     return float(p_entry[0]), float(p_entry[1])
 
 
-def candidate_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+def candidate_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     """A place in front of each gap that may be a door."""
     goals = []
-    for candidate in survey.report.graph.candidates:
+    for candidate in context.slam_output.graph.candidates:
         (ax, ay), (bx, by) = candidate.ends.tolist()  # right and left as seen from the room
         width = length_of(bx - ax, by - ay)
         back_x, back_y = -(by - ay) / max(width, 1e-9), (bx - ax) / max(width, 1e-9)
         x, y = (ax + bx) / 2.0 + config.candidate_m * back_x, (ay + by) / 2.0 + config.candidate_m * back_y
-        goals.append(Goal(CANDIDATE, x, y, width, survey.report.graph.resolve(candidate.room)))
+        goals.append(Goal(CANDIDATE, x, y, width, context.slam_output.graph.resolve(candidate.room)))
     return goals
 
 
-def gap_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+def gap_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     """A place in front of each gap in an edge of a known polygon where no door and no candidate is known.
 
     A door seen at a grazing angle shows one jamb or none, but the laser looks through it.
     """
     away = -config.candidate_m
-    gaps = unexplained_gaps(survey)
+    gaps = unexplained_gaps(context)
     return widest(
         [Goal(CANDIDATE, x + away * nx, y + away * ny, w, room) for x, y, nx, ny, w, room in gaps], config.apart_m
     )
 
 
-def unexplained_gaps(survey: Survey) -> list[Strip]:
+def unexplained_gaps(context: GoalContext) -> list[OpenEdge]:
     """The gaps in edges of known polygons where a door is missing: none is known, nor a candidate, polygon or wall."""
-    gaps = [gap for gap in strips_beyond(survey, (GAP_EDGE, 0.0, GAP_BEYOND_M)) if not is_explained(survey, *gap[:2])]
-    grid = survey.report.grid
+    gaps = [
+        gap
+        for gap in uncovered_intervals(context, (GAP_EDGE, 0.0, GAP_BEYOND_M))
+        if not is_explained(context, *gap[:2])
+    ]
+    grid = context.slam_output.grid
     layer = (grid.label, grid.origin, grid.resolution_m)
-    walled = kernels.before_wall(layer, np.array(gaps, np.float64).reshape(-1, 6), WALL_BEHIND_M) if gaps else ()
+    walled = goal_search.before_wall(layer, np.array(gaps, np.float64).reshape(-1, 6), WALL_BEHIND_M) if gaps else ()
     return [gap for gap, wall in zip(gaps, walled, strict=True) if not wall]
 
 
-def is_explained(survey: Survey, x: float, y: float) -> bool:
+def is_explained(context: GoalContext, x: float, y: float) -> bool:
     """True when a door or a candidate is known near (x, y) m."""
-    doors = [(door.x, door.y) for door in survey.doors]
-    gaps = [candidate.ends.mean(axis=0).tolist() for candidate in survey.report.graph.candidates]
+    doors = [(door.x, door.y) for door in context.doors]
+    gaps = [candidate.ends.mean(axis=0).tolist() for candidate in context.slam_output.graph.candidates]
     return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in [*doors, *gaps])
 
 
-def door_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
+def door_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     """A place beyond each door behind which nobody has been."""
-    graph, beyond = survey.report.graph, config.door_beyond_m
+    graph, beyond = context.slam_output.graph, config.door_beyond_m
     return [
         Goal(
             DOOR,
@@ -261,6 +265,6 @@ def door_goals(survey: Survey, config: GoalsConfig) -> list[Goal]:
             graph.resolve(door.rooms[0]),
             door.id,
         )
-        for door, place in zip(graph.doors, survey.doors, strict=True)
+        for door, place in zip(graph.doors, context.doors, strict=True)
         if door.rooms[1] == UNKNOWN_ROOM
     ]

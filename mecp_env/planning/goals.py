@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
-from mecp_env.planning.goal_sources import Survey, find_everything, gap_goals, length_of
+from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels
-from mecp_env.planning.paths import WayField, way_field
+from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import UNKNOWN_ROOM, Array, RoomGraph, SlamOutput
-
-CHANCES = 2
 
 __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 
@@ -41,17 +39,17 @@ class GoalHistory:
     drives: list[Remembered] = field(default_factory=list)
     entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, where the robot first stood in it
     first_room: int = UNKNOWN_ROOM
-    forgiven: int = 0  # how often goals that were refused were given another chance
+    retries: int = 0  # how often refused goals were tried again
 
-    def notice(self, report: SlamOutput) -> None:
+    def notice(self, output: SlamOutput) -> None:
         """Remember where a room was entered."""
-        room = report.graph.resolve(report.graph.current)
+        room = output.graph.resolve(output.graph.current)
         if room not in self.entry:
-            self.entry[room] = report.belief.T_map_robot[:2].copy()
+            self.entry[room] = output.belief.T_map_robot[:2].copy()
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
-        for drive in self.drives if report.graph.merged else ():
-            drive.room = report.graph.resolve(drive.room)
+        for drive in self.drives if output.graph.merged else ():
+            drive.room = output.graph.resolve(drive.room)
 
     def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> None:
         """Remember how a drive to a goal ended: there, refused, or on the way. Often enough, and the goal is closed.
@@ -72,18 +70,18 @@ class GoalHistory:
             or remembered.settled >= config.settled
         )
 
-    def forgive(self) -> None:
-        """Give goals that were refused another chance, twice: who stood in the way may have gone."""
+    def retry_refused(self, config: GoalsConfig) -> None:
+        """Try refused goals again: a person in the path may have left."""
         refused = [drive for drive in self.drives if drive.closed and drive.refusals]
-        if refused and self.forgiven < CHANCES:
-            self.forgiven += 1
+        if refused and self.retries < config.retries:
+            self.retries += 1
             for drive in refused:
                 drive.closed, drive.refusals = False, 0
 
     def find(self, kind: int, room: int, place: tuple[float, float], apart_m: float) -> Remembered | None:
         """What is remembered of a goal: the drive to one of its kind and room nearest to it, within `apart_m`.
 
-        What is bare in the room next door is nothing that was looked for in vain in this one.
+        A drive in another room does not close a goal of this one.
         """
         (x, y), alike = place, [drive for drive in self.drives if drive.kind == kind and drive.room == room]
         places = [(drive.p_map.tolist(), drive) for drive in alike]
@@ -92,37 +90,37 @@ class GoalHistory:
         return nearest if far <= apart_m else None
 
 
-def find_goals(report: SlamOutput, book: GoalHistory, config: PlanningConfig) -> Goals:
-    """All goals of a step that can be reached and are not closed in the book; see `Goals` for their order.
+def find_goals(output: SlamOutput, history: GoalHistory, config: PlanningConfig) -> Goals:
+    """All goals of a step that can be reached and are not closed in the history; see `Goals` for their order.
 
     Where none can be reached, the gaps that nothing explains; then the candidates and doors out of reach: no episode
     ends while one remains.
     """
-    book.notice(report)
-    if not report.grid.label.size:
+    history.notice(output)
+    if not output.grid.label.size:
         return Goals()
-    survey = Survey.of(report)
-    goals = without_closed(find_everything(survey, book.entry, config.goals), book, config.goals)
-    found = reachable(goals, report, config)
+    context = GoalContext.of(output)
+    goals = without_closed(find_everything(context, history.entry, config.goals), history, config.goals)
+    found = reachable(goals, output, config)
     if not found:
-        gaps = not_visited(gap_goals(survey, config.goals), book, config.goals)
-        found = reachable(gaps, report, config) or out_of_reach(goals, report.belief.T_map_robot)
-    goals = with_levels(found, report, book)
-    return Goals.of(in_order(goals, report.graph.resolve(report.graph.current)))
+        gaps = not_visited(gap_goals(context, config.goals), history, config.goals)
+        found = reachable(gaps, output, config) or out_of_reach(goals, output.belief.T_map_robot)
+    goals = with_levels(found, output, history)
+    return Goals.of(in_order(goals, output.graph.resolve(output.graph.current)))
 
 
-def complete_rooms(goals: Goals, book: GoalHistory, graph: RoomGraph) -> tuple[int, ...]:
+def complete_rooms(goals: Goals, history: GoalHistory, graph: RoomGraph) -> tuple[int, ...]:
     """Rooms entered that hold no goal of the first three kinds any more."""
     busy = {room for room, kind in zip(goals.room.tolist(), goals.kind.tolist(), strict=True) if kind in LOCAL}
-    entered = {graph.resolve(room) for room in book.entry}
+    entered = {graph.resolve(room) for room in history.entry}
     return tuple(sorted(entered - busy - {UNKNOWN_ROOM}))
 
 
-def without_closed(goals: list[Goal], book: GoalHistory, config: GoalsConfig) -> list[Goal]:
+def without_closed(goals: list[Goal], history: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals that are not closed, with their visits."""
     still = []
     for goal in goals:
-        memory = book.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m)
+        memory = history.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m)
         if memory is not None:
             goal.visits = memory.visits + memory.refusals + memory.settled
         if memory is None or not memory.closed:
@@ -130,29 +128,31 @@ def without_closed(goals: list[Goal], book: GoalHistory, config: GoalsConfig) ->
     return still
 
 
-def not_visited(goals: list[Goal], book: GoalHistory, config: GoalsConfig) -> list[Goal]:
+def not_visited(goals: list[Goal], history: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals where no drive ended and that are not closed; a door is confirmed in the time of one visit."""
-    memories = [book.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m) for goal in goals]
+    memories = [history.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m) for goal in goals]
     seen = [memory is not None and (memory.closed or memory.visits > 0) for memory in memories]
     return [goal for goal, done in zip(goals, seen, strict=True) if not done]
 
 
-def reachable(goals: list[Goal], report: SlamOutput, config: PlanningConfig) -> list[Goal]:
-    """The goals that can be reached; over tight ways only where there is no other: a narrow door leads on."""
+def reachable(goals: list[Goal], output: SlamOutput, config: PlanningConfig) -> list[Goal]:
+    """The goals that can be reached; over tight paths only where there is no other: a narrow door leads on."""
     if not goals:
         return []
     for tight in (False, True):
-        found = with_paths(goals, way_field(report.grid, report.belief.T_map_robot, config.paths, tight), config.goals)
+        found = with_paths(
+            goals, cost_to_go_field(output.grid, output.belief.T_map_robot, config.paths, tight), config.goals
+        )
         if found:
             break
     return found
 
 
-def with_paths(goals: list[Goal], ways: WayField, config: GoalsConfig) -> list[Goal]:
-    """The goals that can be reached, with the length of the way. A door counts from its near side."""
+def with_paths(goals: list[Goal], costs: CostToGoField, config: GoalsConfig) -> list[Goal]:
+    """The goals that can be reached, with the length of the path. A door counts from its near side."""
     places = [(goal.x, goal.y, reach_of(goal.kind, config)) for goal in goals]
     near = []
-    for goal, length_m in zip(goals, ways.lengths_m(places), strict=True):
+    for goal, length_m in zip(goals, costs.lengths_m(places), strict=True):
         goal.path_m = length_m
         if length_m >= 0.0:
             near.append(goal)
@@ -165,7 +165,7 @@ def reach_of(kind: GoalKind, config: GoalsConfig) -> float:
 
 
 def out_of_reach(goals: list[Goal], T_map_robot: Array) -> list[Goal]:
-    """The candidates and doors, where no goal can be reached; as no way is known, its length is the straight one."""
+    """The candidates and doors, where no goal can be reached; as no path is known, its length is the straight one."""
     x, y, _ = T_map_robot.tolist()
     kept = [goal for goal in goals if goal.kind in (CANDIDATE, DOOR)]
     for goal in kept:
@@ -173,15 +173,17 @@ def out_of_reach(goals: list[Goal], T_map_robot: Array) -> list[Goal]:
     return kept
 
 
-def with_levels(goals: list[Goal], report: SlamOutput, book: GoalHistory) -> list[Goal]:
+def with_levels(goals: list[Goal], output: SlamOutput, history: GoalHistory) -> list[Goal]:
     """The goals with their level: of the polygon nearest to them, or of the room for a door."""
     doors = [goal for goal in goals if goal.kind == DOOR]
-    rooms = door_levels(report.graph, book.first_room) if doors else {}
+    rooms = door_levels(output.graph, history.first_room) if doors else {}
     for goal in doors:
         goal.level = rooms.get(goal.room, len(rooms))
     local = [goal for goal in goals if goal.kind != DOOR]
     for room in {goal.room for goal in local}:
-        set_levels([goal for goal in local if goal.room == room], *polygon_levels(report, room, book.entry.get(room)))
+        set_levels(
+            [goal for goal in local if goal.room == room], *polygon_levels(output, room, history.entry.get(room))
+        )
     return goals
 
 
@@ -193,7 +195,7 @@ def set_levels(goals: list[Goal], centres: list[tuple[float, float]], levels: li
 
 
 def in_order(goals: list[Goal], current: int) -> list[Goal]:
-    """Of the current room first: kind, level, way; then doors: level, way; then what is left in other rooms: way."""
+    """Of the current room first: kind, level, path; then doors: level, path; then what is left in other rooms: path."""
 
     def rank(goal: Goal) -> tuple[bool, int, int, float]:
         elsewhere = goal.room != current and goal.kind != DOOR

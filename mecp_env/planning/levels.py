@@ -30,15 +30,15 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(report: SlamOutput, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
+def polygon_levels(output: SlamOutput, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
     """Centres (m, map frame) and levels of the known polygons of a room; neighbours share a vertex.
 
     Level 0 is the polygon nearest to where the room was entered.
     """
-    rings = rings_of_room(report, room)
+    rings = rings_of_room(output, room)
     if not rings:
         return [], []
-    p_map = report.belief.p_map.tolist()
+    p_map = output.belief.p_map.tolist()
     centres = [centre_of([p_map[row] for row in sorted(ring)]) for ring in rings]
     x, y = centres[0] if p_entry is None else p_entry.tolist()
     far = [math.hypot(a - x, b - y) for a, b in centres]
@@ -63,8 +63,8 @@ def neighbours_of(rings: list[list[int]]) -> dict[int, set[int]]:
     return {i: set().union(*(owners[row] for row in ring)) for i, ring in enumerate(rings)}
 
 
-def rings_of_room(report: SlamOutput, room: int) -> list[list[int]]:
+def rings_of_room(output: SlamOutput, room: int) -> list[list[int]]:
     """Of the known polygons of a room: the rows of their vertices in the belief, where all are landmarks."""
-    row = {landmark: i for i, landmark in enumerate(report.belief.ids.tolist())}
-    rings = [p.ids.tolist() for p in report.map_polygons if report.graph.resolve(p.room) == room]
+    row = {landmark: i for i, landmark in enumerate(output.belief.ids.tolist())}
+    rings = [p.ids.tolist() for p in output.map_polygons if output.graph.resolve(p.room) == room]
     return [[row[i] for i in ids] for ids in rings if row.keys() >= set(ids)]

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core import grid_paths as kernels
+from mecp_env.core import grid_paths
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
-from mecp_env.planning.goal_sources import Strip, Survey, door_place, landmark_places, unexplained_gaps
-from mecp_env.planning.paths import WayField, way_field
+from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, landmark_places, unexplained_gaps
+from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamOutput
 
 OFF_PATH_M = 0.4  # farther from its path the robot plans again
@@ -21,7 +21,7 @@ BACK_STEPS = 4
 APPROACH_M = 0.6  # a door is entered along its normal from so far
 GAP_NEAR_M = 3.0  # a candidate as near to the place from which it is looked at
 ASIDE_M = 0.5  # a gap is looked at from in front of it
-TRIES = 3  # plans without a way before the goal is refused
+TRIES = 3  # plans without a path before the goal is refused
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
 
@@ -52,8 +52,8 @@ class Navigator:
     steps: int = 0
     planned: int = 0  # step of the last plan
     planned_version: int = -1  # of the grid
-    tries: int = 0  # plans without a way, in a row
-    best_left_m: float = math.inf  # the least way left so far
+    tries: int = 0  # plans without a path, in a row
+    best_left_m: float = math.inf  # the shortest path left so far
     best_step: int = 0  # when it was
     recoveries: int = 0
     backing: int = 0  # steps of backing off that are left
@@ -67,133 +67,133 @@ class Navigator:
         self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
-    def step(self, report: SlamOutput) -> tuple[float, float]:
+    def step(self, output: SlamOutput) -> tuple[float, float]:
         """Speed (m/s) and turn rate (rad/s) for the next step; `outcome` tells whether the drive goes on."""
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
         self.steps += 1
-        self.outcome = self._judge(self.target, report)
+        self.outcome = self._judge(self.target, output)
         if self.outcome != Outcome.RUNNING:
             return STOP
-        if self._there(self.target, report):
+        if self._there(self.target, output):
             self.dwelt += 1
             return STOP
-        return self._back_off(report) if self.backing else self._drive(self.target, report)
+        return self._back_off(output) if self.backing else self._drive(self.target, output)
 
-    def _judge(self, target: Target, report: SlamOutput) -> Outcome:
+    def _judge(self, target: Target, output: SlamOutput) -> Outcome:
         """How the drive stands before this step."""
         limits = self.config.navigator
-        if settled(target, report):
-            far = target.kind == FRONTIER and not self._there(target, report)
+        if settled(target, output):
+            far = target.kind == FRONTIER and not self._there(target, output)
             return Outcome.SETTLED if far else Outcome.REACHED
         if self.dwelt >= limits.dwell_steps:
             return Outcome.REACHED
         return Outcome.REFUSED if self.steps > limits.limit_steps else Outcome.RUNNING
 
-    def _there(self, target: Target, report: SlamOutput) -> bool:
-        """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the way)."""
-        here, goal = report.belief.T_map_robot.tolist()[:2], target.p_map.tolist()
+    def _there(self, target: Target, output: SlamOutput) -> bool:
+        """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the path)."""
+        here, goal = output.belief.T_map_robot.tolist()[:2], target.p_map.tolist()
         end = self.path[-1].tolist() if len(self.path) and target.kind != DOOR else goal
         return min(math.dist(here, end), math.dist(here, goal)) < self.config.navigator.reached_m
 
-    def _must_plan(self, report: SlamOutput) -> bool:
+    def _must_plan(self, output: SlamOutput) -> bool:
         """True without a path, off it, when it is old, or when a wall appeared on it."""
-        pose = report.belief.T_map_robot
+        pose = output.belief.T_map_robot
         if not len(self.path) or off_path(self.path, pose[0], pose[1]) > OFF_PATH_M:
             return True
-        if report.grid.version == self.planned_version:
+        if output.grid.version == self.planned_version:
             return False
         old = self.steps - self.planned >= self.config.navigator.replan_steps
-        return old or blocked(self.path, report, self.config)
+        return old or blocked(self.path, output, self.config)
 
-    def _plan(self, target: Target, report: SlamOutput) -> None:
+    def _plan(self, target: Target, output: SlamOutput) -> None:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
-        self.planned, self.planned_version = self.steps, report.grid.version
+        self.planned, self.planned_version = self.steps, output.grid.version
         before = len(self.path)
-        self.path = plan(target, report, self.config)
+        self.path = plan(target, output, self.config)
         self.tries = 0 if len(self.path) else self.tries + 1
         if not before or self.tries:
             self.best_left_m, self.best_step = math.inf, self.steps
         if self.tries >= TRIES:
             self.outcome = Outcome.REFUSED
 
-    def _drive(self, target: Target, report: SlamOutput) -> tuple[float, float]:
+    def _drive(self, target: Target, output: SlamOutput) -> tuple[float, float]:
         """Follow the path, and notice when that leads nowhere."""
-        if self._must_plan(report):
-            self._plan(target, report)
+        if self._must_plan(output):
+            self._plan(target, output)
         if not len(self.path):
             return STOP
         config = self.config
-        _, _, left = look_ahead(self.path, report.belief.T_map_robot, config.control.lookahead_m)
+        _, _, left = look_ahead(self.path, output.belief.T_map_robot, config.control.lookahead_m)
         if left < self.best_left_m - config.navigator.progress_m:
             self.best_left_m, self.best_step = left, self.steps
         if self.steps - self.best_step >= config.navigator.stuck_steps:
-            return self._recover(report)
-        command = follow(self.path, report.belief.T_map_robot, report.beams, config.control, config.paths)
-        self.command = coast(command, self.command, report.beams, config.control, config.paths)
+            return self._recover(output)
+        command = follow(self.path, output.belief.T_map_robot, output.beams, config.control, config.paths)
+        self.command = coast(command, self.command, output.beams, config.control, config.paths)
         return self.command
 
-    def _recover(self, report: SlamOutput) -> tuple[float, float]:
-        """Back off and plan anew; too often: refuse the goal."""
+    def _recover(self, output: SlamOutput) -> tuple[float, float]:
+        """Back off and plan again; too often: refuse the goal."""
         self.recoveries += 1
         self.path = np.empty((0, 2))
         if self.recoveries > self.config.navigator.recoveries:
             self.outcome = Outcome.REFUSED
             return STOP
         self.backing = BACK_STEPS
-        return self._back_off(report)
+        return self._back_off(output)
 
-    def _back_off(self, report: SlamOutput) -> tuple[float, float]:
+    def _back_off(self, output: SlamOutput) -> tuple[float, float]:
         """One step backwards, bending to one side and the other in turn; on the spot where that is barred."""
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
         keep_off = self.config.paths.radius_m + self.config.control.guard_m
         control = self.config.control
         length = stop_path(BACK_M_S, control.period_s, control.acceleration_m_s2)
-        safe = is_safe(seen_points(report.beams), -BACK_M_S, side, keep_off, length)
+        safe = is_safe(seen_points(output.beams), -BACK_M_S, side, keep_off, length)
         return (-BACK_M_S, -side * BACK_M_S) if safe else (0.0, side * self.config.control.turn_rad_s / 2)
 
 
-def settled(target: Target, report: SlamOutput) -> bool:
+def settled(target: Target, output: SlamOutput) -> bool:
     """True when a goal has nothing more to show: covered, confirmed, known, or gone."""
     if target.kind == OPEN:
-        return covered(target, report)
+        return covered(target, output)
     if target.kind == FRONTIER:
-        return not unknown_near(target.p_map, report)
+        return not unknown_near(target.p_map, output)
     if target.kind == CANDIDATE:
-        return not gap_left(target, report)
-    return door_of(target, report) is None
+        return not gap_left(target, output)
+    return door_of(target, output) is None
 
 
-def gap_left(target: Target, report: SlamOutput) -> bool:
+def gap_left(target: Target, output: SlamOutput) -> bool:
     """True while there is a candidate near the target, or the gap in an edge that is looked at from there."""
     goal = target.p_map.tolist()
-    gaps = (candidate.ends.mean(axis=0).tolist() for candidate in report.graph.candidates)
+    gaps = (candidate.ends.mean(axis=0).tolist() for candidate in output.graph.candidates)
     if any(math.dist(gap, goal) < GAP_NEAR_M for gap in gaps):
         return True
-    return any(faces(goal, gap) for gap in unexplained_gaps(Survey.of(report)))
+    return any(faces(goal, gap) for gap in unexplained_gaps(GoalContext.of(output)))
 
 
-def faces(place: list[float], gap: Strip) -> bool:
+def faces(place: list[float], gap: OpenEdge) -> bool:
     """True when a place (x, y) m lies in front of a gap, as near as from where a candidate is looked at."""
     x, y, nx, ny, *_ = gap
     ahead, aside = (x - place[0]) * nx + (y - place[1]) * ny, (x - place[0]) * ny - (y - place[1]) * nx
     return 0.0 < ahead < GAP_NEAR_M and abs(aside) < ASIDE_M
 
 
-def covered(target: Target, report: SlamOutput) -> bool:
+def covered(target: Target, output: SlamOutput) -> bool:
     """True when a polygon of the target's room covers it."""
-    grid = report.grid
+    grid = output.grid
     row, column = cell_of(target.p_map, grid)
     if not (0 <= row < grid.polygon.shape[0] and 0 <= column < grid.polygon.shape[1]):
         return False
-    return bool(grid.polygon[row, column] and grid.room[row, column] == report.graph.resolve(target.room))
+    return bool(grid.polygon[row, column] and grid.room[row, column] == output.graph.resolve(target.room))
 
 
-def unknown_near(p_map: Array, report: SlamOutput) -> bool:
+def unknown_near(p_map: Array, output: SlamOutput) -> bool:
     """True when a cell beside the one at `p_map` (2,) is unknown."""
-    row, column = cell_of(p_map, report.grid)
-    around = report.grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    row, column = cell_of(p_map, output.grid)
+    around = output.grid.label[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
     return bool((around == UNKNOWN).any())
 
 
@@ -203,49 +203,49 @@ def cell_of(p_map: Array, grid: SemanticGrid) -> tuple[int, int]:
     return math.floor((y - low) / grid.resolution_m), math.floor((x - left) / grid.resolution_m)
 
 
-def door_of(target: Target, report: SlamOutput) -> Door | None:
+def door_of(target: Target, output: SlamOutput) -> Door | None:
     """The door of a target as it is known now."""
-    doors = [door for door in report.graph.doors if door.id == target.door]
+    doors = [door for door in output.graph.doors if door.id == target.door]
     return doors[0] if doors else None
 
 
-def blocked(path: Array, report: SlamOutput, config: PlanningConfig) -> bool:
+def blocked(path: Array, output: SlamOutput, config: PlanningConfig) -> bool:
     """True when a wall lies nearer to the path (n,2) than the robot's radius."""
-    grid = report.grid
-    return bool(kernels.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
+    grid = output.grid
+    return bool(grid_paths.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 
 
-def plan(target: Target, report: SlamOutput, config: PlanningConfig) -> Array:
-    """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no way."""
+def plan(target: Target, output: SlamOutput, config: PlanningConfig) -> Array:
+    """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no path."""
     for tight in (False, True):
-        ways = way_field(report.grid, report.belief.T_map_robot, config.paths, tight)
-        path = plan_over(ways, target, report, config)
+        costs = cost_to_go_field(output.grid, output.belief.T_map_robot, config.paths, tight)
+        path = plan_over(costs, target, output, config)
         if len(path):
             break
     return path
 
 
-def plan_over(ways: WayField, target: Target, report: SlamOutput, config: PlanningConfig) -> Array:
-    """A path (n,2) m, map frame, to a target; empty when there is no way."""
-    door = door_of(target, report)
+def plan_over(costs: CostToGoField, target: Target, output: SlamOutput, config: PlanningConfig) -> Array:
+    """A path (n,2) m, map frame, to a target; empty when there is no path."""
+    door = door_of(target, output)
     if target.kind == DOOR and door is not None:
-        return plan_through(door, report, ways, config)
-    cell = ways.nearest(target.p_map, config.goals.reach_m)
-    return np.empty((0, 2)) if cell is None else ways.path(cell)
+        return plan_through(door, output, costs, config)
+    cell = costs.nearest(target.p_map, config.goals.reach_m)
+    return np.empty((0, 2)) if cell is None else costs.path(cell)
 
 
-def plan_through(door: Door, report: SlamOutput, ways: WayField, config: PlanningConfig) -> Array:
+def plan_through(door: Door, output: SlamOutput, costs: CostToGoField, config: PlanningConfig) -> Array:
     """A path through the middle of a door along its normal; beyond it the floor need not be known.
 
     A robot that stands in the door, or just before or behind it, goes straight on.
     """
-    place = door_place(door, landmark_places(report.belief))
+    place = door_place(door, landmark_places(output.belief))
     middle, onward = np.array(place[:2]), np.array(place[2:4])
     beyond = middle + config.goals.door_beyond_m * onward
-    robot = report.belief.T_map_robot[:2]
+    robot = output.belief.T_map_robot[:2]
     offset = robot - middle
     along, aside = float(offset @ onward), abs(float(offset[0] * onward[1] - offset[1] * onward[0]))
     if -APPROACH_M - 0.1 < along < config.goals.door_beyond_m and aside < 0.2:
         return np.array([robot, middle, beyond] if along < 0.0 else [robot, beyond])
-    cell = ways.nearest(middle - APPROACH_M * onward, config.goals.reach_m)
-    return np.empty((0, 2)) if cell is None else np.concatenate([ways.path(cell), [middle, beyond]])
+    cell = costs.nearest(middle - APPROACH_M * onward, config.goals.reach_m)
+    return np.empty((0, 2)) if cell is None else np.concatenate([costs.path(cell), [middle, beyond]])

@@ -1,4 +1,4 @@
-"""Ways over the believed grid for a round robot: costs that keep off walls, one distance field, smoothed paths."""
+"""Paths over the believed grid for a round robot: costs that keep off walls, one cost-to-go field, smoothed paths."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core import grid_paths as kernels
+from mecp_env.core import grid_paths
 from mecp_env.planning.config import PathsConfig
 from mecp_env.slam.messages import SemanticGrid
 
@@ -21,27 +21,27 @@ REMEMBERED = 4  # fields: a goal that is chosen is driven to over the field it w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WayField:
-    """The cheapest ways from the robot to every cell of a grid."""
+class CostToGoField:
+    """The cheapest paths from the robot to every cell of a grid."""
 
     grid: SemanticGrid
     clearance: NDArray[np.float32]  # (H,W) cells to the nearest wall, up to the comfortable distance
     cost: Bytes  # (H,W) cost of a cell, 0: barred
-    total: Costs  # (H,W) cost of the way there, kernels.FAR: none
+    total: Costs  # (H,W) cost of the path there, grid_paths.FAR: none
     step: Bytes  # (H,W) the step that leads there
     shortcut: float  # cells: shortcuts keep so far from walls
 
     def nearest(self, p_map: Array, reach_m: float) -> tuple[int, int] | None:
         """Row and column of the reachable cell nearest to `p_map` (2,), within `reach_m`; None without one."""
         x, y = self._cells(p_map)
-        row, column = kernels.nearest_reached(self.total, x, y, reach_m / self.grid.resolution_m)
+        row, column = grid_paths.nearest_reached(self.total, x, y, reach_m / self.grid.resolution_m)
         return None if row < 0 else (row, column)
 
     def lengths_m(self, places: Sequence[tuple[float, float, float]]) -> list[float]:
-        """Length of the way to each place (x, y, how near the way must come; m, map frame), below 0 without one."""
+        """Length of the path to each place (x, y, how near the path must come; m, map frame), below 0 without one."""
         (left, low), cell = self.grid.origin.tolist(), self.grid.resolution_m
         in_cells = [((x - left) / cell, (y - low) / cell, reach / cell) for x, y, reach in places]
-        tenths = kernels.way_lengths(self.total, self.step, np.array(in_cells, np.float64).reshape(-1, 3))
+        tenths = grid_paths.path_lengths(self.total, self.step, np.array(in_cells, np.float64).reshape(-1, 3))
         return [0.1 * cell * length for length in tenths.tolist()]
 
     def centre(self, cell: tuple[int, int]) -> Array:
@@ -49,8 +49,8 @@ class WayField:
         return self.grid.origin + (np.array([cell[1], cell[0]]) + 0.5) * self.grid.resolution_m
 
     def path(self, cell: tuple[int, int]) -> Array:
-        """The way (n,2) m, map frame, from the robot to a reachable cell, smoothed."""
-        points = kernels.smooth_way(self.step, cell[0], cell[1], self.clearance, self.cost, self.shortcut)
+        """The path (n,2) m, map frame, from the robot to a reachable cell, smoothed."""
+        points = grid_paths.smooth_path(self.step, cell[0], cell[1], self.clearance, self.cost, self.shortcut)
         return self.grid.origin + points * self.grid.resolution_m
 
     def _cells(self, p_map: Array) -> tuple[float, float]:
@@ -58,23 +58,23 @@ class WayField:
         return float(x), float(y)
 
 
-def way_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig, tight: bool = False) -> WayField:
-    """All ways of the robot over FREE and DOOR cells; unknown cells are barred.
+def cost_to_go_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig, tight: bool = False) -> CostToGoField:
+    """The cheapest paths of the robot over FREE and DOOR cells; unknown cells are barred.
 
     A cell is passable when its centre is radius + margin + half a cell from the centre of every OCCUPIED cell; for
-    tight ways the radius will do, which lets the robot through a door where the cells of the jambs are drawn too thick.
+    tight paths need only the radius: the robot then passes a door whose jambs are drawn too thick.
     A robot that stands nearer to a wall (or on an unknown cell) may leave over the cells around it.
     """
     x, y = ((T_map_robot[:2] - grid.origin) / grid.resolution_m).tolist()
     row, column = (int(min(max(0.0, at), size - 1)) for at, size in zip((y, x), grid.label.shape, strict=True))
-    return _ways_from(grid, row, column, config, tight)
+    return _field_from(grid, row, column, config, tight)
 
 
 @lru_cache(REMEMBERED)
-def _ways_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, tight: bool) -> WayField:
-    """All ways from a cell; nobody writes to a field, nor to a grid."""
+def _field_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, tight: bool) -> CostToGoField:
+    """The cheapest paths from a cell; fields and grids are never written to."""
     cells = 1.0 / grid.resolution_m
     least = config.radius_m * cells if tight else (config.radius_m + config.margin_m) * cells + 0.5
     limits = (least, max(config.comfort_m * cells, least), config.wall_cost, int(0.5 * cells))
-    field = kernels.cheapest_ways(grid.label, row, column, limits)
-    return WayField(grid, *field, config.shortcut_m * cells)
+    field = grid_paths.cost_to_go(grid.label, row, column, limits)
+    return CostToGoField(grid, *field, config.shortcut_m * cells)

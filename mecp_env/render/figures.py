@@ -19,7 +19,7 @@ from mecp_env.core.text import readable
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.text import summary
-from mecp_env.render.view import View, loops, signed_area
+from mecp_env.render.view import SceneView, loops, signed_area
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]  # value, lower and upper end of its 95 % interval
@@ -43,7 +43,7 @@ def boxes_for_missing_glyphs() -> Iterator[None]:
         yield
 
 
-def map_figure(view: View) -> Figure:
+def map_figure(view: SceneView) -> Figure:
     """The map at the end of an episode, laid over the truth (in grey): rooms, doors, landmarks, both paths."""
     width, height = view.bounds[1] - view.bounds[0]
     figure = Figure(figsize=(11.0, 11.0 * height / width + 1.6), layout="constrained")
@@ -75,7 +75,7 @@ def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]
     return figure
 
 
-def _caption(view: View) -> str:
+def _caption(view: SceneView) -> str:
     return "    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
 
 
@@ -96,7 +96,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
-def _draw_truth(axes: Axes, view: View) -> None:
+def _draw_truth(axes: Axes, view: SceneView) -> None:
     """Walls in grey, free space in white; the polygons of the map lie between the two."""
     for strip in shapes.wall_strips(view.segments):
         axes.add_patch(Polygon(strip, facecolor=TRUTH_GREY, edgecolor="none"))
@@ -107,35 +107,35 @@ def _draw_truth(axes: Axes, view: View) -> None:
         axes.add_patch(Polygon(ring, facecolor=unit(palette.MOVER), edgecolor="none", alpha=0.6, zorder=3.0))
 
 
-def _draw_rooms(axes: Axes, view: View) -> None:
-    for polygon, ring in shapes.polygon_rings(view.report):
-        colour = palette.room_colour(view.report.graph.resolve(polygon.room))
+def _draw_rooms(axes: Axes, view: SceneView) -> None:
+    for polygon, ring in shapes.polygon_rings(view.slam_output):
+        colour = palette.room_colour(view.slam_output.graph.resolve(polygon.room))
         light = palette.mix(colour, palette.FREE, 0.75)  # opaque: many polygons of a room are no darker than one
         p_world = to_map(view.T_world_map, ring)
         axes.add_patch(Polygon(p_world, facecolor=unit(light), edgecolor="none"))
         axes.add_patch(Polygon(p_world, fill=False, edgecolor=(*unit(colour), 0.3), linewidth=0.7, zorder=1.5))
 
 
-def _draw_doors(axes: Axes, view: View) -> None:
-    where = shapes.positions(view.report.belief)
-    for door in view.report.graph.doors:
+def _draw_doors(axes: Axes, view: SceneView) -> None:
+    where = shapes.positions(view.slam_output.belief)
+    for door in view.slam_output.graph.doors:
         for face in shapes.door_faces(door, where):
             axes.plot(*to_map(view.T_world_map, face).T, color=unit(palette.DOOR), linewidth=3.0)
-    for candidate in view.report.graph.candidates:
+    for candidate in view.slam_output.graph.candidates:
         ends = to_map(view.T_world_map, candidate.ends)
         axes.plot(*ends.T, color=unit(palette.DOOR), linewidth=1.5, linestyle=":")
 
 
-def _draw_landmarks(axes: Axes, view: View) -> None:
-    belief = view.report.belief
+def _draw_landmarks(axes: Axes, view: SceneView) -> None:
+    belief = view.slam_output.belief
     for mean, cov in zip(belief.p_map, belief.covs, strict=True):
         ring = to_map(view.T_world_map, shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED))
         axes.add_patch(Polygon(ring, fill=False, edgecolor=unit(palette.LANDMARK), linewidth=0.8))
     axes.plot(*to_map(view.T_world_map, belief.p_map).T, "+", color=unit(palette.LANDMARK), markersize=5)
 
 
-def _name_rooms(axes: Axes, view: View) -> None:
-    for room, p_map in shapes.room_labels(view.report).items():
+def _name_rooms(axes: Axes, view: SceneView) -> None:
+    for room, p_map in shapes.room_labels(view.slam_output).items():
         x, y = to_map(view.T_world_map, p_map[None])[0]
         colour = unit(palette.mix(palette.room_colour(room), palette.INK, 0.4))
         axes.text(x, y, f"room {room}", ha="center", va="center", color=colour, fontsize=11, fontweight="bold")
@@ -155,7 +155,7 @@ def _plain(axes: Axes, bounds: Array) -> None:
     axes.set_ylim(bounds[0, 1] - 1.0, bounds[1, 1] + 0.5)
 
 
-def _map_legend(view: View) -> list[Patch | Line2D]:
+def _map_legend(view: SceneView) -> list[Patch | Line2D]:
     ink, blue, red, amber = (unit(c) for c in (palette.INK, palette.ESTIMATE, palette.LANDMARK, palette.DOOR))
     room = unit(palette.ROOMS[0])
     movers = [Patch(color=unit(palette.MOVER), alpha=0.6, label="person, box")] if len(view.moving) else []

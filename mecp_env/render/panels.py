@@ -11,7 +11,7 @@ from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
-from mecp_env.render.view import View, loops, signed_area
+from mecp_env.render.view import SceneView, loops, signed_area
 from mecp_env.slam.messages import Cell, SemanticGrid
 
 Array = NDArray[np.float64]
@@ -20,14 +20,14 @@ Image = NDArray[np.uint8]
 ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
 
 
-def draw_world(brush: Brush, view: View, box: Box) -> None:
+def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
     """The true walls, the robot with its scan, and the way it has come."""
     camera = Camera.fit(view.bounds, box)
     for strip in shapes.wall_strips(view.segments):
         brush.area(camera.pixels(strip), palette.SOLID)
     for ring in loops(view.segments):
         brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
-    ends, hit = shapes.beam_ends(view.report, view.T_world_robot)
+    ends, hit = shapes.beam_ends(view.slam_output, view.T_world_robot)
     brush.veil([(camera.pixels(ends), palette.BEAM)], alpha=50)
     brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
     for pixel in camera.pixels(ends[hit]):
@@ -37,27 +37,27 @@ def draw_world(brush: Brush, view: View, box: Box) -> None:
     draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
 
 
-def draw_nothing(brush: Brush, view: View, box: Box) -> None:
+def draw_nothing(brush: Brush, view: SceneView, box: Box) -> None:
     """An empty half in the place of the world."""
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [box.width, box.height] + np.array([box.left, box.top])
     brush.area(corners, palette.UNSEEN)
     brush.text("hidden", (box.middle[0], box.middle[1] - 10), 28, palette.FAINT, align=0.5)
 
 
-def draw_belief(brush: Brush, view: View, box: Box) -> None:
+def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
     """Grid, polygons, doors, landmarks, goals, the estimated way and pose, laid over the place of the world."""
     camera = Camera.fit(view.bounds, box)
-    brush.picture(grid_picture(view.report.grid, view.T_world_map, camera, box), box)
+    brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
     _draw_polygons(brush, view, camera)
     _draw_doors(brush, view, camera)
     brush.line(_pixels(view, camera, view.path_map), palette.ESTIMATE, 1.5)
     _draw_landmarks(brush, view, camera)
     _draw_goals(brush, view, camera)
-    for room, p_map in shapes.room_labels(view.report).items():
+    for room, p_map in shapes.room_labels(view.slam_output).items():
         colour = palette.mix(palette.room_colour(room), palette.INK, 0.4)
         brush.text(f"room {room}", _pixels(view, camera, p_map[None])[0], 18, colour, align=0.5)
-    T_map_robot = view.report.belief.T_map_robot
-    _draw_ellipse(brush, view, camera, T_map_robot[:2], view.report.belief.pose_cov[:2, :2])
+    T_map_robot = view.slam_output.belief.T_map_robot
+    _draw_ellipse(brush, view, camera, T_map_robot[:2], view.slam_output.belief.pose_cov[:2, :2])
     draw_robot(brush, compose(view.T_world_map, T_map_robot), view.robot_radius_m, camera, palette.ESTIMATE)
 
 
@@ -98,46 +98,46 @@ def _cell_colours(grid: SemanticGrid) -> Image:
     return colours
 
 
-def _pixels(view: View, camera: Camera, p_map: Array) -> Array:
+def _pixels(view: SceneView, camera: Camera, p_map: Array) -> Array:
     """Points (n,2) of the map as pixels."""
     return camera.pixels(to_map(view.T_world_map, np.ascontiguousarray(p_map, dtype=np.float64)))
 
 
-def _draw_polygons(brush: Brush, view: View, camera: Camera) -> None:
-    graph = view.report.graph
+def _draw_polygons(brush: Brush, view: SceneView, camera: Camera) -> None:
+    graph = view.slam_output.graph
     areas = [
         (_pixels(view, camera, ring), palette.room_colour(graph.resolve(polygon.room)))
-        for polygon, ring in shapes.polygon_rings(view.report)
+        for polygon, ring in shapes.polygon_rings(view.slam_output)
     ]
     brush.veil(areas, alpha=60)
     for pixels, colour in areas:
         brush.ring(pixels, palette.mix(colour, palette.FREE, 0.45))
 
 
-def _draw_doors(brush: Brush, view: View, camera: Camera) -> None:
-    where = shapes.positions(view.report.belief)
-    for door in view.report.graph.doors:
+def _draw_doors(brush: Brush, view: SceneView, camera: Camera) -> None:
+    where = shapes.positions(view.slam_output.belief)
+    for door in view.slam_output.graph.doors:
         for face in shapes.door_faces(door, where):
             brush.line(_pixels(view, camera, face), palette.DOOR, 3.0)
-    for candidate in view.report.graph.candidates:
+    for candidate in view.slam_output.graph.candidates:
         start, end = _pixels(view, camera, candidate.ends)
         brush.dashes(start, end, palette.DOOR)
 
 
-def _draw_landmarks(brush: Brush, view: View, camera: Camera) -> None:
-    belief = view.report.belief
+def _draw_landmarks(brush: Brush, view: SceneView, camera: Camera) -> None:
+    belief = view.slam_output.belief
     for mean, cov in zip(belief.p_map, belief.covs, strict=True):
         _draw_ellipse(brush, view, camera, mean, cov)
     for pixel in _pixels(view, camera, belief.p_map):
         brush.dot(pixel, 2.2, palette.LANDMARK)
 
 
-def _draw_ellipse(brush: Brush, view: View, camera: Camera, mean: Array, cov: Array) -> None:
+def _draw_ellipse(brush: Brush, view: SceneView, camera: Camera, mean: Array, cov: Array) -> None:
     ring = shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED)
     brush.ring(_pixels(view, camera, ring), palette.LANDMARK)
 
 
-def _draw_goals(brush: Brush, view: View, camera: Camera) -> None:
+def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
     for index, pixel in enumerate(_pixels(view, camera, view.p_goals)):
         chosen = index == view.target
         brush.dot(pixel, 6.0 if chosen else 4.0, palette.GOAL, width=0.0 if chosen else 1.5)

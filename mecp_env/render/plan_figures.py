@@ -37,7 +37,7 @@ BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class PlanAxes:
     """The place of one plan on the paper."""
 
     axes: Axes  # in metres, world frame
@@ -100,7 +100,7 @@ def _corners(rows: int, columns: int, cell_in: tuple[float, float]) -> Iterator[
         yield np.array([column * cell_in[0], FOOT_IN + (rows - 1 - row) * cell_in[1]])
 
 
-def _cell(figure: Figure, plan: FloorPlan, place: tuple[Array, tuple[float, float]], size: Array) -> Cell:
+def _cell(figure: Figure, plan: FloorPlan, place: tuple[Array, tuple[float, float]], size: Array) -> PlanAxes:
     """Axes in metres over the room of a cell: the plan in the middle, as large as it fits."""
     (corner, room_in), bounds = place, plan.bounds
     extent = bounds[1] - bounds[0]
@@ -112,10 +112,10 @@ def _cell(figure: Figure, plan: FloorPlan, place: tuple[Array, tuple[float, floa
     axes.set_xlim(bounds[0, 0] - aside / scale, bounds[1, 0] + aside / scale)
     axes.set_ylim(bounds[0, 1] - below / scale, bounds[1, 1] + 0.05 / scale)
     axes.set_axis_off()
-    return Cell(axes, POINTS_PER_INCH * scale)
+    return PlanAxes(axes, POINTS_PER_INCH * scale)
 
 
-def _draw_plan(cell: Cell, plan: FloorPlan) -> None:
+def _draw_plan(cell: PlanAxes, plan: FloorPlan) -> None:
     """Floors, furniture, walls over both, gaps of doors over the walls, then what is written."""
     for room in plan.rooms:
         cell.axes.add_patch(Polygon(room.ring, facecolor=_soft(room.colour, 0.74), edgecolor="none"))
@@ -140,7 +140,7 @@ def _draw_door(axes: Axes, gap: Array) -> None:
     axes.plot(*ends.T, color=unit(palette.DOOR), linewidth=2.0, solid_capstyle="butt")
 
 
-def _draw_start(cell: Cell, start: Array, first: bool) -> None:
+def _draw_start(cell: PlanAxes, start: Array, first: bool) -> None:
     """A disc of the robot's size with its nose; the first one is filled."""
     x, y, heading = start
     blue, radius = unit(palette.ESTIMATE), 0.22
@@ -149,7 +149,7 @@ def _draw_start(cell: Cell, start: Array, first: bool) -> None:
     cell.axes.plot(*nose.T, color="white" if first else blue, linewidth=min(1.2, 0.05 * cell.points_per_m))
 
 
-def _name_room(cell: Cell, room: PlanRoom) -> None:
+def _name_room(cell: PlanAxes, room: PlanRoom) -> None:
     """Name and area, as large as there is space; nothing where it could not be read."""
     fitting = cell.points_per_m * room.label_height_m / LINES
     if fitting < SMALLEST_PT:
@@ -165,7 +165,7 @@ def _name_room(cell: Cell, room: PlanRoom) -> None:
         text.set_parse_math(False)
 
 
-def _draw_bar(cell: Cell, bounds: Array) -> None:
+def _draw_bar(cell: PlanAxes, bounds: Array) -> None:
     """A scale bar below the plan's right corner, about a quarter of it long."""
     width, right, inch = bounds[1, 0] - bounds[0, 0], bounds[1, 0], POINTS_PER_INCH / cell.points_per_m
     length = max((bar for bar in BARS_M if bar <= width / 3.0), default=BARS_M[0])

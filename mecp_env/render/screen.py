@@ -10,7 +10,7 @@ from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush, Image
 from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_nothing, draw_world
 from mecp_env.render.text import summary
-from mecp_env.render.view import View
+from mecp_env.render.view import SceneView
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
 Legend = tuple[tuple[str, palette.RGB, str], ...]
@@ -39,7 +39,7 @@ class Screen:
     def __init__(self, config: ScreenConfig | None = None) -> None:
         self.config = config or ScreenConfig()
 
-    def frame(self, view: View, hide_world: bool = False) -> Image:
+    def frame(self, view: SceneView, hide_world: bool = False) -> Image:
         """The picture of one moment, uint8 (height, width, 3); the world can be left out."""
         brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
         world, belief = self._panels()
@@ -58,7 +58,7 @@ class Screen:
         height = self.config.height_px - HEADER - FOOTER
         return Box(MARGIN, HEADER, width, height), Box(2 * MARGIN + width, HEADER, width, height)
 
-    def _header(self, brush: Brush, view: View) -> None:
+    def _header(self, brush: Brush, view: SceneView) -> None:
         brush.text(view.title, (MARGIN, 10), 24)
         x = float(self.config.width_px - MARGIN)
         for name, value in reversed(summary(view.metrics)):

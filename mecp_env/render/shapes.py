@@ -32,10 +32,10 @@ def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:
     return np.stack([start - along, end + along, end + along + behind, start - along + behind], axis=1)
 
 
-def beam_ends(report: SlamOutput, T_world_robot: Array) -> tuple[Array, NDArray[np.bool_]]:
+def beam_ends(output: SlamOutput, T_world_robot: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Ends of all beams (B,2) in the frame of the pose, m, and which of them hit something (B,)."""
-    z = np.column_stack([report.beams.ranges, report.beams.bearings])
-    return to_map(T_world_robot, polar_to_points(z)), report.beams.hit
+    z = np.column_stack([output.beams.ranges, output.beams.bearings])
+    return to_map(T_world_robot, polar_to_points(z)), output.beams.hit
 
 
 def positions(belief: Belief) -> dict[int, Array]:
@@ -43,10 +43,10 @@ def positions(belief: Belief) -> dict[int, Array]:
     return {int(name): mean for name, mean in zip(belief.ids, belief.p_map, strict=True)}
 
 
-def polygon_rings(report: SlamOutput) -> list[tuple[MapPolygon, Array]]:
+def polygon_rings(output: SlamOutput) -> list[tuple[MapPolygon, Array]]:
     """Known polygons of landmarks only, with their rings (k,2) m in the map frame, the largest first."""
-    where = positions(report.belief)
-    whole = [p for p in report.map_polygons if all(int(i) in where for i in p.ids)]
+    where = positions(output.belief)
+    whole = [p for p in output.map_polygons if all(int(i) in where for i in p.ids)]
     rings = [(p, np.array([where[int(i)] for i in p.ids])) for p in whole]
     return sorted(rings, key=lambda pair: -float(np.ptp(pair[1], axis=0).prod()))
 
@@ -57,11 +57,11 @@ def door_faces(door: Door, where: dict[int, Array]) -> list[Array]:
     return [np.array([where[a], where[b]]) for a, b in faces if a in where and b in where]
 
 
-def room_labels(report: SlamOutput) -> dict[int, Array]:
+def room_labels(output: SlamOutput) -> dict[int, Array]:
     """Room id -> where to write its name: the middle (2,) of its cells, map frame."""
-    grid = report.grid
+    grid = output.grid
     labels = {}
-    for room in report.graph.rooms:
+    for room in output.graph.rooms:
         rows, cols = np.nonzero(grid.room == room)
         if len(rows):
             middle = np.array([np.median(cols), np.median(rows)]) + 0.5

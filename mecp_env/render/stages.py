@@ -27,17 +27,17 @@ DECISIONS = {
 }
 
 
-def stage_figures(report: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
+def stage_figures(output: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
     """Figures by name, in the order of the stages: scan, clusters, segments, corners, polygon, association."""
     drawers: dict[str, Callable[[Axes], None]] = {
-        "scan": lambda axes: _draw_scan(axes, report),
-        "clusters": lambda axes: _draw_clusters(axes, report, clusters),
-        "segments": lambda axes: _draw_segments(axes, report),
-        "corners": lambda axes: _draw_corners(axes, report),
-        "polygon": lambda axes: _draw_polygon(axes, report),
-        "association": lambda axes: _draw_association(axes, report),
+        "scan": lambda axes: _draw_scan(axes, output),
+        "clusters": lambda axes: _draw_clusters(axes, output, clusters),
+        "segments": lambda axes: _draw_segments(axes, output),
+        "corners": lambda axes: _draw_corners(axes, output),
+        "polygon": lambda axes: _draw_polygon(axes, output),
+        "association": lambda axes: _draw_association(axes, output),
     }
-    return {name: _figure(draw, _hits(report)) for name, draw in drawers.items()}
+    return {name: _figure(draw, _hits(output)) for name, draw in drawers.items()}
 
 
 def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
@@ -56,48 +56,48 @@ def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
     return figure
 
 
-def _points(report: SlamOutput) -> Array:
+def _points(output: SlamOutput) -> Array:
     """(B,2) m: the merged beams' ends."""
-    return polar_to_points(np.column_stack([report.beams.ranges, report.beams.bearings]))
+    return polar_to_points(np.column_stack([output.beams.ranges, output.beams.bearings]))
 
 
-def _hits(report: SlamOutput) -> Array:
-    hits: Array = _points(report)[report.beams.hit]
+def _hits(output: SlamOutput) -> Array:
+    hits: Array = _points(output)[output.beams.hit]
     return hits
 
 
-def _draw_scan(axes: Axes, report: SlamOutput) -> None:
-    beams = report.beams
+def _draw_scan(axes: Axes, output: SlamOutput) -> None:
+    beams = output.beams
     raw = polar_to_points(np.column_stack([beams.raw_ranges, beams.raw_bearings]))
     label = f"{len(raw)} raw beams (dense scan)"
     axes.plot(*raw[beams.raw_ranges < beams.max_range_m].T, ".", color=unit(palette.BEAM), markersize=2, label=label)
-    axes.plot(*_hits(report).T, ".", color=unit(palette.HIT), markersize=2.5, label="merged beams")
+    axes.plot(*_hits(output).T, ".", color=unit(palette.HIT), markersize=2.5, label="merged beams")
 
 
-def _draw_clusters(axes: Axes, report: SlamOutput, clusters: Clusters) -> None:
-    points = _points(report)
+def _draw_clusters(axes: Axes, output: SlamOutput, clusters: Clusters) -> None:
+    points = _points(output)
     for row, (first, last) in enumerate(zip(clusters.first, clusters.last, strict=True)):
         index = (clusters.roll + np.arange(first, last + 1)) % len(points)
         axes.plot(*points[index].T, ".", color=unit(palette.room_colour(row)), markersize=4)
     axes.plot([], [], " ", label=f"{len(clusters.first)} clusters, one colour each")
 
 
-def _draw_segments(axes: Axes, report: SlamOutput) -> None:
-    segments: Segments = report.segments
-    axes.plot(*_hits(report).T, ".", color=unit(palette.UNSEEN), markersize=3)
+def _draw_segments(axes: Axes, output: SlamOutput) -> None:
+    segments: Segments = output.segments
+    axes.plot(*_hits(output).T, ".", color=unit(palette.UNSEEN), markersize=3)
     for row, ends in enumerate(segments.points):
         axes.plot(*ends.T, color=unit(palette.room_colour(row)), linewidth=2)
     axes.plot([], [], " ", label=f"{len(segments.points)} lines fitted")
 
 
-def _draw_walls(axes: Axes, report: SlamOutput) -> None:
-    for ends in report.segments.points:
+def _draw_walls(axes: Axes, output: SlamOutput) -> None:
+    for ends in output.segments.points:
         axes.plot(*ends.T, color=unit(palette.mix(palette.SOLID, palette.FREE, 0.6)), linewidth=1.5)
 
 
-def _draw_corners(axes: Axes, report: SlamOutput) -> None:
-    _draw_walls(axes, report)
-    corners = report.corners
+def _draw_corners(axes: Axes, output: SlamOutput) -> None:
+    _draw_walls(axes, output)
+    corners = output.corners
     points = polar_to_points(corners.z)
     for kind, (marker, name) in KINDS.items():
         chosen = corners.kind == kind
@@ -119,13 +119,13 @@ def _ring(point: Array, z: Array, cov: Array) -> Array:
     return np.vstack([ring, ring[:1]])
 
 
-def _draw_polygon(axes: Axes, report: SlamOutput) -> None:
-    _draw_walls(axes, report)
-    points = polar_to_points(report.corners.z)
-    sites = report.corners.sites
+def _draw_polygon(axes: Axes, output: SlamOutput) -> None:
+    _draw_walls(axes, output)
+    points = polar_to_points(output.corners.z)
+    sites = output.corners.sites
     axes.plot(*points[sites].T, "o", color=unit(palette.LANDMARK), label="site: may be a vertex")
     axes.plot(*points[~sites].T, "o", color=unit(palette.FAINT), fillstyle="none", label="no site")
-    for polygon in report.polygons:
+    for polygon in output.polygons:
         ring = points[polygon.corners]
         axes.fill(*ring.T, color=unit(palette.ROOMS[0]), alpha=0.12)
         _draw_intervals(axes, ring, polygon.intervals)
@@ -140,12 +140,12 @@ def _draw_intervals(axes: Axes, ring: Array, intervals: Array) -> None:
         axes.plot(*ends.T, color=unit(EDGES[EdgeLabel(int(label))]), linewidth=3, solid_capstyle="butt")
 
 
-def _draw_association(axes: Axes, report: SlamOutput) -> None:
-    _draw_walls(axes, report)
-    belief, match = report.belief, report.match
+def _draw_association(axes: Axes, output: SlamOutput) -> None:
+    _draw_walls(axes, output)
+    belief, match = output.belief, output.match
     known = to_robot(belief.T_map_robot, np.ascontiguousarray(belief.p_map))
     axes.plot(*known.T, "+", color=unit(palette.LANDMARK), markersize=9, label="landmark of the map")
-    points = polar_to_points(report.corners.z)
+    points = polar_to_points(output.corners.z)
     for decision, colour in DECISIONS.items():
         chosen = match.decision == decision
         axes.plot(*points[chosen].T, "o", color=unit(colour), fillstyle="none", label=decision.name.lower())

@@ -15,7 +15,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class SceneView:
     """One moment of an episode: the truth, what the estimator believes of it, and where the agent wants to go."""
 
     segments: Array  # (S,2,2) m, world frame: faces of all solids, free space on the left of start -> end
@@ -23,7 +23,7 @@ class View:
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     path_world: Array  # (n,2) m, world frame: where the robot has been
     path_map: Array  # (n,2) m, map frame: where it believed to be
-    report: SlamOutput
+    slam_output: SlamOutput
     moving: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (m,2,2) m, world: faces of people and boxes
     robot_radius_m: float = 0.22
     p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame

@@ -27,7 +27,7 @@ from mecp_env.world.outline import (
     solid_shape,
     wall_lines,
 )
-from mecp_env.world.schema import Door, Layout, Pillar
+from mecp_env.world.schema import DoorSpec, Layout, Pillar
 
 ON_LINE_M = 0.01
 SQUARE_DEG = 1.0
@@ -134,13 +134,13 @@ def _check_doors(layout: Layout) -> None:
         _check_door_sides(floors, door, thickness[nearest], i)
 
 
-def _check_door_rooms(floors: Mapping[str, Polygon], door: Door, index: int) -> None:
+def _check_door_rooms(floors: Mapping[str, Polygon], door: DoorSpec, index: int) -> None:
     for side, name in enumerate(door.rooms):
         if name not in floors:
             raise LayoutError(f"doors.{index}.rooms.{side}: no room is called {name!r}{guess(name, floors)}")
 
 
-def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
+def _check_door_wall(door: DoorSpec, wall: LineString, index: int) -> None:
     """The door lies with its whole width in one straight wall, and is square to it."""
     off = wall.distance(Point(door.centre))
     if off > ON_LINE_M:
@@ -158,7 +158,7 @@ def _check_door_wall(door: Door, wall: LineString, index: int) -> None:
         )
 
 
-def _check_door_sides(floors: Mapping[str, Polygon], door: Door, thickness: float, index: int) -> None:
+def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, index: int) -> None:
     """A step before the door lies in the first room, a step behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from mecp_env.world.outline import GAP_POST_M, Doors, build_outline
-from mecp_env.world.schema import Door, Layout, Solid, Start
+from mecp_env.world.schema import DoorSpec, Layout, Solid, Start
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,7 +41,7 @@ def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
     return rest.model_copy(update={"rooms": rooms, "doors": tuple(d for d in doors if names.issuperset(d.rooms))})
 
 
-def _leaf(door: Door) -> Solid:
+def _leaf(door: DoorSpec) -> Solid:
     """What fills a doorway that is a gap, its ends in the walls beside it."""
     depth, heading = door.depth_m or 0.0, math.radians(door.direction_deg)
     through = 0.5 * depth * np.array([math.cos(heading), math.sin(heading)])

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 # People (n,11) and boxes (b,6), sizes (b,2) of the boxes, their place and reach (b,3), and a row (6,) of
 # `crowd_kernels` that the robot is written to
-Others = tuple[Array, Array, Array, Array, Array]
+DynamicObstacles = tuple[Array, Array, Array, Array, Array]
 
 TOUCH_M = 1e-3  # a body in contact stays so far inside the wall, or the next substep would not see the contact
 SPARE_M = 0.05  # what is pushed may be a little faster than the robot drives
@@ -154,13 +154,13 @@ def drive_among(
     drive: Array,
     course: Array,
     increments: Array,
-    others: Others,
+    obstacles: DynamicObstacles,
     polite: bool,
     done: int,
 ) -> tuple[int, bool, bool]:
-    """As `drive_on`, among people and boxes (see `Others`)."""
+    """As `drive_on`, among people and boxes (see `DynamicObstacles`)."""
     touched, settled = False, True
-    _, boxes, sizes, rounds, _ = others
+    _, boxes, sizes, rounds, _ = obstacles
     if done > 0:
         touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S
         move(state, drive, course[FELT_X], course[FELT_Y], course[FELT_TURN])
@@ -168,7 +168,7 @@ def drive_among(
         settled = settle(segments, state, drive[INNER]) and settled
     for i in range(boxes.shape[0]):
         rounds[i, 0], rounds[i, 1] = boxes[i, 0], boxes[i, 1]
-    reached = glide_among(segments, state, drive, course, increments, others, polite, done)
+    reached = glide_among(segments, state, drive, course, increments, obstacles, polite, done)
     return reached, touched, reached > done or not settled
 
 
@@ -179,13 +179,13 @@ def glide_among(
     drive: Array,
     course: Array,
     increments: Array,
-    others: Others,
+    obstacles: DynamicObstacles,
     polite: bool,
     done: int,
 ) -> int:
     """As `glide`; the people take their steps too, also those of a substep that pymunk must make."""
     substeps, spare = int(drive[SUBSTEPS]), 0.0
-    people, _, _, rounds, robot = others
+    people, _, _, rounds, robot = obstacles
     read_arc(state, course, increments, done, substeps)
     while done < increments.shape[0] * substeps:
         if spare <= 0.0 or done % substeps == 0:
@@ -193,7 +193,7 @@ def glide_among(
         robot[0], robot[1], robot[2], robot[3] = state[0], state[1], state[3], state[4]
         walk(people, rounds, robot, polite, drive[DT])
         vx, vy, w = wheels(state, drive)
-        if spare <= 0.0 or in_reach(others, state, drive):
+        if spare <= 0.0 or in_reach(obstacles, state, drive):
             aim(state, drive, course, vx, vy, w)
             return done
         spare -= drive[STRIDE]
@@ -204,9 +204,9 @@ def glide_among(
 
 
 @compiled
-def in_reach(others: Others, state: Array, drive: Array) -> bool:
+def in_reach(obstacles: DynamicObstacles, state: Array, drive: Array) -> bool:
     """True when a box slides, or somebody or a box is within reach of the robot's next substep."""
-    people, boxes, _, rounds, _ = others
+    people, boxes, _, rounds, _ = obstacles
     for i in range(people.shape[0]):
         reach = drive[REACH] + people[i, RADIUS] + people[i, PACE] * drive[DT]
         if math.hypot(people[i, X] - state[0], people[i, Y] - state[1]) < reach:
@@ -220,9 +220,9 @@ def in_reach(others: Others, state: Array, drive: Array) -> bool:
 
 
 @compiled
-def who_is_near(others: Others, state: Array, drive: Array) -> Ints:
+def who_is_near(obstacles: DynamicObstacles, state: Array, drive: Array) -> Ints:
     """The people, ascending, whom the robot or a box may touch in the substep that pymunk makes next."""
-    people, boxes, _, rounds, _ = others
+    people, boxes, _, rounds, _ = obstacles
     near, n = np.empty(people.shape[0], np.int64), 0
     for i in range(people.shape[0]):
         person = people[i]

@@ -21,7 +21,7 @@ from shapely.geometry.polygon import orient
 
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.world.schema import ROUND_FACES, Box, Layout, Obstacle, Pillar, Solid
+from mecp_env.world.schema import ROUND_FACES, BoxSpec, Layout, Obstacle, Pillar, Solid
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -163,7 +163,7 @@ def obstacle_shape(obstacle: Obstacle) -> Polygon:
         angles = np.arange(CIRCLE_SIDES) * (2.0 * math.pi / CIRCLE_SIDES)
         ring = obstacle.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
         return Polygon(np.array(obstacle.centre) + ring)
-    if isinstance(obstacle, Box):
+    if isinstance(obstacle, BoxSpec):
         half = np.array(obstacle.size) / 2.0
         ring = SQUARE * half
         return Polygon(np.array(obstacle.centre) + ring @ _rotation(math.radians(obstacle.turn_deg)).T)

@@ -39,7 +39,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Wall(_Part):
+class WallSpec(_Part):
     """A wall as a thick solid: the polyline of its middle, with square ends."""
 
     points: Annotated[tuple[Point, ...], Field(min_length=2, max_length=1000, fail_fast=True)]
@@ -54,20 +54,20 @@ class Wall(_Part):
 
 
 class Solid(_Part):
-    """Wall material of any shape: what lies inside of `outer` and in none of the holes."""
+    """WallSpec material of any shape: what lies inside of `outer` and in none of the holes."""
 
     outer: LongRing
     holes: Annotated[tuple[LongRing, ...], Field(max_length=MAX_WALLS)] = ()
 
 
-class Room(_Part):
+class RoomSpec(_Part):
     """A room: its name and the polygon of its floor, drawn up to the middle of its walls."""
 
     name: Name
     polygon: Ring
 
 
-class Door(_Part):
+class DoorSpec(_Part):
     """A doorway: cut out of a wall, or a gap that the solids leave open."""
 
     centre: Point  # on the middle line of a wall; the middle of a gap
@@ -84,7 +84,7 @@ class Door(_Part):
         return self
 
 
-class Box(_Part):
+class BoxSpec(_Part):
     """A rectangular obstacle."""
 
     kind: Literal["box"]
@@ -108,14 +108,14 @@ class Pillar(_Part):
     radius_m: Annotated[float, Strict(), Field(ge=0.02, le=10.0)]
 
 
-Obstacle = Annotated[Box | Block | Pillar, Field(discriminator="kind")]
+Obstacle = Annotated[BoxSpec | Block | Pillar, Field(discriminator="kind")]
 
 
-def faces_of(obstacle: Box | Block | Pillar) -> int:
+def faces_of(obstacle: BoxSpec | Block | Pillar) -> int:
     """How many faces an obstacle has."""
     if isinstance(obstacle, Block):
         return len(obstacle.points)
-    return 4 if isinstance(obstacle, Box) else ROUND_FACES
+    return 4 if isinstance(obstacle, BoxSpec) else ROUND_FACES
 
 
 class Start(_Part):
@@ -133,9 +133,9 @@ class Layout(_Part):
     name: Name
     description: Annotated[str, Field(max_length=2000)] = ""
     solids: Annotated[tuple[Solid, ...], Field(max_length=MAX_WALLS)] = ()
-    walls: Annotated[tuple[Wall, ...], Field(max_length=MAX_WALLS)]
-    rooms: Annotated[tuple[Room, ...], Field(min_length=1, max_length=1000)]
-    doors: Annotated[tuple[Door, ...], Field(max_length=2000)] = ()
+    walls: Annotated[tuple[WallSpec, ...], Field(max_length=MAX_WALLS)]
+    rooms: Annotated[tuple[RoomSpec, ...], Field(min_length=1, max_length=1000)]
+    doors: Annotated[tuple[DoorSpec, ...], Field(max_length=2000)] = ()
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MAX_WALLS)] = ()
     starts: Annotated[tuple[Start, ...], Field(min_length=1, max_length=1000)]
 
@@ -155,14 +155,14 @@ class Layout(_Part):
 
     @field_validator("walls")
     @classmethod
-    def _has_some_material(cls, walls: tuple[Wall, ...], info: ValidationInfo) -> tuple[Wall, ...]:
+    def _has_some_material(cls, walls: tuple[WallSpec, ...], info: ValidationInfo) -> tuple[WallSpec, ...]:
         if not walls and not info.data.get("solids"):
             raise ValueError("Tuple should have at least 1 item, for there are no solids")
         return walls
 
     @field_validator("rooms")
     @classmethod
-    def _are_few_corners(cls, rooms: tuple[Room, ...]) -> tuple[Room, ...]:
+    def _are_few_corners(cls, rooms: tuple[RoomSpec, ...]) -> tuple[RoomSpec, ...]:
         corners = sum(len(room.polygon) for room in rooms)
         if corners > MAX_ROOM_POINTS:
             raise ValueError(f"{corners} points, at most {MAX_ROOM_POINTS}")

@@ -30,7 +30,7 @@ from mecp_env.world.drive import (
     TOUCH_M,
     TURN,
     TWIST,
-    Others,
+    DynamicObstacles,
     drive_among,
     drive_on,
     wall_distance,
@@ -164,9 +164,9 @@ class Simulation:
         robot = self._segments, self._state, self._drive, self._course, increments
         if not self._bodies:
             return drive_on(*robot, done)
-        return drive_among(*robot, self._others(), self._movers.config.polite, done)
+        return drive_among(*robot, self._obstacles(), self._movers.config.polite, done)
 
-    def _others(self) -> Others:
+    def _obstacles(self) -> DynamicObstacles:
         """People and boxes, as the kernels take them."""
         moving = self._movers.state
         return moving.people, moving.boxes, moving.sizes, self._rounds, self._robot
@@ -184,7 +184,7 @@ class Simulation:
             self._space.remove(self._shape)
             self._space.add(self._shape)
         if self._bodies:
-            near = who_is_near(self._others(), self._state, self._drive)
+            near = who_is_near(self._obstacles(), self._state, self._drive)
             self._bodies.enter(near.tolist(), self._substep_s, forget)
         force_x, force_y, torque = self._push.tolist()
         body.force = force_x, force_y

@@ -54,7 +54,7 @@ class Ways:
         begin = self._nearest(total, p_from)
         if begin is None:
             return np.empty((0, 2))
-        cells = kernels.smooth_way(step, *begin, self.clearance, self._cost, self._shortcut)
+        cells = kernels.smooth_path(step, *begin, self.clearance, self._cost, self._shortcut)
         points: Array = self._corner + cells[::-1] * self._cell_m
         return points
 

@@ -14,13 +14,13 @@ def test_a_replay_is_the_run_again_to_the_bit() -> None:
     env.reset(seed=4)
     for step in range(25):
         env.step(np.array([0.5, 0.4 * (step % 3 - 1)], np.float32))
-    drive, last = env.drive, env.report
+    drive, last = env.drive, env.slam_output
     assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.step == 28
     assert [odometry is None for odometry in drive.odometry] == [True] * 3 + [False] * 25
     pipeline = SlamPipeline(drive.slam)
     for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-    assert np.array_equal(report.belief.T_map_robot, last.belief.T_map_robot)
-    assert np.array_equal(report.belief.p_map, last.belief.p_map)
-    assert np.array_equal(report.grid.label, last.grid.label)
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    assert np.array_equal(output.belief.T_map_robot, last.belief.T_map_robot)
+    assert np.array_equal(output.belief.p_map, last.belief.p_map)
+    assert np.array_equal(output.grid.label, last.grid.label)
     assert replay(drive, drive.slam).error_m[-1] < 0.05

@@ -101,14 +101,14 @@ def test_the_end_of_an_episode_is_told_and_the_next_round_has_another_seed(game:
     for _ in range(13):
         game.advance()
     assert game.message.startswith("Time is up. N begins")
-    first = game.view.report.beams.ranges
+    first = game.view.slam_output.beams.ranges
     press(game, pygame.K_r)
-    again = game.view.report.beams.ranges
+    again = game.view.slam_output.beams.ranges
     press(game, pygame.K_n)
     assert game.env.summary()["periods"] == 0
     assert not game.over
     assert len(first) == len(again)
-    assert not np.array_equal(again, game.view.report.beams.ranges)
+    assert not np.array_equal(again, game.view.slam_output.beams.ranges)
 
 
 def test_the_world_can_be_hidden(game: Game) -> None:

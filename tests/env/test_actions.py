@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ActionError
-from mecp_env.episode.actions import COMMANDS, DISCRETE, check_choice, check_velocity, to_shares
+from mecp_env.episode.actions import COMMANDS, DISCRETE, check_choice, check_velocity, normalised_command
 from tests.env.helpers import make, same
 
 GOOD_VELOCITIES = [
@@ -154,5 +154,5 @@ def test_two_seconds_at_full_speed_are_a_metre_and_a_half_less_the_acceleration(
 
 
 def test_a_command_becomes_shares_within_the_limits():
-    assert to_shares(0.75, -1.75, (0.75, 1.75)).tolist() == [1.0, -1.0]
-    assert to_shares(9.0, 0.0, (0.75, 1.75)).tolist() == [1.0, 0.0]
+    assert normalised_command(0.75, -1.75, (0.75, 1.75)).tolist() == [1.0, -1.0]
+    assert normalised_command(9.0, 0.0, (0.75, 1.75)).tolist() == [1.0, 0.0]

@@ -53,11 +53,11 @@ def test_the_mask_tells_the_rows_with_goals():
 def test_a_masked_choice_is_one_waiting_step_and_an_event():
     env = make(actions="goal")
     env.reset(seed=1)
-    before = env.unwrapped._site.simulation.T_world_robot
+    before = env.unwrapped._true_world.simulation.T_world_robot
     _, reward, terminated, truncated, info = env.step(GOALS - 1)
     assert (info["event"], info["periods"], info["period"]) == ("masked", 1, 1)
     assert (terminated, truncated) == (False, False)
-    assert same(env.unwrapped._site.simulation.T_world_robot, before)
+    assert same(env.unwrapped._true_world.simulation.T_world_robot, before)
     assert reward <= 0.1
 
 
@@ -111,10 +111,10 @@ def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
     assert rows[-1][2]
     base = env.unwrapped
     inside = to_map(inverse(base._episode.metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
-    assert labels_at(base.report.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
+    assert labels_at(base.slam_output.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
     painter = base._episode.pipeline.grid
     assert painter.filled == painter.completed  # those of the last room too, though the episode ends with it
-    assert base.report.grid is painter.canvas.grid
+    assert base.slam_output.grid is painter.canvas.grid
 
 
 def test_a_copy_between_two_drives_continues_bit_for_bit():

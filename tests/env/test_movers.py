@@ -17,7 +17,7 @@ def test_the_seed_says_what_moves() -> None:
     one, two, other = make(**BUSY), make(**BUSY), make(**BUSY)
     for env, seed in ((one, 1), (two, 1), (other, 2)):
         env.reset(seed=seed)
-    a, b, c = (env.unwrapped._site.movers.state for env in (one, two, other))
+    a, b, c = (env.unwrapped._true_world.movers.state for env in (one, two, other))
     assert same(a.people, b.people)
     assert not same(a.people, c.people)
     assert same(drive(one, 40), drive(two, 40))
@@ -56,10 +56,10 @@ def test_rooms_behind_closed_doors_do_not_count() -> None:
     _, info = env.reset(seed=0)
     assert info["rooms"] == 1
     assert info["doors"] == 0
-    free = env.unwrapped._site.truth.free_cells
+    free = env.unwrapped._true_world.truth.free_cells
     open_env = make()
     open_env.reset(seed=0)
-    assert free < 0.7 * open_env.unwrapped._site.truth.free_cells
+    assert free < 0.7 * open_env.unwrapped._true_world.truth.free_cells
     assert env.reset(options={"start": (8.0, 3.0, 0.0)})[1]["rooms"] == 1
 
 
@@ -68,7 +68,7 @@ def test_the_summary_tells_how_many_found_room() -> None:
     crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0}}
     env = make(**crowded)
     env.reset(seed=0)
-    moving, told = env.unwrapped._site.movers.state, env.unwrapped.summary()
+    moving, told = env.unwrapped._true_world.movers.state, env.unwrapped.summary()
     assert (told["people"], told["boxes"]) == (len(moving.people), len(moving.boxes))
     assert 0 < told["people"] + told["boxes"] < 100
     assert told["closed_doors"] == 1
@@ -97,7 +97,7 @@ def test_pictures_show_what_moves() -> None:
     env.reset(seed=5)
     before = env.render()
     view = env.unwrapped.view()
-    assert len(view.moving) == 4 * 16 + 4 * len(env.unwrapped._site.movers.state.boxes)
+    assert len(view.moving) == 4 * 16 + 4 * len(env.unwrapped._true_world.movers.state.boxes)
     for _ in range(5):
         env.step(np.zeros(2, np.float32))
     assert (env.render() != before).any()

@@ -5,21 +5,21 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.episode import observation_arrays as kernels
+from mecp_env.episode import observation_arrays
 from mecp_env.episode.observations import (
     COV_MAX,
     EXTENT_M,
     GOALS,
     GRID,
     LANDMARKS,
-    Trail,
+    TravelledPath,
     make_space,
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
 from tests.env.helpers import drive, make
 
-LAYER = {name: index for index, name in enumerate(kernels.LAYERS)}
+LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
 
 
 def random_grid(rng, rows=37, cols=53):
@@ -30,7 +30,9 @@ def random_grid(rng, rows=37, cols=53):
 def test_cell_codes_against_a_plain_twin():
     rng = np.random.default_rng(0)
     label, polygon, room = random_grid(rng)
-    layers = kernels.unpack_layers(kernels.cell_codes(label, polygon, room, 1)[:37, :37].copy()) == 255
+    layers = (
+        observation_arrays.unpack_layers(observation_arrays.cell_codes(label, polygon, room, 1)[:37, :37].copy()) == 255
+    )
     padded = np.pad(label, 1, constant_values=int(Cell.UNKNOWN))
     beside = [
         padded[1 + a : 38 + a, 1 + b : 54 + b] == int(Cell.UNKNOWN) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0))
@@ -51,16 +53,16 @@ def test_cell_codes_against_a_plain_twin():
 
 def test_an_unknown_room_is_nobodys_current_room():
     room = np.full((4, 4), -1, np.int16)
-    codes = kernels.cell_codes(np.ones((4, 4), np.uint8), np.zeros((4, 4), np.bool_), room, -1)
-    assert not (codes & kernels.ROOM).any()
+    codes = observation_arrays.cell_codes(np.ones((4, 4), np.uint8), np.zeros((4, 4), np.bool_), room, -1)
+    assert not (codes & observation_arrays.ROOM).any()
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 8])
 def test_pooling_against_a_plain_twin(width):
     rng = np.random.default_rng(1)
     codes = rng.integers(0, 128, (21, 17)).astype(np.uint8)
-    padded = np.pad(codes, width - 1, constant_values=kernels.UNKNOWN)
-    pooled = kernels.pool_codes(codes, width)
+    padded = np.pad(codes, width - 1, constant_values=observation_arrays.UNKNOWN)
+    pooled = observation_arrays.pool_codes(codes, width)
     for i in range(pooled.shape[0]):
         for j in range(pooled.shape[1]):
             assert pooled[i, j] == np.bitwise_or.reduce(padded[i : i + width, j : j + width], axis=None)
@@ -68,29 +70,31 @@ def test_pooling_against_a_plain_twin(width):
 
 def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_column():
     codes = np.zeros((100, 100), np.uint8)
-    ahead, left, n = kernels.OCCUPIED, kernels.DOOR, 9
+    ahead, left, n = observation_arrays.OCCUPIED, observation_arrays.DOOR, 9
     for heading in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi):
         codes[:] = 0
         c, s = round(math.cos(heading)), round(math.sin(heading))
         codes[50 + 4 * s, 50 + 4 * c] = ahead
         codes[50 + 3 * c, 50 - 3 * s] = left
         pose = np.array([5.05, 5.05, heading])
-        window = kernels.sample_window(codes, np.zeros(2), 0.1, pose, (n, 0.1))
+        window = observation_arrays.sample_window(codes, np.zeros(2), 0.1, pose, (n, 0.1))
         assert window[0, 4] == ahead
         assert window[4, 1] == left
         assert np.count_nonzero(window) == 2
 
 
 def test_outside_the_grid_everything_is_unknown():
-    window = kernels.sample_window(np.zeros((5, 5), np.uint8), np.zeros(2), 0.1, np.array([50.0, 50.0, 1.0]), (8, 0.2))
-    assert (window == kernels.UNKNOWN).all()
+    window = observation_arrays.sample_window(
+        np.zeros((5, 5), np.uint8), np.zeros(2), 0.1, np.array([50.0, 50.0, 1.0]), (8, 0.2)
+    )
+    assert (window == observation_arrays.UNKNOWN).all()
 
 
 def test_the_path_lies_where_the_window_shows_it():
     window = np.zeros((96, 96), np.uint8)
     pose = np.array([1.0, 2.0, 0.7])
     points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
-    kernels.mark_path(window, points, pose, 0.2)
+    observation_arrays.mark_path(window, points, pose, 0.2)
     rows, cols = np.nonzero(window)
     assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
     assert set(cols.tolist()) <= {47, 48}
@@ -113,7 +117,7 @@ GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
 def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> np.ndarray:
     rows = np.zeros((LANDMARKS, 8), np.float32)
     labels = (belief.ids, features.room, features.kind, rooms_after_merges(graph))
-    kernels.landmark_rows(belief.T_map_robot, belief.p_map, belief.covs, labels, rows)
+    observation_arrays.landmark_rows(belief.T_map_robot, belief.p_map, belief.covs, labels, rows)
     return rows
 
 
@@ -145,10 +149,10 @@ def test_the_nearest_landmarks_are_kept_when_there_are_too_many():
 def test_saturation_is_cut_and_counted():
     limits = np.array([[9, -1, -1, -1], [9, 2, 2, 2]], np.float32)
     rows = np.array([[0.5, 3.0, -np.inf]], np.float32)
-    assert kernels.saturate(rows, limits, 1) == 2
+    assert observation_arrays.saturate(rows, limits, 1) == 2
     assert rows.tolist() == [[0.5, 2.0, -1.0]]
     rows = np.array([[np.nan, np.inf, -1.0]], np.float32)
-    assert kernels.saturate(rows, limits, 1) == 2
+    assert observation_arrays.saturate(rows, limits, 1) == 2
     assert rows.tolist() == [[0.0, 2.0, -1.0]]
 
 
@@ -156,11 +160,11 @@ def test_left_out_and_cut_values_are_counted_in_info():
     env = make().unwrapped
     env.reset(seed=1)
     episode = env._episode
-    report = episode.report
+    output = episode.slam_output
     far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
     far.p_map[:] = 2.0 * EXTENT_M
     far.covs[:, 0, 0] = 2.0 * COV_MAX
-    object.__setattr__(report, "belief", far)
+    object.__setattr__(output, "belief", far)
     episode.pipeline.features = features_of(LANDMARKS + 5)
     observation = env.observation()
     assert observation in env.observation_space
@@ -197,7 +201,7 @@ def test_the_robot_stands_on_free_ground_of_its_room_on_its_path():
 
 
 def test_the_trail_grows_and_leaves_out_what_is_near():
-    trail = Trail()
+    trail = TravelledPath()
     for i in range(1000):
         trail.add(np.array([0.05 * i, 0.0, 0.0]))
     steps = np.diff(trail.points[: trail.count, 0])

@@ -45,12 +45,12 @@ def test_bad_options_are_refused_and_change_nothing(options):
 def test_the_start_can_be_given():
     env = make().unwrapped
     env.reset(seed=1)
-    pose = env._site.simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
+    pose = env._true_world.simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
     _, info = env.reset(seed=1, options={"start": pose.tolist()})
-    assert np.allclose(env._site.simulation.T_world_robot, pose)
+    assert np.allclose(env._true_world.simulation.T_world_robot, pose)
     assert np.allclose(info["truth_pose"], 0.0)  # the map frame is the pose at reset
     env.reset(seed=1)
-    assert not np.allclose(env._site.simulation.T_world_robot, pose)  # for one episode only
+    assert not np.allclose(env._true_world.simulation.T_world_robot, pose)  # for one episode only
     assert make(start=tuple(pose)).unwrapped.config.start == tuple(pose)
 
 
@@ -71,17 +71,17 @@ def test_random_starts_are_free_and_follow_the_seed():
     poses = []
     for seed in (1, 2, 1):
         env.reset(seed=seed)
-        poses.append(env._site.simulation.T_world_robot)
+        poses.append(env._true_world.simulation.T_world_robot)
     assert same(poses[0], poses[2])
     assert not same(poses[0], poses[1])
     env.reset(seed=1, options={"start": "layout"})
-    assert same(env._site.simulation.T_world_robot, env._site.outline.starts[0])
+    assert same(env._true_world.simulation.T_world_robot, env._true_world.outline.starts[0])
 
 
 def test_reset_takes_three_scans_at_rest():
     env = make().unwrapped
     observation, info = env.reset(seed=1)
-    assert env._episode.report.step == 3
+    assert env._episode.slam_output.step == 3
     assert info["period"] == 0
     assert info["landmarks"] > 0
     assert observation["goals"][0, 8] == 1.0
@@ -107,7 +107,7 @@ def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
     env.reset(seed=1)
     rows = drive(env, 30)
     assert [row[2:4] for row in rows[:30]] == [(False, False)] * 29 + [(False, True)]
-    assert not env.report.map_polygons
+    assert not env.slam_output.map_polygons
 
 
 def test_info_counts_the_landmarks_that_found_no_room():

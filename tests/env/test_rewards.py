@@ -8,15 +8,15 @@ import pytest
 from mecp_env.config import RewardConfig
 from mecp_env.episode.rewards import (
     TERMS,
-    Moment,
+    RewardInputs,
     RewardMemory,
+    apply_weights,
     drawing_sigma,
     events,
     half_log_det,
     landmark_information,
-    quantities,
+    measured_terms,
     remember,
-    weigh,
 )
 from mecp_env.slam.messages import Belief, SemanticGrid
 from tests.env.helpers import drive, make
@@ -39,15 +39,15 @@ def belief_of(pose: float = SURE, landmarks: tuple[float, ...] = (0.01,)) -> Bel
     return Belief(np.zeros(3), np.eye(3) * pose, ids, np.zeros((len(landmarks), 2)), covs)
 
 
-def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -> Moment:
-    return Moment(belief_of(**belief), grid_of(known, version), diverged)
+def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -> RewardInputs:
+    return RewardInputs(belief_of(**belief), grid_of(known, version), diverged)
 
 
-def sums(*moments: Moment, config: RewardConfig = CONFIG) -> dict[str, float]:
+def sums(*moments: RewardInputs, config: RewardConfig = CONFIG) -> dict[str, float]:
     """The measured terms added up over an episode that goes through these moments."""
     memory = RewardMemory()
     remember(memory, moments[0], config)
-    rows = [quantities(memory, now, config) for now in moments[1:]]
+    rows = [measured_terms(memory, now, config) for now in moments[1:]]
     return {name: sum(row[name] for row in rows) for name in rows[0]}
 
 
@@ -132,7 +132,7 @@ def test_no_detour_earns_anything(seed):
 
 
 def test_the_true_area_counts_where_it_is_asked_for():
-    def at(true_area: float, **changes) -> Moment:
+    def at(true_area: float, **changes) -> RewardInputs:
         return moment(**changes)._replace(true_area_m2=true_area)
 
     assert sums(at(3.0), at(4.5, known=90, version=2, pose=LOST))["area"] == 1.5
@@ -168,7 +168,7 @@ def test_events():
 def test_weights():
     config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
     measured = dict.fromkeys(TERMS, 1.0)
-    assert weigh(config, measured) == {
+    assert apply_weights(config, measured) == {
         "area": 2.0,
         "pose_information": 0.0,
         "landmark_information": 0.0,
@@ -196,7 +196,7 @@ def test_the_area_of_an_episode_telescopes(source):
     assert gained == pytest.approx(base._episode.memory.area_m2 - start)
     if source == "truth":
         coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * base._site.truth.free_cells * 0.01)
+        assert gained == pytest.approx(coverage * base._true_world.truth.free_cells * 0.01)
 
 
 def test_a_contact_costs():

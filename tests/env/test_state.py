@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 
 from mecp_env.core.errors import MecpError
 from mecp_env.core.snapshot import StateError, decode, encode
-from mecp_env.episode.observations import Trail
+from mecp_env.episode.observations import TravelledPath
 from mecp_env.slam.messages import Cell, CornerKind, FeatureTable
 from mecp_env.world.config import LaserConfig
 from tests.env.helpers import drive, make, same
@@ -39,7 +39,7 @@ VALUES = [
     Cell.DOOR,
     CornerKind.JAMB,
     LaserConfig(preset="ideal"),
-    Trail(),
+    TravelledPath(),
     FeatureTable(),
 ]
 
@@ -132,7 +132,7 @@ def test_what_no_state_may_hold_is_refused(value):
         {"@list": 3},
         {"@scalar": 3},
         {"@enum": ["mecp_env.slam.messages:Cell", 99]},
-        {"@object": ["mecp_env.episode.observations:Trail", {"nothing_such": 1}]},
+        {"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]},
         {"@object": 3},
         {"@same": "x"},
     ],

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import compose, inverse, to_map
-from mecp_env.evaluation import metric_arrays as kernels
-from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, Others, Truth
+from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
     distances,
     door_centres,
@@ -28,7 +28,7 @@ from tests.env.helpers import make
 
 @pytest.fixture(scope="module", params=["two_rooms", "paper"])
 def truth(request):
-    return Truth(build_outline(load_layout(request.param)), 30.0)
+    return GroundTruth(build_outline(load_layout(request.param)), 30.0)
 
 
 class Report:
@@ -84,15 +84,15 @@ def test_the_sweep_is_its_plain_twin(truth):
     for beam in range(1, 721):
         far = ranges[beam - 1] / CELL_M - 0.1
         stride = max(2**k for k in range(10) if beam % 2**k == 0)
-        r = kernels.STEP / (2.0 * stride * 2.0 * math.pi / 720)
-        while r < far + kernels.STEP:
+        r = metric_arrays.STEP / (2.0 * stride * 2.0 * math.pi / 720)
+        while r < far + metric_arrays.STEP:
             col, row = np.floor((x, y) + DIRECTIONS[:, beam - 1] * min(r, far)).astype(int)
             if 0 <= col < expected.shape[1] and 0 <= row < expected.shape[0]:
                 expected[row, col] = truth.free[row, col]
-            r += kernels.STEP
-    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == expected.sum() > 1000
+            r += metric_arrays.STEP
+    assert metric_arrays.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == expected.sum() > 1000
     assert np.array_equal(seen, expected)
-    assert kernels.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
+    assert metric_arrays.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
 
 
 def test_identities_of_exact_corners_are_their_own(truth):
@@ -101,17 +101,17 @@ def test_identities_of_exact_corners_are_their_own(truth):
     visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
     args = (corners, truth.outline.segments, pose, 0.3)
     seen = corners[visible] + 0.01
-    assert np.array_equal(kernels.pair_corners(seen, *args), np.flatnonzero(visible))
-    assert (kernels.pair_corners(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
-    assert not (kernels.pair_corners(corners[~visible], *args) == np.flatnonzero(~visible)).any()
-    assert kernels.pair_corners(np.empty((0, 2)), *args).shape == (0,)
+    assert np.array_equal(metric_arrays.pair_corners(seen, *args), np.flatnonzero(visible))
+    assert (metric_arrays.pair_corners(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
+    assert not (metric_arrays.pair_corners(corners[~visible], *args) == np.flatnonzero(~visible)).any()
+    assert metric_arrays.pair_corners(np.empty((0, 2)), *args).shape == (0,)
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_pairs_are_nearest_first_and_one_to_one(seed):
     rng = np.random.default_rng(seed)
     seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
-    got = kernels.pair_corners(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
+    got = metric_arrays.pair_corners(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
     expected = np.full(len(seen), -1)
     for row, column in nearest_pairs(distances(seen, true), 0.3):
         expected[row] = column
@@ -164,10 +164,10 @@ def test_nees_of_the_pose():
     rng = np.random.default_rng(0)
     a = rng.normal(size=(3, 3))
     cov, error = a @ a.T + np.eye(3), rng.normal(size=3)
-    assert kernels.pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
-    assert kernels.pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
-    assert kernels.pose_nees(error, -cov) == kernels.pose_nees(error, np.zeros((3, 3))) == 1e9
-    assert kernels.pose_nees(error, np.full((3, 3), np.nan)) == 1e9
+    assert metric_arrays.pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
+    assert metric_arrays.pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
+    assert metric_arrays.pose_nees(error, -cov) == metric_arrays.pose_nees(error, np.zeros((3, 3))) == 1e9
+    assert metric_arrays.pose_nees(error, np.full((3, 3), np.nan)) == 1e9
 
 
 def test_the_pose_error_is_measured_in_the_map_frame(truth):
@@ -216,26 +216,26 @@ def perfect_map(truth, T_world_map, resolution=0.1):
 
 @pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
 def test_a_perfect_map_gets_full_marks(truth, T_world_map):
-    report = perfect_map(truth, T_world_map)
-    assert rooms_found(truth, report, T_world_map) == (len(truth.outline.rooms), 0)
-    assert doors_found(truth, report, T_world_map) == (len(truth.outline.doors), 0)
-    assert grid_iou(truth, report.grid, T_world_map) > 0.95
+    output = perfect_map(truth, T_world_map)
+    assert rooms_found(truth, output, T_world_map) == (len(truth.outline.rooms), 0)
+    assert doors_found(truth, output, T_world_map) == (len(truth.outline.doors), 0)
+    assert grid_iou(truth, output.grid, T_world_map) > 0.95
 
 
 def test_false_doors_and_rooms_are_counted_once(truth):
-    report = perfect_map(truth, np.zeros(3))
+    output = perfect_map(truth, np.zeros(3))
     doors = (
-        *report.graph.doors,
-        Door(99, report.graph.doors[0].jambs, None, (0, 1), 3),
+        *output.graph.doors,
+        Door(99, output.graph.doors[0].jambs, None, (0, 1), 3),
         Door(98, (900, 901), None, (0, 1), 1),
     )
-    report.graph = RoomGraph(0, False, report.graph.rooms, doors, (), {})
-    assert doors_found(truth, report, np.zeros(3)) == (len(truth.outline.doors), 2)
-    room = report.grid.room.copy()
+    output.graph = RoomGraph(0, False, output.graph.rooms, doors, (), {})
+    assert doors_found(truth, output, np.zeros(3)) == (len(truth.outline.doors), 2)
+    room = output.grid.room.copy()
     room[room == 1] = 0
     rows, cols = np.nonzero(room == 0)
     room[rows[: len(rows) // 4], cols[: len(cols) // 4]] = 77  # one room in two pieces, another one missing
-    grid = SemanticGrid(report.grid.label, report.grid.polygon, room, report.grid.origin, 0.1, 2)
+    grid = SemanticGrid(output.grid.label, output.grid.polygon, room, output.grid.origin, 0.1, 2)
     graph = RoomGraph(0, False, (*range(len(truth.outline.rooms)), 77, 78), (), (), {})
     found, false = rooms_found(truth, Report(grid=grid, graph=graph), np.zeros(3))
     assert found < len(truth.outline.rooms) + 1
@@ -288,7 +288,7 @@ def test_pairs_are_counted_as_they_are_found(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.random((int(rng.integers(0, 9)), 2)), rng.random((int(rng.integers(0, 9)), 2))
     a[:1] = np.nan
-    assert kernels.count_pairs(a, b, 0.3) == len(nearest_pairs(distances(a, b), 0.3))
+    assert metric_arrays.count_pairs(a, b, 0.3) == len(nearest_pairs(distances(a, b), 0.3))
 
 
 def test_the_centre_of_a_door_takes_both_faces():
@@ -332,7 +332,7 @@ def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_move
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
     corner = truth.outline.corners.p_world[0]
     for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
-        metrics._tread(truth, place[None])
+        metrics._mark_obstacles(truth, place[None])
     metrics.association.features[3:5, 0] = 0
     at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
     p_map = to_map(inverse(metrics.T_world_map), at)
@@ -344,8 +344,8 @@ def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_move
 def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
     pose, box, size = np.array([2.0, 2.0, 0.0]), np.array([[2.8, 2.0, 0.0]]), np.array([[0.4, 0.4]])
     at = box_corners(box, size)
-    others = Others(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
+    obstacles = DynamicObstacles(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
     seen = Report(z=np.column_stack([np.hypot(*(at - pose[:2]).T), np.arctan2(at[:, 1] - 2.0, at[:, 0] - 2.0)]))
     count = len(truth.outline.corners)
-    assert sorted(truth.identify(seen, pose, others)) == [-1, -1, count, count + 3]
+    assert sorted(truth.identify(seen, pose, obstacles)) == [-1, -1, count, count + 3]
     assert (truth.identify(seen, pose) == -1).all()

@@ -26,7 +26,7 @@ from mecp_env.planning.controller import (
 from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.goals import GoalHistory, GoalKind, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
-from mecp_env.planning.paths import way_field
+from mecp_env.planning.paths import cost_to_go_field
 from mecp_env.slam.messages import Door
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
@@ -39,7 +39,7 @@ def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
     navigator.start(target)
     toy.nearest = math.inf
     for _ in range(limit):
-        v, w = navigator.step(toy.report())
+        v, w = navigator.step(toy.output())
         if navigator.outcome != Outcome.RUNNING:
             break
         toy.move(v, w)
@@ -67,8 +67,8 @@ def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose = np.array([rng.uniform(0.5, 5.2), rng.uniform(0.5, 3.5), rng.uniform(-3, 3)])
     toy = Toy(pose, rng.uniform(-3, 3, 3), 0.03, 0.01, seed=seed)
-    report = toy.report()
-    goals = find_goals(report, GoalHistory(), PlanningConfig())
+    output = toy.output()
+    goals = find_goals(output, GoalHistory(), PlanningConfig())
     row = goals.kind.tolist().index(GoalKind.DOOR)
     navigator = drive(toy, Target.of(goals, row))
     assert navigator.outcome == Outcome.REACHED
@@ -80,15 +80,15 @@ def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
 def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_between() -> None:
     """Seen in a building of 14 rooms: in line with a door two rooms away, it drove against the wall between."""
     toy = Toy(np.array([14.0, 1.95, 0.0]))  # in line with the door, a pillar between them
-    toy.report()
-    report = toy.report()
-    door = report.graph.doors[0]
+    toy.output()
+    output = toy.output()
+    door = output.graph.doors[0]
     towards_b = Door(door.id, door.jambs[::-1], None, (1, -1), door.sightings)
-    into_a = door if door_place(door, landmark_places(report.belief))[2] < 0.0 else towards_b
+    into_a = door if door_place(door, landmark_places(output.belief))[2] < 0.0 else towards_b
     into_b = towards_b if into_a is door else door
-    ways = way_field(report.grid, report.belief.T_map_robot, BODY)
+    costs = cost_to_go_field(output.grid, output.belief.T_map_robot, BODY)
     for way_of in (into_a, into_b):
-        path = plan_through(way_of, report, ways, PlanningConfig())
+        path = plan_through(way_of, output, costs, PlanningConfig())
         walls = [wall_distance(p) for a, b in pairwise(path) for p in np.linspace(a, b, 50)]
         assert not walls or min(walls) > 0.9 * BODY.radius_m
 
@@ -96,25 +96,25 @@ def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_bet
 def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
     toy = Toy(np.array([2.0, 2.0, 0.0]))
     toy.add_polygon([0, 1, 2, 3], 0)
-    config, book = PlanningConfig(), GoalHistory()
-    goals = find_goals(toy.report(), book, config)
+    config, history = PlanningConfig(), GoalHistory()
+    goals = find_goals(toy.output(), history, config)
     assert goals.kind.tolist() == [GoalKind.DOOR]
     for _ in range(config.goals.refusals):
-        goals = find_goals(toy.report(), book, config)
+        goals = find_goals(toy.output(), history, config)
         navigator = drive(toy, target(toy, 3.0, -6.0), 20)
         assert navigator.outcome == Outcome.REFUSED
-        book.record(goals, 0, navigator.outcome, config.goals)
-    assert len(find_goals(toy.report(), book, config)) == 0
+        history.record(goals, 0, navigator.outcome, config.goals)
+    assert len(find_goals(toy.output(), history, config)) == 0
 
 
 def test_a_frontier_that_recedes_is_not_visited_in_vain() -> None:
     """Seen in a long corridor: two frontiers settled from afar, half a metre apart, closed the one at its end."""
     toy = Toy(np.array([14.0, 2.0, np.pi]))
-    frontier = find_goals(toy.report(), GoalHistory(), PlanningConfig())
+    frontier = find_goals(toy.output(), GoalHistory(), PlanningConfig())
     row = frontier.kind.tolist().index(GoalKind.FRONTIER)
     navigator = drive(toy, Target.of(frontier, row))
     assert navigator.outcome == Outcome.SETTLED
-    assert np.hypot(*(toy.report().belief.T_map_robot[:2] - frontier.p_map[row])) > 1.0
+    assert np.hypot(*(toy.output().belief.T_map_robot[:2] - frontier.p_map[row])) > 1.0
 
 
 def test_no_way_is_refused_after_some_tries() -> None:
@@ -130,7 +130,7 @@ def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
     navigator.start(target(toy, 4.5, 3.2))
     commands = []
     while navigator.outcome == Outcome.RUNNING:
-        commands.append(navigator.step(toy.report()))  # the robot does not move
+        commands.append(navigator.step(toy.output()))  # the robot does not move
     assert navigator.outcome == Outcome.REFUSED
     assert navigator.recoveries == PlanningConfig().navigator.recoveries + 1
     assert any(v < 0.0 for v, _ in commands)
@@ -143,7 +143,7 @@ def test_a_drive_that_takes_too_long_is_refused() -> None:
     navigator = Navigator(config)
     navigator.start(target(toy, 4.5, 3.2))
     for _ in range(5):
-        toy.move(*navigator.step(toy.report()))
+        toy.move(*navigator.step(toy.output()))
     assert navigator.outcome == Outcome.REFUSED
 
 
@@ -152,14 +152,14 @@ def test_a_navigator_in_mid_drive_can_be_copied() -> None:
     navigator = Navigator(PlanningConfig())
     navigator.start(target(toy, 4.5, 3.2))
     for _ in range(6):
-        toy.move(*navigator.step(toy.report()))
+        toy.move(*navigator.step(toy.output()))
     twins = (toy, navigator), (copy.deepcopy(toy), pickle.loads(pickle.dumps(navigator)))
-    ways = [[nav.step(t.report()) for t.step in range(7, 10)] for t, nav in twins]
-    assert ways[0] == ways[1]
+    costs = [[nav.step(t.output()) for t.step in range(7, 10)] for t, nav in twins]
+    assert costs[0] == costs[1]
 
 
 def test_without_a_drive_the_robot_stands() -> None:
-    assert Navigator(PlanningConfig()).step(Toy(np.array([1.0, 1.0, 0.0])).report()) == (0.0, 0.0)
+    assert Navigator(PlanningConfig()).step(Toy(np.array([1.0, 1.0, 0.0])).output()) == (0.0, 0.0)
 
 
 def test_what_lies_behind_is_turned_to_first() -> None:

@@ -10,7 +10,7 @@ from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_search import adopt_rooms
 from mecp_env.planning.goal_sources import (
     BARRIER_CELLS,
-    Survey,
+    GoalContext,
     barriers,
     candidate_goals,
     door_goals,
@@ -28,23 +28,23 @@ CONFIG = PlanningConfig()
 
 
 def frontiers(toy: Toy) -> Goals:
-    return Goals.of(floor_goals(Survey.of(toy.report()), GoalsConfig())[1])
+    return Goals.of(floor_goals(GoalContext.of(toy.output()), GoalsConfig())[1])
 
 
-def rooms_of_floor(report: SlamOutput) -> np.ndarray:
-    return adopt_rooms(report.grid.label, report.grid.room, barriers(Survey.of(report)), BARRIER_CELLS)
+def rooms_of_floor(output: SlamOutput) -> np.ndarray:
+    return adopt_rooms(output.grid.label, output.grid.room, barriers(GoalContext.of(output)), BARRIER_CELLS)
 
 
-def open_edges(report: SlamOutput, config: GoalsConfig) -> Goals:
-    return Goals.of(open_goals(Survey.of(report), config))
+def open_edges(output: SlamOutput, config: GoalsConfig) -> Goals:
+    return Goals.of(open_goals(GoalContext.of(output), config))
 
 
-def candidates(report: SlamOutput) -> Goals:
-    return Goals.of(candidate_goals(Survey.of(report), GoalsConfig()))
+def candidates(output: SlamOutput) -> Goals:
+    return Goals.of(candidate_goals(GoalContext.of(output), GoalsConfig()))
 
 
-def unexplored_doors(report: SlamOutput) -> Goals:
-    return Goals.of(door_goals(Survey.of(report), GoalsConfig()))
+def unexplored_doors(output: SlamOutput) -> Goals:
+    return Goals.of(door_goals(GoalContext.of(output), GoalsConfig()))
 
 
 def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def toy(request: pytest.FixtureRequest) -> Toy:
 def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))  # a polygon of half the room
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
-    goals = open_edges(toy.report(), GoalsConfig())
+    goals = open_edges(toy.output(), GoalsConfig())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[3.4, 2.0]]))
     assert goals.size_m == pytest.approx([4.0])
 
@@ -68,33 +68,33 @@ def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:
 def test_only_a_polygon_closes_an_open_edge(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
-    report = toy.report()
-    target = Target.of(open_edges(report, GoalsConfig()), 0)
-    assert not settled(target, report)  # though the floor there is seen
+    output = toy.output()
+    target = Target.of(open_edges(output, GoalsConfig()), 0)
+    assert not settled(target, output)  # though the floor there is seen
     toy.p_map[8] = to_map(toy.T_map_world, np.array([[5.9, 2.0]]))[0]
     toy.add_polygon([1, 8, 2], 0)
-    report = toy.report()
-    assert len(open_edges(report, GoalsConfig())) == 0
-    assert settled(target, report)
+    output = toy.output()
+    assert len(open_edges(output, GoalsConfig())) == 0
+    assert settled(target, output)
 
 
 def test_near_open_edges_are_one_goal_and_narrow_ones_none(toy: Toy) -> None:
     toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
     toy.add_polygon([0, 1, 2], 0, open_edges=(1,))
-    assert len(open_edges(toy.report(), GoalsConfig())) == 1
-    assert len(open_edges(toy.report(), GoalsConfig(open_width_m=4.5))) == 0
+    assert len(open_edges(toy.output(), GoalsConfig())) == 1
+    assert len(open_edges(toy.output(), GoalsConfig(open_width_m=4.5))) == 0
 
 
 def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     toy.confirmed = False
-    report = toy.report()
-    goals = candidates(report)
+    output = toy.output()
+    goals = candidates(output)
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 1.95]]))
     target = Target.of(goals, 0)
-    assert not settled(target, report)
+    assert not settled(target, output)
     toy.confirmed = True
-    assert settled(target, toy.report())
+    assert settled(target, toy.output())
 
 
 def with_gap(toy: Toy, edge: int) -> SlamOutput:
@@ -103,57 +103,57 @@ def with_gap(toy: Toy, edge: int) -> SlamOutput:
         [[edge, 0.0, 0.4, EdgeLabel.WALL], [edge, 0.4, 0.6, EdgeLabel.GAP], [edge, 0.6, 1.0, EdgeLabel.WALL]]
     )
     toy.polygons[:] = [MapPolygon(np.array([0, 1, 2, 3]), gap, 0)]
-    report = toy.report()
-    object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (), {}))
-    return report
+    output = toy.output()
+    object.__setattr__(output, "graph", RoomGraph(0, False, (0,), (), (), {}))
+    return output
 
 
 def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy: Toy) -> None:
     """Seen in a building: a corridor that one polygon covers, and a door in its wall that was seen from the side."""
     toy.T_world_robot = np.array([3.0, 2.0, 0.0])
-    toy.report()
-    report = with_gap(toy, edge=1)  # the door's
-    goals = find_goals(report, GoalHistory(), CONFIG)
+    toy.output()
+    output = with_gap(toy, edge=1)  # the door's
+    goals = find_goals(output, GoalHistory(), CONFIG)
     assert goals.kind.tolist() == [GoalKind.CANDIDATE]
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 2.0]]), abs=0.01)
-    target, book = Target.of(goals, 0), GoalHistory()
-    assert not settled(target, report)
-    book.record(goals, 0, Outcome.REFUSED, CONFIG.goals)
-    assert len(find_goals(report, book, CONFIG)) == 1
-    book.record(goals, 0, Outcome.REACHED, CONFIG.goals)
-    assert len(find_goals(report, book, CONFIG)) == 0  # one look is enough
-    known = toy.report()  # of the door
-    assert gap_goals(Survey.of(known), CONFIG.goals) == []
+    target, history = Target.of(goals, 0), GoalHistory()
+    assert not settled(target, output)
+    history.record(goals, 0, Outcome.REFUSED, CONFIG.goals)
+    assert len(find_goals(output, history, CONFIG)) == 1
+    history.record(goals, 0, Outcome.REACHED, CONFIG.goals)
+    assert len(find_goals(output, history, CONFIG)) == 0  # one look is enough
+    known = toy.output()  # of the door
+    assert gap_goals(GoalContext.of(known), CONFIG.goals) == []
     assert find_goals(known, GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
     assert settled(target, known)
 
 
 def test_a_gap_before_a_wall_is_none(toy: Toy) -> None:
-    assert gap_goals(Survey.of(with_gap(toy, edge=3)), CONFIG.goals) == []
+    assert gap_goals(GoalContext.of(with_gap(toy, edge=3)), CONFIG.goals) == []
 
 
 def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy) -> None:
-    book = GoalHistory()
-    goals = find_goals(toy.report(), book, CONFIG)
+    history = GoalHistory()
+    goals = find_goals(toy.output(), history, CONFIG)
     for _ in range(CONFIG.goals.visits):
-        book.record(goals, 0, Outcome.REACHED, CONFIG.goals)
+        history.record(goals, 0, Outcome.REACHED, CONFIG.goals)
     place = (float(goals.p_map[0, 0]), float(goals.p_map[0, 1]))
-    found = book.find(goals.kind[0], 0, place, 0.5)
+    found = history.find(goals.kind[0], 0, place, 0.5)
     assert found is not None
     assert found.closed
-    assert book.find(goals.kind[0], 1, place, 0.5) is None
-    report = toy.report()
-    object.__setattr__(report, "graph", RoomGraph(1, False, (1,), (), (), {0: 1}))
-    book.notice(report)
-    assert book.find(goals.kind[0], 1, place, 0.5) is found
+    assert history.find(goals.kind[0], 1, place, 0.5) is None
+    output = toy.output()
+    object.__setattr__(output, "graph", RoomGraph(1, False, (1,), (), (), {0: 1}))
+    history.notice(output)
+    assert history.find(goals.kind[0], 1, place, 0.5) is found
 
 
 def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
-    goals = unexplored_doors(toy.report())
+    goals = unexplored_doors(toy.output())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[6.96, 1.95]]))
     assert goals.size_m == pytest.approx([0.9])
     toy.T_world_robot[0] = 7.0
-    assert len(unexplored_doors(toy.report())) == 0
+    assert len(unexplored_doors(toy.output())) == 0
 
 
 def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
@@ -167,60 +167,62 @@ def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
 
 def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) -> None:
     toy.T_world_robot = np.array([4.0, 1.95, 0.0])
-    report = toy.report()
+    output = toy.output()
     beyond = to_map(toy.T_map_world, np.array([[8.0, 1.95]]))
-    assert layer_at(report.grid, rooms_of_floor(report), beyond) == [-1]
+    assert layer_at(output.grid, rooms_of_floor(output), beyond) == [-1]
     toy.T_world_robot = np.array([7.0, 3.6, 0.0])
-    report = toy.report()
-    room = np.full_like(report.grid.room, -1)  # as if only a patch of room B had its room
-    cell = np.floor((to_map(toy.T_map_world, np.array([[7.5, 3.0]]))[0] - report.grid.origin) / 0.1).astype(int)
+    output = toy.output()
+    room = np.full_like(output.grid.room, -1)  # as if only a patch of room B had its room
+    cell = np.floor((to_map(toy.T_map_world, np.array([[7.5, 3.0]]))[0] - output.grid.origin) / 0.1).astype(int)
     room[cell[1], cell[0]] = 1
-    patchy = type(report.grid)(
-        report.grid.label, report.grid.polygon, room, report.grid.origin, report.grid.resolution_m, 99
+    patchy = type(output.grid)(
+        output.grid.label, output.grid.polygon, room, output.grid.origin, output.grid.resolution_m, 99
     )
-    object.__setattr__(report, "grid", patchy)
+    object.__setattr__(output, "grid", patchy)
     places = to_map(toy.T_map_world, np.array([[8.0, 1.95], [12.0, 3.0], [5.0, 1.95], [1.0, 1.0]]))
-    assert layer_at(patchy, rooms_of_floor(report), places).tolist() == [1, 1, -1, -1]
+    assert layer_at(patchy, rooms_of_floor(output), places).tolist() == [1, 1, -1, -1]
 
 
 def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
-    book = GoalHistory()
+    history = GoalHistory()
     toy.add_polygon([0, 1, 2, 3], 0)
-    goals = find_goals(toy.report(), book, CONFIG)
+    goals = find_goals(toy.output(), history, CONFIG)
     assert goals.kind.tolist() == [GoalKind.DOOR]
-    assert complete_rooms(goals, book, toy.graph()) == (0,)
+    assert complete_rooms(goals, history, toy.graph()) == (0,)
     toy.add_polygon([8, 9, 10, 11], 1)
     for x in np.arange(7.0, 31.0, 1.0):
         toy.T_world_robot = np.array([x, 2.0 if x < 10 else 1.2, 0.0])
-        toy.report()
+        toy.output()
     for x in np.arange(31.0, 11.0, -1.0):
         toy.T_world_robot = np.array([x, 2.9, 0.0])
-        toy.report()
-    goals = find_goals(toy.report(), book, CONFIG)
+        toy.output()
+    goals = find_goals(toy.output(), history, CONFIG)
     assert len(goals) == 0, [(GoalKind(k), p) for k, p in zip(goals.kind, goals.p_map, strict=True)]
-    assert complete_rooms(goals, book, toy.graph()) == (0, 1)
+    assert complete_rooms(goals, history, toy.graph()) == (0, 1)
 
 
 def test_a_room_without_a_polygon_is_a_goal(toy: Toy) -> None:
-    goals = find_goals(toy.report(), GoalHistory(), CONFIG)
+    goals = find_goals(toy.output(), GoalHistory(), CONFIG)
     assert set(goals.kind.tolist()) == {GoalKind.OPEN, GoalKind.DOOR}
-    assert in_world(toy, goals.p_map)[0] == pytest.approx([3.0, 2.0], abs=0.3)  # the middle of the bare floor
+    assert in_world(toy, goals.p_map)[0] == pytest.approx(
+        [3.0, 2.0], abs=0.3
+    )  # the middle of the floor outside polygons
     toy.add_polygon([0, 1, 2, 3], 0)
-    assert find_goals(toy.report(), GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
+    assert find_goals(toy.output(), GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
 
 
 def test_a_known_room_entered_by_another_door_is_a_goal_until_a_polygon_tells(toy: Toy) -> None:
     toy.add_polygon([8, 9, 10, 11], 3)  # room B, known from elsewhere as room 3; the robot comes to it as room 1
     toy.T_world_robot = np.array([6.6, 1.95, 0.0])
-    report, book = toy.report(), GoalHistory()
-    goals = find_goals(report, book, CONFIG)
+    output, history = toy.output(), GoalHistory()
+    goals = find_goals(output, history, CONFIG)
     row = goals.room.tolist().index(1)
     assert goals.kind[row] == GoalKind.OPEN
     assert in_world(toy, goals.p_map)[row] == pytest.approx([7.6, 1.95])
-    assert not settled(Target.of(goals, row), report)
-    object.__setattr__(report, "graph", RoomGraph(3, False, (0, 3), report.graph.doors, (), {1: 3}))
-    assert settled(Target.of(goals, row), report)
-    assert GoalKind.OPEN not in find_goals(report, book, CONFIG).kind
+    assert not settled(Target.of(goals, row), output)
+    object.__setattr__(output, "graph", RoomGraph(3, False, (0, 3), output.graph.doors, (), {1: 3}))
+    assert settled(Target.of(goals, row), output)
+    assert GoalKind.OPEN not in find_goals(output, history, CONFIG).kind
 
 
 def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
@@ -228,45 +230,47 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
     limits = CONFIG.goals
     often = {Outcome.REFUSED: limits.refusals, Outcome.REACHED: limits.visits, Outcome.SETTLED: limits.settled}
     for ended, times in often.items():
-        book = GoalHistory()
-        goals = find_goals(toy.report(), book, CONFIG)
+        history = GoalHistory()
+        goals = find_goals(toy.output(), history, CONFIG)
         for drive in range(times):
-            found = find_goals(toy.report(), book, CONFIG)
+            found = find_goals(toy.output(), history, CONFIG)
             assert found.visits.tolist() == [drive]
-            book.record(found, 0, ended, limits)
-        assert len(find_goals(toy.report(), book, CONFIG)) == 0
-        assert [drive.closed for drive in book.drives] == [True]
+            history.record(found, 0, ended, limits)
+        assert len(find_goals(toy.output(), history, CONFIG)) == 0
+        assert [drive.closed for drive in history.drives] == [True]
         assert len(goals) == 1
 
 
 def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_others() -> None:
-    toy, book = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalHistory()
+    toy, history = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalHistory()
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
-    assert find_goals(toy.report(), book, narrow).kind.tolist() == [GoalKind.OPEN]  # the bare floor, which is in reach
+    assert find_goals(toy.output(), history, narrow).kind.tolist() == [
+        GoalKind.OPEN
+    ]  # the floor outside polygons, which is in reach
     toy.add_polygon([0, 1, 2, 3], 0)
     for drive in range(narrow.goals.refusals):
-        goals = find_goals(toy.report(), book, narrow)
+        goals = find_goals(toy.output(), history, narrow)
         assert (goals.kind.tolist(), goals.visits.tolist()) == ([GoalKind.CANDIDATE], [drive])
-        assert goals.path_m == pytest.approx(np.hypot(*(goals.p_map - toy.report().belief.T_map_robot[:2]).T))
-        book.record(goals, 0, Outcome.REFUSED, narrow.goals)
-    assert len(find_goals(toy.report(), book, narrow)) == 0
+        assert goals.path_m == pytest.approx(np.hypot(*(goals.p_map - toy.output().belief.T_map_robot[:2]).T))
+        history.record(goals, 0, Outcome.REFUSED, narrow.goals)
+    assert len(find_goals(toy.output(), history, narrow)) == 0
 
 
 def test_a_door_out_of_reach_is_a_goal_until_it_is_closed() -> None:
     """Seen in a home: behind a narrow door the way back was barred, and the exploration called itself complete."""
-    toy, book = Toy(np.array([3.0, 2.0, 0.0])), GoalHistory()
+    toy, history = Toy(np.array([3.0, 2.0, 0.0])), GoalHistory()
     toy.add_polygon([0, 1, 2, 3], 0)
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
     for drive in range(narrow.goals.refusals):
-        goals = find_goals(toy.report(), book, narrow)
+        goals = find_goals(toy.output(), history, narrow)
         assert (goals.kind.tolist(), goals.visits.tolist()) == ([GoalKind.DOOR], [drive])
-        book.record(goals, 0, Outcome.REFUSED, narrow.goals)
-    assert len(find_goals(toy.report(), book, narrow)) == 0
+        history.record(goals, 0, Outcome.REFUSED, narrow.goals)
+    assert len(find_goals(toy.output(), history, narrow)) == 0
 
 
 def test_paths_are_as_long_as_the_way(toy: Toy) -> None:
     toy.add_polygon([0, 1, 2, 3], 0)
-    (length,) = find_goals(toy.report(), GoalHistory(), CONFIG).path_m
+    (length,) = find_goals(toy.output(), GoalHistory(), CONFIG).path_m
     assert length == pytest.approx(5.8, abs=1.2)  # to the near side of what can be reached of a place 5.76 m away
 
 
@@ -291,39 +295,39 @@ def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
     toy.add_polygon([4, 1, 2, 5], 0)
     toy.add_polygon([1, 8, 6], 0)
     toy.add_polygon([9, 10, 11], 1)
-    centres, levels = polygon_levels(toy.report(), 0, to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0])
+    centres, levels = polygon_levels(toy.output(), 0, to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0])
     assert len(centres) == 3
     assert levels == [0, 1, 2]
 
 
 def test_goals_of_other_rooms_come_last() -> None:
     toy = Toy(np.array([8.0, 2.0, 0.0]))
-    toy.report()
+    toy.output()
     toy.T_world_robot = np.array([3.0, 2.0, 0.0])
-    report = toy.report()
-    book = GoalHistory()
-    goals = find_goals(report, book, CONFIG)
+    output = toy.output()
+    history = GoalHistory()
+    goals = find_goals(output, history, CONFIG)
     assert goals.room.tolist()[0] == 0
     assert set(goals.room.tolist()) == {0, 1}
     assert sorted(goals.room.tolist()) == goals.room.tolist()
 
 
 def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) -> None:
-    report = toy.report()
+    output = toy.output()
     gap = candidate(toy.p_map[[4, 5]], 4)
-    object.__setattr__(report, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
-    assert candidates(report).room.tolist() == [0]
+    object.__setattr__(output, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
+    assert candidates(output).room.tolist() == [0]
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:
-    goals, limits, book = find_goals(toy.report(), GoalHistory(), CONFIG), CONFIG.goals, GoalHistory()
+    goals, limits, history = find_goals(toy.output(), GoalHistory(), CONFIG), CONFIG.goals, GoalHistory()
     assert len(goals) > 1
     for _ in range(limits.visits):
-        book.record(goals, 1, Outcome.REACHED, limits)
+        history.record(goals, 1, Outcome.REACHED, limits)
     for _ in range(3):
-        assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 1
+        assert len(find_goals(toy.output(), history, CONFIG)) == len(goals) - 1
         for _ in range(limits.refusals):
-            book.record(goals, 0, Outcome.REFUSED, limits)
-        assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 2
-        book.forgive()
-    assert len(find_goals(toy.report(), book, CONFIG)) == len(goals) - 2
+            history.record(goals, 0, Outcome.REFUSED, limits)
+        assert len(find_goals(toy.output(), history, CONFIG)) == len(goals) - 2
+        history.retry_refused(limits)
+    assert len(find_goals(toy.output(), history, CONFIG)) == len(goals) - 2

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mecp_env.core import grid_paths as kernels
+from mecp_env.core import grid_paths
 from mecp_env.planning.config import PathsConfig
-from mecp_env.planning.paths import WayField, way_field
+from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import Cell, SemanticGrid
 from tests.toy import Toy
 
@@ -24,10 +24,10 @@ def grid_of(label: np.ndarray) -> SemanticGrid:
     return SemanticGrid(label, np.zeros(label.shape, np.bool_), room, np.array([-1.0, 2.0]), 0.1, 1)
 
 
-def ways_from(label: np.ndarray, cell: tuple[int, int]) -> WayField:
+def costs_from(label: np.ndarray, cell: tuple[int, int]) -> CostToGoField:
     grid = grid_of(label)
     start = grid.origin + (np.array([cell[1], cell[0]]) + 0.5) * 0.1
-    return way_field(grid, np.array([*start, 0.3]), CONFIG)
+    return cost_to_go_field(grid, np.array([*start, 0.3]), CONFIG)
 
 
 def random_label(rng: np.random.Generator, height: int = 50, width: int = 80) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_clearance_is_the_distance_to_the_nearest_wall(seed: int) -> None:
     walls = np.argwhere(label == Cell.OCCUPIED)
     cells = np.argwhere(label >= 0)
     brute = np.sqrt(((cells[:, None] - walls[None]) ** 2).sum(axis=2)).min(axis=1).reshape(label.shape)
-    assert kernels.clearance(label, 6.0) == pytest.approx(np.minimum(brute, 6.0), abs=1e-5)
+    assert grid_paths.clearance(label, 6.0) == pytest.approx(np.minimum(brute, 6.0), abs=1e-5)
 
 
 def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
@@ -57,35 +57,35 @@ def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
     label[8:13, 20] = Cell.DOOR  # five cells: the middle one is three cells from the jambs
     grid = grid_of(label)
     start, there = np.array([*(grid.origin + 1.0), 0.3]), grid.origin + np.array([3.0, 1.0])
-    assert way_field(grid, start, CONFIG).nearest(there, 0.3) is None
-    ways = way_field(grid, start, CONFIG, tight=True)
-    cell = ways.nearest(there, 0.3)
+    assert cost_to_go_field(grid, start, CONFIG).nearest(there, 0.3) is None
+    costs = cost_to_go_field(grid, start, CONFIG, tight=True)
+    cell = costs.nearest(there, 0.3)
     assert cell is not None
-    assert ways.path(cell)[-1] == pytest.approx(there, abs=0.1)
+    assert costs.path(cell)[-1] == pytest.approx(there, abs=0.1)
     label[[8, 12], 20] = Cell.OCCUPIED  # too narrow for the robot
-    assert way_field(grid_of(label), start, CONFIG, tight=True).nearest(there, 0.3) is None
+    assert cost_to_go_field(grid_of(label), start, CONFIG, tight=True).nearest(there, 0.3) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_field_is_dijkstra(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    cost = kernels.cell_costs(label := random_label(rng), kernels.clearance(label, 6.0), 3.2, 6.0, 6.0)
+    cost = grid_paths.cell_costs(label := random_label(rng), grid_paths.clearance(label, 6.0), 3.2, 6.0, 6.0)
     row, column = rng.choice(np.argwhere(cost > 0))
-    total, step = kernels.distance_field(cost, int(row), int(column))
+    total, step = grid_paths.distance_field(cost, int(row), int(column))
     assert (total == dijkstra(cost, int(row), int(column))).all()
-    for r, c in rng.choice(np.argwhere(total < kernels.FAR), 20):
-        cells = kernels.trace_back(step, int(r), int(c))
+    for r, c in rng.choice(np.argwhere(total < grid_paths.FAR), 20):
+        cells = grid_paths.trace_back(step, int(r), int(c))
         assert cells[0].tolist() == [row, column]
         assert cells[-1].tolist() == [r, c]
         stride = np.abs(np.diff(cells, axis=0)).sum(axis=1)
-        assert kernels.way_length(step, int(r), int(c)) == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
+        assert grid_paths.way_length(step, int(r), int(c)) == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
 
 
 def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
     """The plain twin of the bucket queue."""
     cost = cost.astype(np.int64)
     cost[[0, -1], :] = cost[:, [0, -1]] = 0
-    total = np.full(cost.shape, kernels.FAR)
+    total = np.full(cost.shape, grid_paths.FAR)
     total[row, column] = 0
     heap = [(0, row, column)]
     while heap:
@@ -107,12 +107,12 @@ def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
 def test_no_path_cuts_a_corner_nearer_than_the_radius(seed: int) -> None:
     rng = np.random.default_rng(seed)
     label = random_label(rng)
-    open_cells = np.argwhere(kernels.clearance(label, 6.0) > 4.0)
+    open_cells = np.argwhere(grid_paths.clearance(label, 6.0) > 4.0)
     open_cells = open_cells[label[tuple(open_cells.T)] == Cell.FREE]
     start = tuple(rng.choice(open_cells).tolist())
-    ways = ways_from(label, start)
-    reached = np.argwhere(ways.total < kernels.FAR)
-    path = ways.path(tuple(rng.choice(reached).tolist()))
+    costs = costs_from(label, start)
+    reached = np.argwhere(costs.total < grid_paths.FAR)
+    path = costs.path(tuple(rng.choice(reached).tolist()))
     assert nearest_wall_face(label, path) >= RADIUS_M
     assert (label[tuple(cells_on(path).T)] != Cell.UNKNOWN).all()
 
@@ -146,31 +146,31 @@ def room_with_gap(cells: int) -> np.ndarray:
 
 def test_a_door_is_passable_and_a_slit_is_not() -> None:
     beyond = np.array([-1.0, 2.0]) + np.array([45.5, 20.5]) * 0.1
-    assert ways_from(room_with_gap(8), (20, 10)).nearest(beyond, 0.3) is not None
-    assert ways_from(room_with_gap(5), (20, 10)).nearest(beyond, 0.3) is None
+    assert costs_from(room_with_gap(8), (20, 10)).nearest(beyond, 0.3) is not None
+    assert costs_from(room_with_gap(5), (20, 10)).nearest(beyond, 0.3) is None
 
 
 def test_the_way_through_a_door_is_in_its_middle() -> None:
-    ways = ways_from(room_with_gap(9), (5, 10))
-    cell = ways.nearest(np.array([-1.0, 2.0]) + np.array([50.5, 5.5]) * 0.1, 0.3)
+    costs = costs_from(room_with_gap(9), (5, 10))
+    cell = costs.nearest(np.array([-1.0, 2.0]) + np.array([50.5, 5.5]) * 0.1, 0.3)
     assert cell is not None
-    path = ways.path(cell)
+    path = costs.path(cell)
     assert abs(np.interp(2.05, path[:, 0], path[:, 1]) - (2.0 + 1.95)) < 0.11
 
 
 def test_unknown_cells_are_no_way() -> None:
     label = room_with_gap(9)
     label[:, 35:50] = Cell.UNKNOWN
-    assert ways_from(label, (20, 10)).nearest(np.array([4.5, 4.0]), 0.3) is None
+    assert costs_from(label, (20, 10)).nearest(np.array([4.5, 4.0]), 0.3) is None
 
 
 def test_a_robot_too_near_to_a_wall_gets_out_and_no_nearer() -> None:
     label = room_with_gap(9)
-    ways = ways_from(label, (20, 28))  # 0.2 m from the wall
-    cell = ways.nearest(np.array([0.0, 4.0]), 0.2)
+    costs = costs_from(label, (20, 28))  # 0.2 m from the wall
+    cell = costs.nearest(np.array([0.0, 4.0]), 0.2)
     assert cell is not None
-    cells = kernels.trace_back(ways.step, *cell)
-    assert ways.clearance[tuple(cells.T)].min() >= ways.clearance[20, 28]
+    cells = grid_paths.trace_back(costs.step, *cell)
+    assert costs.clearance[tuple(cells.T)].min() >= costs.clearance[20, 28]
 
 
 def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> None:
@@ -178,36 +178,36 @@ def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> No
     label = np.full((30, 30), Cell.FREE, np.uint8)
     label[:10, 14:] = label[4:9, 13] = label[:, 18:] = Cell.OCCUPIED  # the niche: a box, a wall beside it
     label[14, :5] = label[15, 4:12] = label[16, 10:18] = Cell.OCCUPIED  # a slanted wall on its other side
-    ways = ways_from(label, (12, 12))
-    assert (ways.total[2:10, 2:9] < kernels.FAR).all()
+    costs = costs_from(label, (12, 12))
+    assert (costs.total[2:10, 2:9] < grid_paths.FAR).all()
 
 
 def test_smoothing_leaves_few_points_in_the_open() -> None:
     label = np.full((60, 90), Cell.FREE, np.uint8)
-    ways = ways_from(label, (10, 10))
-    path = ways.path((50, 80))
+    costs = costs_from(label, (10, 10))
+    path = costs.path((50, 80))
     assert len(path) == 2
-    x, y = ways.centre((50, 80)).tolist()
-    assert ways.lengths_m([(x, y, 0.05)]) == pytest.approx([7.0 + 0.4 * 4.0], abs=0.2)
+    x, y = costs.centre((50, 80)).tolist()
+    assert costs.lengths_m([(x, y, 0.05)]) == pytest.approx([7.0 + 0.4 * 4.0], abs=0.2)
 
 
 def test_a_wall_on_the_path_is_noticed() -> None:
     label = np.full((40, 60), Cell.FREE, np.uint8)
     path = np.array([[5.0, 20.5], [55.0, 20.5]])
-    assert not kernels.wall_on_path(label, path, 2.2)
+    assert not grid_paths.wall_on_path(label, path, 2.2)
     label[22, 30] = Cell.OCCUPIED
-    assert kernels.wall_on_path(label, path, 2.2)
-    assert not kernels.wall_on_path(label, path, 1.9)
+    assert grid_paths.wall_on_path(label, path, 2.2)
+    assert not grid_paths.wall_on_path(label, path, 1.9)
 
 
 def test_ways_on_a_painted_grid_lead_through_the_door() -> None:
     toy = Toy(np.array([3.0, 3.0, 0.0]), np.array([1.0, -2.0, 0.6]))
     for x, y in ((3.0, 3.0), (5.0, 2.0), (6.6, 1.95), (8.0, 2.0)):
         toy.T_world_robot = np.array([x, y, 0.0])
-        report = toy.report()
-    ways = way_field(report.grid, report.belief.T_map_robot, CONFIG)
+        output = toy.output()
+    costs = cost_to_go_field(output.grid, output.belief.T_map_robot, CONFIG)
     corner = toy.p_map[3] + 0.2 * (toy.p_map[1] - toy.p_map[3])  # in room A
-    cell = ways.nearest(corner, 0.3)
+    cell = costs.nearest(corner, 0.3)
     assert cell is not None
-    (length_m,) = ways.lengths_m([(float(corner[0]), float(corner[1]), 0.3)])
+    (length_m,) = costs.lengths_m([(float(corner[0]), float(corner[1]), 0.3)])
     assert 6.5 < length_m < 9.5

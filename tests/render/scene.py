@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import to_robot
-from mecp_env.render.view import View
+from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import (
     Belief,
     Candidate,
@@ -91,7 +91,7 @@ def corners() -> Corners:
     )
 
 
-def report() -> SlamOutput:
+def output() -> SlamOutput:
     """What a pipeline could have said at that moment."""
     bearings = np.radians(np.arange(-179.75, 180.0, 0.5))
     ranges = cast(faces(), T_WORLD_ROBOT, bearings)
@@ -122,7 +122,7 @@ def report() -> SlamOutput:
     )
 
 
-def view(**changes: object) -> View:
+def view(**changes: object) -> SceneView:
     """The moment; `changes` replace fields of the view."""
     path = np.column_stack([np.linspace(1.0, 3.0, 20), 1.0 + 1.2 * np.linspace(0.0, 1.0, 20) ** 2])
     fields: dict[str, object] = {
@@ -131,7 +131,7 @@ def view(**changes: object) -> View:
         "T_world_map": T_WORLD_MAP,
         "path_world": path,
         "path_map": to_robot(T_WORLD_MAP, path + 0.03),
-        "report": report(),
+        "slam_output": output(),
         "p_goals": to_robot(T_WORLD_MAP, np.array([[6.5, 3.0], [8.0, 1.45], [5.0, 1.95]])),
         "goal_kinds": np.array([2, 1, 3]),
         "target": 1,
@@ -145,4 +145,4 @@ def view(**changes: object) -> View:
             "pose_error_m": 0.0123,
         },
     }
-    return View(**(fields | changes))  # type: ignore[arg-type]
+    return SceneView(**(fields | changes))  # type: ignore[arg-type]

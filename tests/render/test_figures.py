@@ -41,9 +41,9 @@ def test_a_comparison_shows_every_method_in_every_panel() -> None:
 
 def test_one_picture_a_stage() -> None:
     edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [0, 0.5, 1.0, EdgeLabel.GAP], [1, 0.0, 1.0, EdgeLabel.OPEN]])
-    report = replace(scene.report(), polygons=(Polygon(np.array([0, 1, 2]), edges),), corners=scene.corners())
+    output = replace(scene.output(), polygons=(Polygon(np.array([0, 1, 2]), edges),), corners=scene.corners())
     clusters = Clusters(0, np.array([0, 300]), np.array([299, 719]), np.zeros(2, np.int64))
-    figures = stage_figures(report, clusters)
+    figures = stage_figures(output, clusters)
     assert list(figures) == ["scan", "clusters", "segments", "corners", "polygon", "association"]
     assert all(figure.axes[0].lines for figure in figures.values())
 

@@ -47,9 +47,9 @@ def test_the_same_moment_gives_the_same_frame_and_another_one_does_not() -> None
 
 
 def test_a_frame_of_an_empty_belief_can_be_drawn() -> None:
-    report = scene.report()
-    belief = replace(report.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
-    view = scene.view(report=replace(report, belief=belief, map_polygons=()), p_goals=np.empty((0, 2)), metrics={})
+    output = scene.output()
+    belief = replace(output.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
+    view = scene.view(slam_output=replace(output, belief=belief, map_polygons=()), p_goals=np.empty((0, 2)), metrics={})
     assert Screen().frame(view).any()
 
 
@@ -85,7 +85,7 @@ def test_faces_are_chained_to_rings_around_solid_and_free_space() -> None:
 def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
     view, box = scene.view(), Box(0, 0, 300, 200)
     camera = Camera.fit(view.bounds, box)
-    picture = grid_picture(view.report.grid, view.T_world_map, camera, box)
+    picture = grid_picture(view.slam_output.grid, view.T_world_map, camera, box)
 
     def colour_at(x: float, y: float) -> tuple[int, ...]:
         across, down = camera.pixels(np.array([[x, y]]))[0].astype(int)
@@ -94,7 +94,7 @@ def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
     assert colour_at(1.0, 3.5) == palette.mix(palette.FREE, palette.room_colour(0), 0.2)
     assert colour_at(6.5, 0.5) == palette.mix(palette.FREE, palette.room_colour(1), 0.2)
     assert colour_at(8.5, 2.0) == palette.UNSEEN
-    assert (view.report.grid.label == Cell.DOOR).any()
+    assert (view.slam_output.grid.label == Cell.DOOR).any()
 
 
 def test_sizes_out_of_bounds_are_refused() -> None:

@@ -29,14 +29,14 @@ class Drive:
     T_world_robot: list
 
     def run(self, config: SlamConfig):
-        """A report and the true corner of each corner, scan by scan."""
+        """A output and the true corner of each corner, scan by scan."""
         pipeline = SlamPipeline(config)
         for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
-            report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-            yield pipeline, report, identify(report.corners, pose, self.outline), self._error(report, pose)
+            output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+            yield pipeline, output, identify(output.corners, pose, self.outline), self._error(output, pose)
 
-    def _error(self, report, pose):
-        error = compose(inverse(self.T_world_robot[0]), pose) - report.belief.T_map_robot
+    def _error(self, output, pose):
+        error = compose(inverse(self.T_world_robot[0]), pose) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         return error
 

@@ -52,7 +52,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
     assert type(pipeline.filter) is RightInvariantEkf
     assert pipeline.filter.closure_iterations == 1  # what the page's filter does; ours has 5
-    assert len(env.report.belief.ids) > 5
+    assert len(env.slam_output.belief.ids) > 5
     state = env.get_state()
     other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped
     other.set_state(state)

@@ -35,8 +35,8 @@ def steps(drive):
 
 def majority_identity(steps):
     votes = defaultdict(Counter)
-    for _, report, truth, _ in steps:
-        for feature, corner in zip(report.match.ids.tolist(), truth.tolist(), strict=True):
+    for _, output, truth, _ in steps:
+        for feature, corner in zip(output.match.ids.tolist(), truth.tolist(), strict=True):
             votes[feature][corner] += 1
     return {feature: count.most_common(1)[0][0] for feature, count in votes.items()}
 
@@ -44,24 +44,24 @@ def majority_identity(steps):
 def share_right(steps):
     identity = majority_identity(steps)
     right = total = 0
-    for _, report, truth, _ in steps:
-        for i in np.flatnonzero(report.match.decision == int(Decision.LANDMARK)):
+    for _, output, truth, _ in steps:
+        for i in np.flatnonzero(output.match.decision == int(Decision.LANDMARK)):
             total += 1
-            right += identity[int(report.match.ids[i])] == truth[i] >= 0
+            right += identity[int(output.match.ids[i])] == truth[i] >= 0
     return right / total, total
 
 
 @pytest.mark.parametrize("preset", SENSORS)
 def test_every_noise_preset_gives_a_right_map(preset):
     run = list(scripted_drive(preset=preset).run(SlamConfig(sensor=SENSORS[preset])))
-    _, report, _, _ = run[-1]
+    _, output, _, _ = run[-1]
     precision, pairs = share_right(run)
     assert precision > 0.99
     assert pairs > 300
     assert np.sqrt(np.mean([e[0] ** 2 + e[1] ** 2 for *_, e in run])) < 0.05
-    assert not report.diverged
-    assert len(report.graph.rooms) == 2
-    assert [door.rooms for door in report.graph.doors] == [(0, 1)]
+    assert not output.diverged
+    assert len(output.graph.rooms) == 2
+    assert [door.rooms for door in output.graph.doors] == [(0, 1)]
 
 
 def test_each_landmark_is_a_corner_of_its_own(steps):
@@ -74,22 +74,22 @@ def test_each_landmark_is_a_corner_of_its_own(steps):
 
 def test_polygons_of_different_rooms_share_no_vertex(steps):
     """Fig. 6, after every scan."""
-    for _, report, _, _ in steps:
+    for _, output, _, _ in steps:
         owner = {}
-        for polygon in report.map_polygons:
-            room = report.graph.resolve(polygon.room)
+        for polygon in output.map_polygons:
+            room = output.graph.resolve(polygon.room)
             for vertex in polygon.ids.tolist():
                 assert owner.setdefault(vertex, room) == room
 
 
 def test_most_scans_recognise_a_polygon_once_the_room_is_known(steps):
-    assert np.mean([report.match.known >= 0 for _, report, _, _ in steps[5:]]) > 0.6
+    assert np.mean([output.match.known >= 0 for _, output, _, _ in steps[5:]]) > 0.6
 
 
 def test_the_robots_room_is_the_true_one_away_from_the_door(drive, steps):
-    for pose, (_, report, _, _) in zip(drive.T_world_robot, steps, strict=True):
+    for pose, (_, output, _, _) in zip(drive.T_world_robot, steps, strict=True):
         if abs(pose[0] - 5.0) > 0.7:
-            assert report.graph.current == (0 if pose[0] < 5.0 else 1)
+            assert output.graph.current == (0 if pose[0] < 5.0 else 1)
 
 
 def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
@@ -102,8 +102,8 @@ def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
 
 
 def test_visible_landmarks_are_the_vertices_of_the_polygons_around_a_point(steps):
-    pipeline, report, _, _ = steps[-1]
-    here = pipeline.visible_landmarks(report.belief.T_map_robot[:2])
+    pipeline, output, _, _ = steps[-1]
+    here = pipeline.visible_landmarks(output.belief.T_map_robot[:2])
     assert len(here) >= 4
     assert (pipeline.features.state[here] == int(FeatureState.LANDMARK)).all()
     assert len(pipeline.visible_landmarks(np.array([100.0, 100.0]))) == 0
@@ -116,8 +116,8 @@ def test_every_decision_has_its_reason(steps):
         Decision.NEW: {Reason.UNSEEN},
         Decision.IGNORED: {Reason.AMBIGUOUS, Reason.BEYOND_DOOR, Reason.IN_DOORWAY},
     }
-    for _, report, _, _ in steps:
-        for decision, reason in zip(report.match.decision, report.match.reason, strict=True):
+    for _, output, _, _ in steps:
+        for decision, reason in zip(output.match.decision, output.match.reason, strict=True):
             assert Reason(reason) in allowed[Decision(decision)]
 
 
@@ -139,8 +139,8 @@ def test_reset_forgets_everything(drive):
 @pytest.mark.parametrize("method", [m for m in ASSOCIATORS if m != "known"])
 def test_every_associator_runs_and_names_each_corner_once(drive, method):
     config = SlamConfig(association=AssociationConfig(method=method))
-    for _, report, _, _ in drive.run(config):
-        ids = report.match.ids[report.match.decision == int(Decision.LANDMARK)]
+    for _, output, _, _ in drive.run(config):
+        ids = output.match.ids[output.match.decision == int(Decision.LANDMARK)]
         assert len(set(ids.tolist())) == len(ids)
     assert type(make_associator(config.association)) is ASSOCIATORS[method]
 
@@ -149,7 +149,7 @@ def test_every_associator_runs_and_names_each_corner_once(drive, method):
 def test_each_switch_of_the_default_associator_can_be_turned_off(drive, switch):
     config = SlamConfig(association=AssociationConfig(**{switch: False}))
     run = list(drive.run(config))
-    recognised = any(report.match.known >= 0 for _, report, _, _ in run)
+    recognised = any(output.match.known >= 0 for _, output, _, _ in run)
     assert recognised == (switch != "use_polygons")
 
 
@@ -164,9 +164,9 @@ def test_true_identities_are_the_upper_bound(drive):
             return identify(corners, pose, drive.outline)
 
         pipeline.associator.correspondences = tell
-        report = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        for i in np.flatnonzero(report.match.decision == int(Decision.LANDMARK)):
-            owners[int(report.match.ids[i])].add(int(tell(report.corners)[i]))
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        for i in np.flatnonzero(output.match.decision == int(Decision.LANDMARK)):
+            owners[int(output.match.ids[i])].add(int(tell(output.corners)[i]))
     assert all(len(corners) == 1 for corners in owners.values())
     assert len(owners) >= 10
 
@@ -181,8 +181,8 @@ def test_the_true_pose_can_be_given(drive):
             pipeline.start(scan)
             continue
         exact = compose(T_map_world, pose)
-        report = pipeline.step(odometry, scan, T_map_robot=exact)
-        assert np.allclose(report.belief.T_map_robot, exact, atol=1e-3)
+        output = pipeline.step(odometry, scan, T_map_robot=exact)
+        assert np.allclose(output.belief.T_map_robot, exact, atol=1e-3)
 
 
 def test_the_floor_adds_the_same_position_error_to_every_corner(steps):
@@ -241,8 +241,8 @@ def test_a_dict_configures_as_well():
 
 
 def test_landmarks_beyond_the_capacity_are_counted(drive):
-    *_, (pipeline, report, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
-    assert len(report.belief.ids) == 8
+    *_, (pipeline, output, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
+    assert len(output.belief.ids) == 8
     assert pipeline.filter.dropped > 0
 
 
@@ -257,8 +257,8 @@ def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
     pipeline = SlamPipeline(SlamConfig())
     pipeline.associator = Foreign(undecided)
     for scan in drive.scans[:3]:
-        report = pipeline.start(scan)
-    assert len(report.belief.ids)
+        output = pipeline.start(scan)
+    assert len(output.belief.ids)
     pipeline.associator = Foreign(lambda n: undecided(n + 1))
     with pytest.raises(MatchError, match="one of each corner"):
         pipeline.start(drive.scans[3])

@@ -18,7 +18,7 @@ from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, genera
 from mecp_env.world.generator.furniture import Room, _is_clear, _is_off, _is_off_walls, _shelf, _standing
 from mecp_env.world.layout import check_geometry, load_layout
 from mecp_env.world.outline import build_outline, obstacle_shape
-from mecp_env.world.schema import Box, Layout
+from mecp_env.world.schema import BoxSpec, Layout
 
 CORNERS_APART_M = 0.25
 VERTICES = {"L": 6, "U": 8, "T": 8}
@@ -151,7 +151,7 @@ def test_furniture_is_as_dense_as_asked_and_stands_clear_of_doors() -> None:
         layout = generate(spec, seed)
         far = [np.hypot(*np.subtract(p.centre, d.centre)) for p in layout.obstacles for d in layout.doors]
         assert min(far) > 1.2
-    assert {isinstance(piece, Box) for piece in pieces} == {True, False}
+    assert {isinstance(piece, BoxSpec) for piece in pieces} == {True, False}
 
 
 @pytest.mark.parametrize("pieces", [("shelf", "box", "square_pillar", "round_pillar"), "shelf", "box", "round_pillar"])

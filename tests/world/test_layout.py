@@ -20,7 +20,7 @@ from shapely.geometry import Polygon
 from mecp_env.core.errors import LayoutError, MecpError
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
-from mecp_env.world.schema import Box, Pillar
+from mecp_env.world.schema import BoxSpec, Pillar
 from tests.world.conftest import DOCUMENTS
 
 Document = dict[str, Any]
@@ -59,7 +59,7 @@ def test_the_paper_layout_is_as_the_design_says() -> None:
     assert all(0.10 <= wall.thickness_m <= 0.15 for wall in layout.walls)
     assert {door.width_m for door in layout.doors} == {0.9}
     assert len(layout.doors) - len(layout.rooms) + 1 >= 2  # independent rings of rooms
-    boxes = [obstacle for obstacle in layout.obstacles if isinstance(obstacle, Box)]
+    boxes = [obstacle for obstacle in layout.obstacles if isinstance(obstacle, BoxSpec)]
     assert sum(box.size == (0.4, 0.4) for box in boxes) == 2
     assert len(boxes) == 3
 
@@ -71,7 +71,7 @@ def test_the_other_layouts_are_as_the_design_says() -> None:
     assert areas == {16.0}
     furnished = load_layout("furnished").obstacles
     assert sum(isinstance(obstacle, Pillar) for obstacle in furnished) >= 1
-    assert sum(isinstance(obstacle, Box) for obstacle in furnished) >= 5
+    assert sum(isinstance(obstacle, BoxSpec) for obstacle in furnished) >= 5
 
 
 @pytest.mark.parametrize("name", shipped_layouts())

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.evaluation.ground_truth import CELL_M, Truth
+from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
 from mecp_env.world import drive as drive_kernels
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world import simulation as module
@@ -37,7 +37,7 @@ def world(name: str, seed: int = 0, **fields: Any) -> tuple[Simulation, Movers]:
     outline = OUTLINES[name]
     config = CrowdConfig(**{"people": 6} | {k: v for k, v in fields.items() if k in CrowdConfig.model_fields})
     clutter = ClutterConfig(**{k: v for k, v in fields.items() if k in ClutterConfig.model_fields})
-    truth = Truth(outline, 30.0)
+    truth = GroundTruth(outline, 30.0)
     ways = Ways(truth.free, truth.corner, CELL_M, config.radius_m[1])
     movers = Movers(ways, config, ROBOT, Moving(start=outline.starts[0, :2].copy()))
     movers.populate(outline, clutter, np.random.default_rng(seed))

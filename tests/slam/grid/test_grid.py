@@ -22,7 +22,7 @@ TOUR += [(x, 1.2 if x < 13.0 else 2.6) for x in np.arange(9.0, 32.0, 1.5)]
 def drive(toy: Toy, places: list[tuple[float, float]] = TOUR) -> Toy:
     for step, (x, y) in enumerate(places):
         toy.T_world_robot = np.array([x, y, 0.7 * step])
-        toy.last = toy.report()
+        toy.last = toy.output()
     return toy
 
 
@@ -126,11 +126,11 @@ def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room()
 def test_polygons_cover_their_interior_and_bring_their_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
     toy.add_polygon([0, 1, 2, 3], 0)
-    grid = toy.report().grid
+    grid = toy.output().grid
     area = grid.polygon.sum() * grid.resolution_m**2
     assert area == pytest.approx(24.0, rel=0.02)
     toy.polygons.clear()
-    assert not toy.report().grid.polygon.any()
+    assert not toy.output().grid.polygon.any()
 
 
 def test_a_polygon_waits_for_its_landmarks() -> None:
@@ -149,10 +149,10 @@ def test_a_polygon_waits_for_its_landmarks() -> None:
 def test_a_loop_closure_redraws_the_map() -> None:
     toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
     toy.add_polygon([0, 1, 2, 3], 0)
-    toy.report()
+    toy.output()
     shift = np.array([0.9, -0.4, 0.05])
     toy.T_map_world, toy.p_map = shift, to_map(shift, LANDMARKS)
-    grid = toy.report().grid
+    grid = toy.output().grid
     assert free_iou(grid, shift) > 0.96
     assert labels_at(grid, to_map(shift, np.array([[6.06, 1.95]]))) == [Cell.DOOR]
     corners = to_map(shift, np.array([[0.1, 0.1], [5.9, 3.9], [6.3, 2.0]]))
@@ -163,7 +163,7 @@ def test_only_what_hangs_on_a_moved_landmark_moves() -> None:
     toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
     before = toy.last.grid
     toy.p_map[8:] += 0.02  # less than half a cell
-    assert (toy.report().grid.label == before.label).all()
+    assert (toy.output().grid.label == before.label).all()
 
 
 def test_votes_taken_back_leave_nothing() -> None:
@@ -173,7 +173,7 @@ def test_votes_taken_back_leave_nothing() -> None:
     toy.painter.p_landmark = np.empty((0, 2))
     for landmarks in (there, back):
         toy.p_map = landmarks
-        grid = toy.report().grid
+        grid = toy.output().grid
     offset = np.round((toy.last.grid.origin - grid.origin) / grid.resolution_m).astype(int)
     again = grid.label[offset[1] : offset[1] + label.shape[0], offset[0] : offset[0] + label.shape[1]]
     assert (again != label).mean() < 1e-3
@@ -194,23 +194,23 @@ def test_scans_whose_landmarks_are_gone_are_dropped() -> None:
 def test_a_pocket_of_a_completed_room_is_filled(tour: Toy) -> None:
     toy = copy.deepcopy(tour)
     pillar = np.array([[12.2, 2.0]])
-    assert labels_at(toy.report().grid, pillar) == [Cell.UNKNOWN]
-    assert labels_at(toy.report(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
+    assert labels_at(toy.output().grid, pillar) == [Cell.UNKNOWN]
+    assert labels_at(toy.output(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
     p = np.stack([np.arange(-0.9, 33.0, 0.1), np.full(339, 4.9)], axis=1)
-    assert (labels_at(toy.report(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # outside is no pocket
+    assert (labels_at(toy.output(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # outside is no pocket
 
 
 def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
     toy = copy.deepcopy(tour)
-    first = toy.report().grid
-    assert toy.report().grid is first
+    first = toy.output().grid
+    assert toy.output().grid is first
     toy.p_map = toy.p_map + 0.3
-    assert toy.report().grid.version > first.version
+    assert toy.output().grid.version > first.version
 
 
 def test_published_grids_are_never_written_to() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
-    first = toy.report().grid
+    first = toy.output().grid
     copied = first.label.copy(), first.room.copy(), first.polygon.copy()
     drive(toy)
     assert (first.label == copied[0]).all()
@@ -262,7 +262,7 @@ def test_a_door_on_the_line_of_a_wall_divides_by_nothing() -> None:
     for heading in np.arange(-3.0, 3.0, 0.25):
         toy.T_world_robot = np.array([1.0 + heading / 5.0, 1.0, heading])
         toy.painter = type(toy.painter)(GridConfig())
-        grid = toy.report().grid
+        grid = toy.output().grid
         assert layer_at(grid, grid.room, np.array([[8.0, 2.8]])) == [-1]
 
 
