@@ -1,4 +1,4 @@
-"""What a piece of work costs, told so that a busy or slow machine does not change the verdict.
+"""The cost of a workload, measured so that a busy or slow machine does not change the verdict.
 
 Bounds in seconds are stated for a quiet machine. Here they are checked in processor time, by a yardstick: a fixed piece
 of work timed beside, against what it takes on that machine. Memory is the peak of this process while it works.
@@ -24,14 +24,14 @@ STATUS, FORGET_PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a piece of work cost."""
+    """The cost of a workload."""
 
     seconds: float  # of processor time, as on a quiet machine
-    megabytes: float  # by which the peak of memory lay above what was in use before
+    megabytes: float  # peak memory above the memory in use before
 
 
 def cost(work: Callable[[], object], enough_s: float) -> Cost:
-    """What `work()` costs: the quickest of up to three tries, and one of less than `enough_s` is enough."""
+    """The cost of `work()`: the fastest of up to three tries; a try below `enough_s` ends the measurement."""
     _forget_peak()
     before = _memory_mb("VmRSS")
     seconds = _timed(work)
@@ -44,12 +44,12 @@ def cost(work: Callable[[], object], enough_s: float) -> Cost:
 
 
 def slowness() -> float:
-    """How many times longer work takes now than on a quiet machine; at least 1."""
+    """The slowdown of this machine relative to a quiet one; at least 1."""
     return max(1.0, _timed(_yardstick) / YARDSTICK_S)
 
 
 def _forget_peak() -> None:
-    """Let the peak of memory begin anew. That of `getrusage` cannot, and a new process has its parent's there."""
+    """Reset the memory peak. The peak of `getrusage` cannot be reset, and a new process inherits its parent's."""
     with suppress(OSError):  # another system; a container that forbids it, where memory then only seems more
         FORGET_PEAK.write_text("5")
 

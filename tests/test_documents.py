@@ -1,4 +1,4 @@
-"""What the documents say is so: links, commands, names of functions and tests, versions."""
+"""The documentation matches the code: links, commands, names of functions and tests, versions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_te
 
 
 def resolve(name: str) -> object:
-    """The object of a dotted name below mecp_env."""
+    """The object of a dotted name in mecp_env."""
     parts = name.removeprefix("mecp_env.").split(".")
     for cut in range(len(parts), 0, -1):
         try:

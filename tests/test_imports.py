@@ -1,4 +1,4 @@
-"""What may import what (import-linter), and what `import mecp_env` costs."""
+"""Import rules (import-linter), and the cost of `import mecp_env`."""
 
 from __future__ import annotations
 

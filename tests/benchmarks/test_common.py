@@ -162,7 +162,7 @@ def test_options_are_what_benchmarks_are_given() -> None:
 
 @pytest.mark.parametrize("name", command.NAMES)
 def test_every_gate_finds_its_figure_in_the_committed_results(name: str) -> None:
-    """A gate whose path is misspelt would fail every run: held against itself, a baseline must pass."""
+    """A gate with a misspelt path would fail every run: a baseline compared with itself must pass."""
     baseline = common.RESULTS / f"{name}.json"
     if not baseline.is_file():
         pytest.skip(f"no committed results of {name}")

@@ -1,4 +1,4 @@
-"""Recorded drives: an estimator that replays one makes of it what the environment's own made."""
+"""Recorded drives: the estimator that replays a drive gives the results of the environment's estimator."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mecp_env.slam.pipeline import SlamPipeline
 
 
 def test_a_replay_is_the_run_again_to_the_bit() -> None:
-    """Each step was once recorded twice: nearest and mecp then looked equally bad."""
+    """Seen: each step was recorded twice, and nearest and mecp looked equally bad."""
     env = RecordingEnv(layout="two_rooms", start="random")
     env.reset(seed=4)
     for step in range(25):

@@ -1,4 +1,4 @@
-"""The pieces of the speed benchmark measure what they say."""
+"""The parts of the speed benchmark measure what their names state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pieces of the vector benchmark measure what they say."""
+"""The parts of the vector benchmark measure what their names state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark `worlds`: one building through, and what is kept of one that failed."""
+"""The benchmark `worlds`: one whole building, and the files kept of a failure."""
 
 from __future__ import annotations
 

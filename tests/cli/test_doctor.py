@@ -1,4 +1,4 @@
-"""`mecp-env doctor`: what passes, what is told of a machine where something is wrong, exit codes."""
+"""`mecp-env doctor`: passed checks, messages about a faulty machine, exit codes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command: what it leaves behind, wrong input, interruption."""
+"""The command: files written, wrong input, interruption."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ FIGURES = {
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a demo on the small layout leaves behind."""
+    """The files of a demo on the small layout."""
     folder = tmp_path_factory.mktemp("demo") / "run"
     assert cli.main(["demo", "--layout", "two_rooms", "--seed", "3", "--out", str(folder)]) == 0
     return folder
@@ -223,7 +223,7 @@ def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
-    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")  # what SDL takes where there is none
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")  # SDL's fallback without a display
     monkeypatch.chdir(tmp_path)
     assert cli.main(["demo", "--layout", "two_rooms", "--render", "human"]) == 2
     said = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`mecp-env play` without a display: events go in, the robot drives, what is asked for is seen and kept."""
+"""`mecp-env play` without a display: events drive the robot, requested views are shown and saved."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def release(game: Game, *keys: Key) -> None:
 
 
 def script(monkeypatch: pytest.MonkeyPatch, *ticks: list[tuple[int, Key]]) -> None:
-    """At each tick of the clock the next events happen; after the last the window is closed."""
+    """Each tick of the clock delivers the next events; after the last one the window closes."""
 
     class Clock:
         left = iter([*ticks, [(pygame.QUIT, 0)]])
@@ -78,7 +78,7 @@ def test_a_held_key_drives_and_a_released_one_lets_the_robot_roll_out(game: Game
     release(game, pygame.K_UP)
     for _ in range(6):
         game.advance()
-    assert 3 < game.env.summary()["periods"] < 9  # it stops, and time with it
+    assert 3 < game.env.summary()["periods"] < 9  # the robot stops, and time stops
     assert game.env.summary()["metres"] > 0.3
 
 

@@ -1,4 +1,4 @@
-"""`mecp-env worlds`: what each command leaves behind, and what it says of wrong input."""
+"""`mecp-env worlds`: the files each command writes, and its errors for wrong input."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ def test_a_wrong_option_ends_with_2_and_names_it(line: list[str], named: str, ca
 
 
 def options_helped(text: str) -> dict[str, str]:
-    """Option -> what the help says of it, without the values that it takes and the default."""
+    """Option -> its help text, without values and default."""
     _, *parts = re.split(r"\n[ │]+--([a-z][a-z-]+)", text)
     said = [" ".join(part.partition("(default")[0].replace("│", " ").split()) for part in parts[1::2]]
     words = [re.sub(r"^(INT|FLOAT|PATH|[\[{]\S*| )+", "", one) for one in said]
@@ -379,7 +379,7 @@ def test_a_single_number_is_a_range(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [["demo"], ["one-scan"], ["play"], ["worlds", "generate"]])
 def test_a_folder_that_is_a_file_is_told_before_the_work(command: list[str], tmp_path: Path, capsys: Said) -> None:
-    """The demo said so after the exploration, which was lost."""
+    """Seen: the demo reported this after the exploration, which was lost."""
     (tmp_path / "out").write_text("kept")
     assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()

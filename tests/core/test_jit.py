@@ -29,7 +29,7 @@ COMPILING = "compiling kernels"
 
 
 class Tree:
-    """A small package of two kernels, one calling the other, with the real decorator and a cache of its own."""
+    """A small package with two compiled functions, one calling the other, and a separate cache."""
 
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
@@ -41,11 +41,11 @@ class Tree:
         self.add(1.0)
 
     def add(self, added: float, doc: str = "x and some more.") -> None:
-        """Let the called kernel add another constant, or have another docstring."""
+        """Change the constant or the docstring of the called function."""
         (self.package / "called.py").write_text(CALLED.format(added=added, doc=doc))
 
     def call(self, code: str = CALL, **environment: str) -> tuple[float, str]:
-        """What caller(1.0) returns in a new process, and what that process wrote to stderr."""
+        """The result of caller(1.0) in a new process, and its stderr."""
         variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
         variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
         variables |= {"MECP_ENV_COMPILE_HELPERS": "0"} | environment
@@ -141,7 +141,7 @@ def test_an_unwritable_cache_is_said_and_survived(tree: Tree) -> None:
 def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree: Tree, tmp_path: Path) -> None:
     tree.call(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "own"), HOME=str(tmp_path / "own"))
     found = list((tmp_path / "own").rglob("*.nbc"))
-    assert len(found) == 1  # the called kernel is part of its caller's entry
+    assert len(found) == 1  # the called function is part of its caller's entry
     assert not list(tree.package.rglob("*.nb?"))
     if os.name == "posix":
         assert found[0].parent.stat().st_mode & 0o077 == 0

@@ -1,4 +1,4 @@
-"""Compiling ahead: the list of kernels, types as plain data, helpers only where they are wanted."""
+"""Compiling ahead: the list of compiled functions, types as plain data, helpers only where wanted."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_list_names_kernels_that_exist() -> None:
             [warm_up.decode(argument) for argument in arguments]
         except (ImportError, AttributeError):
             gone.append(f"{module}.{name}")
-    assert not gone, "write the list anew: python -m mecp_env.cli.record_signatures"
+    assert not gone, "update the list: python -m mecp_env.cli.record_signatures"
 
 
 def test_a_share_compiles_what_it_can_and_skips_the_rest() -> None:

@@ -1,4 +1,4 @@
-"""What the tests of the environment share."""
+"""Shared by the tests of the environment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"preset": "lms200", "s
 
 
 def make(**keywords: Any) -> gymnasium.Env:
-    """A small environment, quick enough for tests."""
+    """A small environment, fast enough for tests."""
     return gymnasium.make("mecp_env/Layout-v0", **(SMALL | keywords))
 
 
 def drive(env: gymnasium.Env, steps: int, seed: int = 0) -> list[tuple[Any, ...]]:
-    """What `steps` steps with a fixed random drive give; a new episode begins where one ends."""
+    """The results of `steps` steps with fixed random actions; a new episode starts where one ends."""
     rng = np.random.default_rng(seed)
     rows = []
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""What Gymnasium and Stable-Baselines3 ask of an environment, over every registered id and kind of action."""
+"""The contracts of Gymnasium and Stable-Baselines3, over every registered id and kind of action."""
 
 from __future__ import annotations
 

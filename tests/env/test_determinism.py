@@ -44,7 +44,7 @@ def test_same_seed_same_bits_in_one_environment_and_in_another():
     other = make(laser={"preset": "paper"})
     assert same(first, again)
     assert same(first, [other.reset(seed=7), drive(other, 30), other.reset(), drive(other, 10)])
-    assert not same(first[0], first[2])  # an unseeded reset goes on in the stream
+    assert not same(first[0], first[2])  # an unseeded reset continues the random stream
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The same environment with the pipeline, with true identities, with the true pose, and to the letter of the paper."""
+"""The same environment with the estimator, known correspondences, the true pose, and the literal paper."""
 
 from __future__ import annotations
 

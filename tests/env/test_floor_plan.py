@@ -1,4 +1,4 @@
-"""`FloorPlan-v0`: a plan from a file, or one of a folder drawn at every reset."""
+"""`FloorPlan-v0`: a plan from a file, or drawn from a folder at every reset."""
 
 from __future__ import annotations
 

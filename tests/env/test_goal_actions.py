@@ -70,7 +70,7 @@ def test_rewards_are_summed_and_the_callback_sees_every_step():
     assert len(seen) == info["periods"] == info["period"]
     assert reward == pytest.approx(sum(step[1] for step in seen))
     assert [step[4]["period"] for step in seen] == list(range(1, len(seen) + 1))
-    assert {step[4]["event"] for step in seen} == {""}  # what the callback was given stays as it was
+    assert {step[4]["event"] for step in seen} == {""}  # the arguments of the callback are not changed later
 
 
 def test_the_limit_lies_inside():

@@ -1,4 +1,4 @@
-"""What moves, seen from the environment: seeds, states, doors that are closed, the pictures."""
+"""Dynamic obstacles in the environment: seeds, snapshots, closed doors, rendering."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_rooms_behind_closed_doors_do_not_count() -> None:
 
 
 def test_the_summary_tells_how_many_found_room() -> None:
-    """Seen: of 50 people and 50 boxes in two rooms fewer were there, and nobody was told."""
+    """Seen: fewer than the requested 50 pedestrians and 50 boxes fitted in two rooms, and this was not reported."""
     crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0}}
     env = make(**crowded)
     env.reset(seed=0)

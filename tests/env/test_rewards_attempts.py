@@ -1,4 +1,4 @@
-"""Attempts to be paid without exploring, or by a wrong map, lose against honest exploration."""
+"""Reward hacking, without exploring or with a wrong map, loses against honest exploration."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:
     given, other = tried(name, "paper", seed), honest("paper", seed)
     as_far = max(given.metres[-1], 5.0)
     assert given.paid() < 0.2 * other.paid()
-    assert given.paid() < other.paid(until_m=as_far)  # without what it paid to complete
+    assert given.paid() < other.paid(until_m=as_far)  # without the completion reward
     assert given.paid("completion") == 0.0
 
 
@@ -70,11 +70,11 @@ def test_driving_blind_until_the_filter_diverges_loses_all(seed: int) -> None:
     idle = attempt("stand", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
     assert lost.last["diverged"]
     assert lost.paid("area") < 0.0  # the map of the start as well
-    assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than to stand for a whole episode
+    assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than standing still for a whole episode
 
 
 def test_breadth_first_earns_most_and_time_counts() -> None:
-    """The totals of the default weights: exploring pays, standing costs its time, a random walk its contacts."""
+    """Totals with default weights: exploring earns most, standing still costs time, a random walk costs contacts."""
     stand, walk, other = tried("stand", "paper", 0), tried("walk", "paper", 0), honest("paper", 0)
     assert other.paid() > 30.0
     assert other.paid("area") + other.paid("completion") > 10.0 * abs(other.paid("time", "contact"))

@@ -44,7 +44,7 @@ def test_a_building_can_be_chosen() -> None:
 
 
 def test_one_environment_is_as_many_made_anew() -> None:
-    """What an earlier building left behind changes nothing."""
+    """An earlier building does not affect the next one."""
     used, fresh = gymnasium.make(ROOMS, **EASY), gymnasium.make(ROOMS, **EASY)
     used.reset(seed=4)
     drive(used)

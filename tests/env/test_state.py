@@ -157,7 +157,7 @@ def test_a_running_environment_continues_bit_for_bit(method):
 
 
 def test_after_set_state_a_never_reset_environment_steps_without_its_wrappers_and_after_a_reset_with_them():
-    """As the docstring of `set_state` says."""
+    """As documented in the docstring of `set_state`."""
     env = make()
     env.reset(seed=4)
     state = env.unwrapped.get_state()

@@ -32,7 +32,7 @@ def truth(request):
 
 
 class Report:
-    """Only what the functions under test read."""
+    """Only the fields that the functions under test read."""
 
     def __init__(self, **parts):
         self.__dict__.update(parts)
@@ -185,7 +185,7 @@ def test_the_pose_error_is_measured_in_the_map_frame(truth):
 
 
 def perfect_map(truth, T_world_map, resolution=0.1):
-    """The grid, graph and belief of somebody who knows everything; the map frame is turned against the world's."""
+    """A perfect grid, graph and belief; the map frame is rotated relative to the world frame."""
     x0, y0, x1, y1 = truth.outline.bounds
     corners = np.array([[x, y] for x in (x0, x1) for y in (y0, y1)])
     p_map = np.array([compose(inverse(T_world_map), np.array([*corner, 0.0]))[:2] for corner in corners])

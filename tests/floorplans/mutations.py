@@ -1,4 +1,4 @@
-"""Real files spoilt: byte by byte, and by what a file of their kind is made of."""
+"""Mutated real files: byte by byte, and by the structure of their format."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SIZES = (0, 1, 2, 7, 255, 256, 4096, 4097, 65_535, 100_000, 2**31 - 1, 2**31, 2*
 
 
 def sources() -> dict[str, list[Path]]:
-    """Files of each kind at hand: our own shipped layouts, and the real plans where they are."""
+    """Files of each kind: the included layouts, and the real plans where present."""
     real = plans.REAL
     found = {"layout": sorted(LIBRARY.glob("*.json"))}
     if real is not None:
@@ -196,6 +196,6 @@ STRUCTURE = {".json": spoilt_json, ".yaml": spoilt_yaml, ".png": spoilt_image, "
 
 
 def spoilt(path: Path, rng: Random) -> bytes:
-    """A file spoilt in one of the ways there are."""
+    """A file mutated in one of these ways."""
     data = path.read_bytes()
     return spoilt_bytes(data, rng) if rng.random() < 0.4 else STRUCTURE[path.suffix](data, rng)

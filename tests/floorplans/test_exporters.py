@@ -1,4 +1,4 @@
-"""Files for other programs: map_server pairs that others can read, SVG that a browser can draw."""
+"""Files for other programs: readable map_server pairs, valid SVG."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mecp_env.world.outline import build_outline
 
 
 def believed() -> SemanticGrid:
-    """Two rooms of 3 x 4 m as a robot may believe them, and a corner that it has not seen."""
+    """Two rooms of 3 x 4 m as estimated by a robot, and a corner that it has not seen."""
     label = np.full((50, 80), int(Cell.UNKNOWN), dtype=np.uint8)
     label[4:46, 4:76] = int(Cell.OCCUPIED)
     label[5:45, 5:35] = int(Cell.FREE)

@@ -1,4 +1,4 @@
-"""Every kind of real file, spoilt byte by byte and by its structure: a layout, or one clear LayoutError, and soon."""
+"""Every kind of real file, mutated by bytes and by structure: a layout or one clear LayoutError, within the limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 from tests.effort import Cost, cost
 from tests.floorplans import mutations
-from tests.floorplans.strangers import MEGABYTES, SECONDS
+from tests.floorplans.untrusted import MEGABYTES, SECONDS
 
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
@@ -29,7 +29,7 @@ LETTERS = 600
 
 
 def spoilt_files(kind: str, seeds: range, folder: Path) -> Iterator[Path]:
-    """A file of a kind spoilt anew for each seed, all that lies beside it with it."""
+    """A file of a kind, mutated by the seed, with the files next to it."""
     made = folder / "made"
     made.mkdir()
     files = (mutations.sources() | mutations.made(made)).get(kind, [])
@@ -44,7 +44,7 @@ def spoilt_files(kind: str, seeds: range, folder: Path) -> Iterator[Path]:
 
 
 def tried(path: Path, kind: str) -> Cost:
-    """What it costs to read a file or to refuse it as it should be."""
+    """The cost of reading a file or refusing it properly."""
     read = partial(load_plan, path, resolution_m=0.05, kind="labelled" if kind == "labelled" else None)
     found = list[Layout | LayoutError]()
     taken = cost(partial(_note, read, found), SECONDS)
@@ -84,7 +84,7 @@ def main(kind: str, count: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [*KINDS, *MADE])
 def test_many_spoilt_files_cost_less_than_two_seconds_and_200_megabytes(kind: str) -> None:
-    """In a process of its own, whose memory is only theirs."""
+    """In a separate process that measures the memory of these files only."""
     call = f"from tests.floorplans.test_fuzz import main; main({kind!r}, {MANY})"
     run = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr[-2000:]

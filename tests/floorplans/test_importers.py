@@ -1,4 +1,4 @@
-"""Plans of others: rooms and doors are those that a person would draw."""
+"""Real floor plans: rooms and doors are those that a person would draw."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_the_modes_of_map_server(name: str, tmp_path: Path) -> None:
 def test_what_cannot_be_reached_is_dropped(tmp_path: Path) -> None:
     picture = plans.two_rooms_picture()
     picture[62:80, 92:94] = 0
-    picture[62:66, 92:94] = 254  # 0.2 m: no way for the robot
+    picture[62:66, 92:94] = 254  # 0.2 m: too narrow for the robot
     layout = read(picture, tmp_path, free_above=210)
     assert len(layout.rooms) == 1
     assert build_outline(layout).free_area.area == pytest.approx(20.0, abs=0.1)
@@ -152,14 +152,14 @@ def test_a_large_clean_plan_is_counted_by_its_corners(tmp_path: Path) -> None:
 
 
 def test_labelled_rooms_and_doors(tmp_path: Path) -> None:
-    """A door line is taken at its word, be the opening 3 m wide."""
+    """A door line is always a door, even with an opening 3 m wide."""
     layout = read(plans.labelled_picture(), tmp_path, kind="labelled")
     assert (len(layout.rooms), len(layout.doors)) == (3, 2)
     assert sorted(door.width_m for door in layout.doors) == pytest.approx([0.9, 3.0], abs=0.03)
 
 
 def test_a_labelled_room_that_nobody_can_enter_is_named(tmp_path: Path) -> None:
-    """Seen: a room without a door was left out, and nobody was told. One behind a door too narrow is named, too."""
+    """Seen: a room without a door was omitted silently. A room behind a door that is too narrow is named too."""
     closed, narrow = plans.labelled_picture(), plans.labelled_picture()
     closed[32:92, 174:176] = 0
     narrow[32:92, 174:176] = 0

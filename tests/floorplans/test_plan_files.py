@@ -1,4 +1,4 @@
-"""Plan files of strangers: whatever is in them, one clear LayoutError with the file, and soon."""
+"""Untrusted plan files: any content gives a layout or one clear LayoutError with the file, within the limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans import load_plan
 from mecp_env.world.layout import load_layout
 from tests.floorplans import plans
-from tests.floorplans.strangers import MEGABYTES, SECONDS, costs, plan
+from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs, plan
 
 
 def png(width: int, height: int, data: bytes, colour: int = 0, bits: int = 8) -> bytes:
@@ -132,7 +132,7 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "threshold 2": ("map.yaml", sheet(occupied_thresh="2"), r"occupied_thresh: a number from 0 to 1 .*2"),
     "no image": ("map.yaml", sheet(image="other.pgm"), r"map\.yaml: image: 'other\.pgm': no such file"),
     "image is none": ("map.yaml", sheet(image="map.yaml"), r"map\.yaml: image: 'map\.yaml': no PNG or PGM"),
-    "mode is told before the image": ("map.yaml", sheet(image="other.pgm", mode="x"), r"mode: one of"),
+    "mode is checked before the image": ("map.yaml", sheet(image="other.pgm", mode="x"), r"mode: one of"),
     "yaml with a field twice": ("map.yaml", sheet() + b"resolution: 0.1\n", r"map\.yaml: resolution: given twice"),
     "yaml with a field quoted": ("map.yaml", sheet() + b"'image': b.pgm\n", r"map\.yaml: image: given twice"),
     "yaml with a field three times": ("map.yaml", b"a: 1\na: 2\na: 3\n" + sheet(), r"map\.yaml: a: given 3 times"),
@@ -146,7 +146,7 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
 
 
 def written(folder: Path, name: str) -> Path:
-    """The file of a case, a sound map.pgm beside it."""
+    """The file of a case, next to a valid map.pgm."""
     plans.save(plans.two_rooms_picture(), folder / "map.pgm")
     file, content, _ = BAD[name]
     path = folder / file
@@ -216,7 +216,7 @@ def test_labelled_images_that_are_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_bad_files_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) -> None:
-    """The issue states both bounds."""
+    """Both bounds are documented in docs/plans.md."""
     sound = plans.map_pair(tmp_path, plans.two_rooms_picture())
     files = []
     for name in BAD:

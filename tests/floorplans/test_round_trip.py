@@ -1,4 +1,4 @@
-"""Buildings drawn with pixels and read again: the same rooms, doors and walls, be the walls as thin as a pixel."""
+"""Buildings drawn with pixels and read again: the same rooms, doors and walls, even with walls of one pixel."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def doors_apart(layout: Layout, plan: Layout) -> tuple[int, int]:
 
 
 def walls_off_m(layout: Layout, plan: Layout) -> float:
-    """How far the walls of both lie apart, in the mean along them."""
+    """Mean distance between the walls of both."""
     a, b = build_outline(layout).free_area, build_outline(plan).free_area
     return float(a.symmetric_difference(b).area / a.length)
 
@@ -70,7 +70,7 @@ def test_rooms_doors_and_walls_come_back(building: str, thin: bool, resolution_m
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize("difficulty", ["easy", "medium", "hard", "huge"])
 def test_thirty_buildings_come_back(difficulty: str, thin: bool, resolution_m: float, tmp_path: Path) -> None:
-    """A shelf before a corner may pass for the post of a door; of walls of one pixel a post may be blurred away."""
+    """A shelf in front of a corner can look like a jamb; in walls of one pixel a jamb may be blurred away."""
     doors = missing = false = 0
     off = []
     for seed in range(30):

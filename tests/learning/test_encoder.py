@@ -36,7 +36,7 @@ def scores(policy, observation):
 
 
 def shaken(algorithm="maskable_ppo"):
-    """A policy in which everything has an influence."""
+    """A policy in which every input has an influence."""
     torch.manual_seed(0)
     policy = make_policy(quick(algorithm))
     with torch.no_grad():

@@ -28,7 +28,7 @@ def make_run(folder, areas, algorithm="maskable_ppo", width=16):
 
 
 def shipped(weights):
-    """What lies there, each file with its bytes."""
+    """The files there with their bytes."""
     return {path.name: path.read_bytes() for path in (weights / "maskable_ppo").iterdir()}
 
 

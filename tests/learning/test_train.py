@@ -138,7 +138,7 @@ def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
 
 
 def wait_for_checkpoint(process, checkpoints, beyond=-1):
-    """Wait until a run has written a checkpoint after more decisions than that."""
+    """Wait until a run has written a checkpoint after more than this number of decisions."""
     give_up = time.monotonic() + 300
     while process.poll() is None and time.monotonic() < give_up:
         if any(int(path.stem) > beyond for path in checkpoints.paths()):
@@ -148,7 +148,7 @@ def wait_for_checkpoint(process, checkpoints, beyond=-1):
 
 
 def resumed_after(process):
-    """The decisions after which a run says that it goes on."""
+    """The number of decisions after which a run reports that it resumes."""
     said = ""
     for line in process.stdout:
         said += line
@@ -177,7 +177,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_times_it_always_goes_on(tmp_path):
-    """One run, killed again and again: nothing that was saved is ever lost."""
+    """One run, killed repeatedly: nothing that was saved is lost."""
     rng = random.Random(0)
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
     checkpoints = Checkpoints(folder / "checkpoints", 3)
@@ -238,7 +238,7 @@ def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres
 
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
 def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
-    """With the value of going on added to it, losing the map was worth as much as keeping it."""
+    """With the value of the next state added, divergence was worth as much as keeping the map."""
     for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_steps": 2}, False)):
         venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
         venv.reset()
@@ -342,7 +342,7 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
 
 @pytest.mark.parametrize("workers", ["batch", "processes"])
 def test_workers_learn_the_same_as_one_process(workers, tmp_path):
-    """Where the environments live changes no bit of what is learned."""
+    """The placement of the environments changes no bit of the trained weights."""
     checks = []
     for name in ("here", workers):
         (tmp_path / name).mkdir()

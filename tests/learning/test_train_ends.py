@@ -1,4 +1,4 @@
-"""How a training ends before its time: Ctrl-C, a process that dies, a reader that goes, another training."""
+"""Early ends of a training: Ctrl-C, a dead process, a closed pipe, another training."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize("after", [1, 3])
 def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path, capsys, monkeypatch):
-    """While the teacher plays, and between two epochs: a resumed run begins it anew, as if nothing had been."""
+    """While the teacher plays, and between two epochs: a resumed run starts the warm start again."""
     asked, imitate = count(), warm_start.imitate
 
     def stopped(model, venv, config, report, stop):
@@ -85,7 +85,7 @@ def pair():
 
 
 def test_the_process_of_an_environment_that_dies_is_named_and_nobody_waits(pair):
-    """A step waited for ever, or ended in a bare EOFError, and so did closing."""
+    """Seen: a step waited forever or ended in a bare EOFError, and so did `close`."""
     pair.processes[1].kill()
     pair.processes[1].join()
     begun = time.monotonic()
@@ -113,7 +113,7 @@ def no_environment():
 
 
 def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
-    """`train ... | head -1` ended in the middle with exit code 0."""
+    """Seen: `train ... | head -1` ended early with exit code 0."""
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "w", buffering=1) as output:
@@ -150,7 +150,7 @@ def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(
 
 
 def test_an_evaluation_in_one_building_is_said_without_an_error(tmp_path, capsys):
-    """It was "+- 0.0000", as if it were known exactly."""
+    """Seen: the error was "+- 0.0000", as if it were known exactly."""
     run(tmp_path, steps=6, log=QUICK["log"] | {"evaluate_buildings": 2})
     assert "+-" in capsys.readouterr().out
     run(tmp_path, "--out", str(tmp_path / "one"), steps=6)
@@ -165,7 +165,7 @@ def test_a_finished_run_that_is_resumed_is_not_evaluated_again(tmp_path):
 
 
 def test_a_run_that_is_resumed_for_less_than_it_has_made_is_refused_and_stays_as_it_is(tmp_path, capsys):
-    """It said "48/10 ... done", and kept the 10 in its configuration."""
+    """Seen: it printed "48/10 ... done" and kept 10 in its configuration."""
     folder, _ = run(tmp_path, steps=12)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     assert train.main(["--resume", str(folder), "--steps", "10"]) == 2
@@ -178,7 +178,7 @@ def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_
     checkpoints = Checkpoints(folder / "checkpoints", 3)
     assert checkpoints.decisions() == 12
     assert train.main(["--resume", str(folder), "--steps", "10"]) == 0
-    (checkpoints.folder / "9x.safetensors").write_bytes(b"of somebody else")
+    (checkpoints.folder / "9x.safetensors").write_bytes(b"of another program")
     for path in checkpoints.paths():
         path.write_bytes(b"damaged")
     assert checkpoints.decisions() == 0

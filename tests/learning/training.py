@@ -1,4 +1,4 @@
-"""What the tests of training share: runs that take seconds."""
+"""Shared by the tests of training: runs that take seconds."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run(tmp_path: Path, *words: str, **fields: object) -> tuple[Path, int]:
 
 
 def start(*words: str) -> subprocess.Popen[str]:
-    """`python -m mecp_env.learning.train` with these words, in a process of its own."""
+    """`python -m mecp_env.learning.train` with these arguments, in a separate process."""
     return subprocess.Popen(
         [sys.executable, "-m", "mecp_env.learning.train", *words],
         cwd=ROOT,

@@ -34,7 +34,7 @@ CONTROL, BODY = ControlConfig(), PathsConfig()
 
 
 def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
-    """Drive until the navigator says that it is over; `nearest` on the toy tells the least distance from a wall."""
+    """Drive until the navigator finishes; `nearest` of the toy is the smallest distance from a wall."""
     navigator = Navigator(PlanningConfig())
     navigator.start(target)
     toy.nearest = math.inf
@@ -190,7 +190,7 @@ def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
 
 
 def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
-    beams, _ = look(np.array([5.6, 1.66, 0.0]))  # the post of the door lies ahead on the right
+    beams, _ = look(np.array([5.6, 1.66, 0.0]))  # the jamb is ahead on the right
     assert coast((0.0, -1.75), (0.6, 0.1), beams, CONTROL, BODY) == (0.0, 0.05)
     assert coast((0.0, 1.75), (0.3, 0.0), beams, CONTROL, BODY) == (0.0, 1.75)
     assert coast((0.0, -1.75), (0.0, 0.0), beams, CONTROL, BODY) == (0.0, -1.75)

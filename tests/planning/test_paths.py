@@ -1,4 +1,4 @@
-"""The grid planner: clearance and ways against brute force, corners, doors, smoothing."""
+"""The grid planner: clearance and paths against brute force, corners, doors, smoothing."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_field_is_dijkstra(seed: int) -> None:
 
 
 def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
-    """The plain twin of the bucket queue."""
+    """The reference implementation of the bucket queue."""
     cost = cost.astype(np.int64)
     cost[[0, -1], :] = cost[:, [0, -1]] = 0
     total = np.full(cost.shape, grid_paths.FAR)

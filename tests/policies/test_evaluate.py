@@ -1,4 +1,4 @@
-"""The evaluator: the same buildings for all, the same result again, wrong input, what fails, what is interrupted."""
+"""The evaluator: the same buildings for all policies, repeatable results, wrong input, failures, interruption."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The film: bounded length whatever the episode's, evenly spaced, drawn only when kept, and a GIF that reads back."""
+"""The film: bounded length, evenly spaced frames, drawn only when kept, and a GIF that reads back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames: shape, type, no display touched, and the things that must be seen in them."""
+"""Frames: shape, type, no display access, and the visible content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hand-made scans: rays against faces by plain NumPy, with the laser's layout of bearings and noise."""
+"""Constructed scans: rays against faces in NumPy, with the bearings and noise of the laser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The small kernels behind the carriers, against plain NumPy: places, blocks of covariances, rows of ids."""
+"""The small compiled functions behind the messages, against NumPy: indices, covariance blocks, rows of ids."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The checks of scans and odometry: what the kernels find, and what a plain twin finds."""
+"""The checks of scans and odometry: compiled functions against a reference implementation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DAMAGE = (math.nan, math.inf, -math.inf, -1e-9, 0.0, MAX_RANGE_M, 30.1, -math.pi
 
 
 def fault_of(ranges, bearings, max_range):
-    """The plain twin of `find_fault`: beam by beam."""
+    """The reference implementation of `find_fault`: beam by beam."""
     for sweep, sweep_bearings in zip(ranges.tolist(), bearings.tolist(), strict=True):
         last = -math.inf
         for r, bearing in zip(sweep, sweep_bearings, strict=True):
@@ -87,7 +87,7 @@ def test_a_scan_of_another_type_is_refused(field, change, told):
 
 
 def with_decision(match, decision, id_):
-    """The match with this said of its last corner; in place."""
+    """The match with these values for its last corner; in place."""
     match.decision[-1], match.ids[-1] = decision, id_
     return match
 
@@ -113,6 +113,6 @@ def test_a_sound_match_is_given_back():
     ],
 )
 def test_a_match_of_an_unsound_associator_is_refused(match, told):
-    """Kernels went through arrays by such a match and ended the process."""
+    """Seen: compiled functions indexed arrays with such a match, and the process died."""
     with pytest.raises(MatchError, match=told):
         check_match(match, 3, 5)

@@ -1,4 +1,4 @@
-"""The estimator as a whole, on scripted drives through two rooms and round a ring."""
+"""The whole estimator, on scripted drives through two rooms and around a ring."""
 
 from collections import Counter, defaultdict
 from dataclasses import replace
@@ -247,7 +247,7 @@ def test_landmarks_beyond_the_capacity_are_counted(drive):
 
 
 class Foreign(Associator):
-    """An associator that answers with what it was given."""
+    """An associator that returns a given match."""
 
     def __init__(self, answer):
         self.associate = lambda corners, polygons, view, belief: answer(len(corners))

@@ -1,4 +1,4 @@
-"""What the tests of many environments share."""
+"""Shared by the tests of vector environments."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ needs_linux = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), r
 
 
 def make_small(count: int = N, **keywords: Any) -> BatchEnv:
-    """A batch of small environments, forked, two workers unless told otherwise."""
+    """A batch of small environments, forked, with two workers by default."""
     return make_batch(LAYOUT, count, **({"context": "fork", "workers": 2} | SMALL | keywords))
 
 
@@ -36,7 +36,7 @@ def make_by(
 
 
 def choose(space: gymnasium.Space[Any], observation: Any, rng: np.random.Generator) -> Any:
-    """Actions (N,...) for a batch of observations: mostly forward, any choice, or any goal that there is."""
+    """Actions (N,...) for a batch of observations: mostly forward, any choice, or any goal."""
     count = len(observation["pose"])
     if isinstance(space, gymnasium.spaces.Box):
         return np.clip(rng.normal((0.6, 0.0), (0.4, 0.5), (count, 2)), -1, 1).astype(np.float32)
@@ -59,7 +59,7 @@ def equal(a: Any, b: Any) -> bool:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs; one that only waits to be collected does not."""
+    """Whether a process is running; a zombie is not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -67,7 +67,7 @@ def alive(pid: int) -> bool:
 
 
 def gone_within(pids: list[int], seconds: float) -> bool:
-    """Whether no such process runs any more after at most so long."""
+    """Whether none of these processes is running after at most this time."""
     end = time.monotonic() + seconds
     while any(alive(pid) for pid in pids) and time.monotonic() < end:
         time.sleep(0.02)

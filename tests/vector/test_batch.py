@@ -47,7 +47,7 @@ def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
     assert batch.np_random_seed == (4, 5, 6)
     second, _ = batch.reset(seed=[9, 4, None])
     assert all(same(first[key][0], second[key][1]) for key in first)
-    assert batch.np_random_seed == (9, 4, 6)  # an unseeded environment goes on in its stream
+    assert batch.np_random_seed == (9, 4, 6)  # an unseeded environment continues its random stream
     assert same(batch.reset(seed=np.int64(4))[0], first)
     assert [generator.integers(2**40) for generator in batch.np_random] != [0, 0, 0]
     with pytest.raises(ValueError, match="seed: 2 of them"):
@@ -62,7 +62,7 @@ def test_a_mask_resets_some_and_shows_the_others_as_they_were(batch: BatchEnv) -
     before = batch.step(STILL + 0.5)[0]
     options = {"reset_mask": np.array([False, True, False])}
     after, infos = batch.reset(seed=[0, 1, 2], options=options)
-    assert list(options) == ["reset_mask"]  # what the caller gave stays as it was
+    assert list(options) == ["reset_mask"]  # the arguments of the caller are unchanged
     assert all(same(before[key][[0, 2]], after[key][[0, 2]]) for key in before)
     assert infos["_period"].tolist() == [False, True, False]
     assert infos["_event"].tolist() == [False, True, False]

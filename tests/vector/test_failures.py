@@ -1,4 +1,4 @@
-"""What becomes of a batch when a worker is killed, an environment raises, or somebody leaves without closing."""
+"""A batch whose worker is killed, whose environment raises, or that is not closed."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def make_and_tell(pipe: Any) -> None:
 @pytest.mark.filterwarnings("ignore:.*Calling `close` while waiting.*")
 @pytest.mark.parametrize("at_work", [False, True])
 def test_gymnasiums_own_class_can_be_stopped_by_force(at_work: bool) -> None:
-    """What docs/vector.md says of AsyncVectorEnv: after a death, only `close(terminate=True)` is sure to end."""
+    """AsyncVectorEnv as in docs/vector.md: after a worker died, only `close(terminate=True)` is sure to end."""
     venv = make_by("async", LAYOUT, N)
     pids = [process.pid for process in venv.processes]
     venv.reset(seed=1)

@@ -34,7 +34,7 @@ def make_theirs(kind: str, **keywords: Any) -> Any:
 
 
 def take(venv: Any) -> list[Any]:
-    """All that a VecEnv gives on a drive, masks too; rewards are float32 in DummyVecEnv, float64 in SubprocVecEnv."""
+    """All results of a VecEnv on a drive, with masks; rewards are float32 in DummyVecEnv, float64 in SubprocVecEnv."""
     rng = np.random.default_rng(0)
     venv.seed(3)
     rows: list[Any] = [(dict(venv.reset()), list(venv.reset_infos))]
@@ -70,7 +70,7 @@ def ends(diverged_sigma_m: float, max_steps: int) -> list[dict[str, Any]]:
 
 
 def test_a_divergence_is_an_end_and_a_time_limit_is_none() -> None:
-    """As truncated, the value of going on was added to it: losing the map was worth as much as keeping it."""
+    """Seen: as a truncation, the value of the next state was added, and divergence was worth as much as the map."""
     for diverged, infos in ((True, ends(0.0012, 1000)), (False, ends(1e3, 5))):
         assert infos
         assert all(info["diverged"] is diverged for info in infos)
@@ -114,7 +114,7 @@ def test_methods_and_attributes_of_some_or_all_environments() -> None:
 
 
 class ShortTime(TimeLimit):
-    """Two steps an episode."""
+    """Two steps per episode."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env, 2)

@@ -1,4 +1,4 @@
-"""Memory and open files stay what they are, over many steps, many episodes and many batches."""
+"""Memory and open files do not grow, over many steps, episodes and batches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = needs_linux
 def footprint(venv: BatchEnv) -> tuple[float, int]:
     """Memory (MB) and open files of a batch: its workers and this process.
 
-    What counts is what is no file's: a library may be loaded late, and a forked process makes pages that it inherited
+    Pages of files do not count: a library may be loaded late, and a forked process makes pages that it inherited
     its own when it first writes there.
     """
     pids = [os.getpid(), *venv.pids]

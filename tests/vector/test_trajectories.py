@@ -25,7 +25,7 @@ MODES = list(AutoresetMode)
 
 
 def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
-    """All that a vector environment gives on a drive; without autoreset, environments are reset by mask."""
+    """All results of a vector environment on a drive; without autoreset, environments are reset by mask."""
     rng = np.random.default_rng(0)
     rows = [venv.reset(seed=11)]
     for _ in range(steps):

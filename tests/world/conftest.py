@@ -1,4 +1,4 @@
-"""Documents, layouts and outlines that the tests of the world share."""
+"""Documents, layouts and outlines shared by the tests of the world."""
 
 from __future__ import annotations
 
@@ -33,5 +33,5 @@ def two_rooms() -> Outline:
 
 @pytest.fixture
 def document() -> dict[str, Any]:
-    """A fresh copy of the document of `two_rooms`, to be spoilt."""
+    """A fresh copy of the document of `two_rooms`, for mutation."""
     return copy.deepcopy(DOCUMENTS["two_rooms"])

@@ -13,7 +13,7 @@ HALL = [[-200.0, -200.0], [200.0, -200.0], [200.0, 200.0], [-200.0, 200.0]]
 
 
 def hall(**fields: Any) -> Document:
-    """One room of 400 m a side, with some fields over it."""
+    """One room of 400 x 400 m, with some fields replaced."""
     around = {"points": [*HALL, HALL[0]]}
     given = {"walls": [], "rooms": [{"name": "hall", "polygon": HALL}], "starts": [{"point": [0.0, 0.0]}]} | fields
     return {"name": "hall", **given, "walls": [around, *given["walls"]]}
@@ -46,7 +46,7 @@ def weave(count: int) -> list[Document]:
 
 
 def zigzag(points: int) -> list[Document]:
-    """One line up and down, its points 1000 a wall."""
+    """One line up and down, with 1000 points per wall."""
     x = np.linspace(-190.0, 190.0, points).round(4)
     line = np.column_stack([x, np.where(np.arange(points) % 2, 150.0, 20.0)]).tolist()
     return [{"points": line[i : i + 1000]} for i in range(0, points, 999) if len(line[i : i + 1000]) > 1]

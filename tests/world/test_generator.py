@@ -1,4 +1,4 @@
-"""Generated buildings: what was declared is what comes out, for every seed."""
+"""Generated buildings match their specification, for every seed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ VERTICES = {"L": 6, "U": 8, "T": 8}
 
 
 def check(spec: GeneratorSpec, layout: Layout) -> None:
-    """All that a specification promises. `check_geometry` proves that every room, door and start is in reach."""
+    """All promises of a specification. `check_geometry` proves that every room, door and start is reachable."""
     check_geometry(layout)
     names = Counter(room.name.split()[0] for room in layout.rooms)
     assert (names["corridor"], names.total()) == (spec.corridors, spec.rooms)

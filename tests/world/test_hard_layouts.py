@@ -1,4 +1,4 @@
-"""Our own layouts of strangers: whatever is in them, read or refused by one clear LayoutError, and soon."""
+"""Untrusted layout files: any content is read or refused by one clear LayoutError, within the limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import load_layout, shipped_layouts
-from tests.floorplans.strangers import MEGABYTES, SECONDS, costs, layout
+from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs, layout
 from tests.world.hard_layouts import HARD, as_file
 from tests.world.test_layout import BAD_DOCUMENTS, BAD_FILES, DOCUMENTS
 
@@ -31,7 +31,7 @@ def files(folder: Path) -> list[Path]:
 
 @pytest.mark.slow
 def test_layouts_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) -> None:
-    """Sound ones too: whoever writes the file cannot make a reader wait."""
+    """Valid files too: no file can make a reader wait."""
     rows = costs(layout, "paper", files(tmp_path))
     for column, most in enumerate((SECONDS, MEGABYTES, LETTERS)):
         assert max((row[column], row[-1]) for row in rows) < (most, "")

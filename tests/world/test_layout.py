@@ -1,4 +1,4 @@
-"""Layouts: what ships is as promised; what is wrong is refused with its field, and with nothing but LayoutError."""
+"""Layouts: the included ones are as documented; wrong ones raise LayoutError with the field."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def two_doors(along_m: float, **changes: Any) -> Document:
     ("along_m", "changes"), [(0.0, {}), (0.0, {"width_m": 0.1}), (0.4, {}), (0.9, {}), (0.0, {"width_m": 1.4})]
 )
 def test_two_doors_in_one_place_are_refused(along_m: float, changes: Document) -> None:
-    """Seen: a layout with a door twice was explored to the last step, for half of it can never be found."""
+    """Seen: a layout with a duplicate door was explored to the step limit, because one copy can never be found."""
     with pytest.raises(LayoutError, match=r"doors\.1\.centre: \[5\.0, .* m wide, touches the doorway of doors\.0"):
         load_layout(two_doors(along_m, **changes))
     assert len(load_layout(two_doors(1.0)).doors) == 2

@@ -1,4 +1,4 @@
-"""What moves: people keep out of walls and of each other, polite ones off the robot; boxes slide; doors close."""
+"""Dynamic obstacles: pedestrians avoid walls, each other and (if polite) the robot; boxes slide; doors close."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def gaps(movers: Movers, p_robot: Array) -> tuple[Array, Array]:
 
 
 def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
-    """Commands of a robot that looks at nothing; yields after each step whether something was touched."""
+    """Commands without perception; yields after each step whether the robot touched something."""
     rng = np.random.default_rng(seed)
     v = w = 0.0
     for step in range(steps):
@@ -108,7 +108,7 @@ def test_polite_people_never_step_up_to_a_robot_that_drives() -> None:
 
 def test_people_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
     simulation, movers = world("two_rooms", 1, people=6, polite=False, speed_m_s=(0.8, 1.2))
-    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # in everybody's way
+    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # blocking the pedestrians
     touched, deepest = 0, np.inf
     for _ in range(600):
         touched += simulation.step(0.0, 0.0).contact

@@ -1,4 +1,4 @@
-"""The odometry: noise of the size its covariance says, in each reading; positive at rest."""
+"""The odometry: noise as large as its covariance, in each reading; positive at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The physics: motion as commanded, contacts as flagged, no way through a wall, states that continue bit for bit."""
+"""The physics: motion as commanded, contacts flagged, no path through walls, snapshots that continue bit for bit."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_the_pose_in_pymunk_is_that_of_the_state(two_rooms: Outline) -> None:
         contacts += motion.contact
         state = simulation.get_state()["body"]
         assert state[2:] == pytest.approx([body.angle, *body.velocity, body.angular_velocity], abs=1e-12)
-        assert state[:2] == pytest.approx(body.position, abs=2e-3)  # pymunk is told of a push with the next substep
+        assert state[:2] == pytest.approx(body.position, abs=2e-3)  # pymunk receives a push in the next substep
     assert contacts > 20
     for _ in range(20):
         simulation.step(0.5, 0.1)

@@ -1,4 +1,4 @@
-"""Figures of buildings: held against what was declared, and against counts by hand."""
+"""Statistics of buildings, compared with their specification and with manual counts."""
 
 from __future__ import annotations
 

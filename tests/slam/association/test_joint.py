@@ -20,7 +20,7 @@ from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, CornerKind, FeatureStat
 
 
 def common_error_case(rng, wrong):
-    """Four pairings that share a large common error; `wrong` of them have an error of their own as well."""
+    """Four pairings that share a large common error; `wrong` of them have an individual error as well."""
     count = 4
     common = rng.normal(0.0, 1.0, 2)
     nu = np.tile(common, count) + rng.normal(0.0, 0.01, 2 * count)

@@ -1,4 +1,4 @@
-"""A filter in the middle of its life, and random measurements with correlated corners."""
+"""A filter with a map, and random measurements with correlated corners."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def sensor_cov(rng: np.random.Generator, count: int) -> Any:
 
 
 class Pair:
-    """A filter and its twin, fed with the same."""
+    """A filter and its reference implementation with the same inputs."""
 
     def __init__(self, kind: str, seed: int, landmarks: int = 6) -> None:
         self.rng = np.random.default_rng(seed)

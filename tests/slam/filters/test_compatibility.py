@@ -53,7 +53,7 @@ def test_iterated_joint_nis_is_the_least_cost(kind, heading_error):
 
 
 def test_iterated_test_keeps_the_truth_under_a_heading_error(kind):
-    """Maths 4.2: the linear joint test loses the truth at 17 degrees. The plain error cannot hold the arc of poses."""
+    """Derivations 3.2: the linear joint test rejects the true match at 17 degrees, because the poses form an arc."""
     gate, kept = chi2.ppf(0.99, 10), {1: 0, 2: 0, 6: 0}
     for seed in range(150):
         rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def test_one_wrong_vertex_is_refused(kind):
 
 
 def centre_twin(pair: Pair, z: np.ndarray, R: np.ndarray, slots: np.ndarray, paper_S: bool) -> float:
-    """Maths 4.1 in world coordinates, dense: S_obs + S_map - C - C^T."""
+    """Derivations 3.1 in world coordinates, dense: S_obs + S_map - C - C^T."""
     k, P, x = len(slots), pair.twin.world_cov(), pair.twin.x
     body = z[:, :1] * np.stack([np.cos(z[:, 1]), np.sin(z[:, 1])], axis=1)
     seen = (x[1:3] + body @ rotation(x[0]).T).mean(axis=0)
@@ -104,11 +104,11 @@ def test_mean_of_gaussians(kind, paper_S):
     assert nis == pytest.approx(centre_twin(pair, noisy, R, slots, paper_S), rel=tolerance)
     shifted = pair.filter.mean_of_gaussians_nis(np.roll(noisy, 1, axis=0), np.eye(8) * 1e-4, pair.ids[slots])
     unshifted = pair.filter.mean_of_gaussians_nis(noisy, np.eye(8) * 1e-4, pair.ids[slots])
-    assert shifted == pytest.approx(unshifted)  # the centre does not know the order of the vertices
+    assert shifted == pytest.approx(unshifted)  # the centre does not depend on the order of the vertices
 
 
 def test_the_paper_gate_is_too_wide(kind):
-    """Maths 4.1: without the cross term of pose and map the gate accepts what it should not."""
+    """Derivations 3.1: without the cross term of pose and map the gate is too wide."""
     pair, z, R, _ = lost(kind, 0.0)
     z[:, 0] += 0.3
     full = pair.filter.mean_of_gaussians_nis(z, R, pair.ids)

@@ -1,4 +1,4 @@
-"""Does the covariance tell the truth? NEES over many runs, and positivity over many steps (derivations 4.3)."""
+"""Consistency of the covariance: NEES over many runs, and positivity over many steps (derivations 4.3)."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_iterating_the_closure_keeps_it_consistent(rough):
 
 @pytest.mark.parametrize("expected", [True, False])
 def test_contacts_stay_consistent_and_a_filter_that_ignores_them_does_not(expected):
-    """A contact in every eighth step, with the slip that the filter is told to expect, or not."""
+    """A contact in every eighth step, with or without the bumper flag that announces the slip to the filter."""
     rng = np.random.default_rng(7)
     sigma = SLIP * expected
     config = FilterConfig(bumper_lateral_sigma_m=sigma[0], bumper_heading_sigma_deg=np.degrees(sigma[1]))
@@ -105,7 +105,7 @@ def test_a_biased_model_fails(monkeypatch):
 
 
 class Life:
-    """A random life: motion, contacts, coarse and precise scans, landmarks that come, go and are fused."""
+    """A random sequence: motion, contacts, coarse and precise scans, landmarks that are added, removed and merged."""
 
     def __init__(self, kind: str) -> None:
         self.rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Updates: one scan at once, iterated at a closure, refused when the covariance is bad; two landmarks that are one."""
+"""Updates: one scan at once, iterated at a loop closure, refused for a bad covariance; landmark merging."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_fuse_is_a_measurement_of_the_difference(kind):
 
 
 def test_fusing_the_same_corner_seen_twice_is_as_good_as_one_landmark(kind):
-    """One corner under two ids, then fused, tells the filter the same as one id throughout."""
+    """One corner under two ids, then merged, gives the same filter as one id throughout."""
     beliefs = []
     for split in (True, False):
         estimate = make_filter(FilterConfig(kind=kind, prior_sigma_rad=1e-3))

@@ -1,4 +1,4 @@
-"""Dense NumPy twins of the filters, written from the equations alone: full F, G, H, Joseph form. Slow and plain."""
+"""Dense NumPy reference filters, written from the equations: full F, G, H, Joseph form. Slow and simple."""
 
 from __future__ import annotations
 

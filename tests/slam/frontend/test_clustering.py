@@ -108,7 +108,7 @@ def test_a_laser_with_less_than_a_full_circle_has_a_gap_behind():
 
 
 def plain_joined(beams, sigma):
-    """Which beams hang together with the next one, by points and the formula of III-A.1 with the noise term."""
+    """Which beams belong together with the next one, by points and the formula of III-A.1 with the noise term."""
     points = beams.ranges[:, None] * np.column_stack([np.cos(beams.bearings), np.sin(beams.bearings)])
     distance = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
     nearer = np.minimum(beams.ranges, np.roll(beams.ranges, -1))

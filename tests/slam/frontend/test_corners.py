@@ -1,4 +1,4 @@
-"""Corners of hand-made scans: kinds, signatures, doors, and the joint covariance."""
+"""Corners of constructed scans: kinds, descriptors, doors, and the joint covariance."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def test_a_niche_is_no_door(width, depth):
 
 @pytest.mark.parametrize("aside", [-1.0, 0.0, 1.0])
 def test_the_mouth_of_a_corridor_is_no_door(aside):
-    """Seen in a plan: rooms were parted where a passage of 1.6 m begins."""
+    """Seen in a plan: rooms were split at the start of a passage of 1.6 m."""
     for width in (0.9, 1.6):
         faces = niche(width, 6.0) + np.array([0.0, aside if width > 1.0 else 0.0])
         for seed in range(5):
@@ -218,7 +218,7 @@ def test_the_mouth_of_a_corridor_is_no_door(aside):
 
 
 def beside_a_side_wall(stub):
-    """A room whose door of 0.95 m begins `stub` metres from the wall at y = 2, and a larger room behind it."""
+    """A room whose door of 0.95 m starts `stub` metres from the wall at y = 2, and a larger room behind it."""
     left, right = 2.0 - stub, 1.05 - stub
     near = chain((2.0, left), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0), (2.0, -2.0), (2.0, right), (2.12, right))
     return np.concatenate(
@@ -244,7 +244,7 @@ def test_a_door_beside_a_wall_too_short_to_be_one_is_bounded_by_the_corner_of_th
             assert corners.sites[left]
             assert not corners.sites[right]
     assert found >= 8
-    for seed in range(10):  # a wall of that length has an end of its own, which is the jamb
+    for seed in range(10):  # a wall of that length has a separate end, which is the jamb
         corners, points = corners_of(beside_a_side_wall(0.8), LMS200, seed)
         assert corners.convex[corners.doorways.jambs].all()
 

@@ -1,4 +1,4 @@
-"""The dense scan: interleaved sweeps become one beam a nominal bearing."""
+"""The dense scan: interleaved sweeps become one beam per nominal bearing."""
 
 from __future__ import annotations
 

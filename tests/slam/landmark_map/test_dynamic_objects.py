@@ -1,4 +1,4 @@
-"""What moves is no landmark: hits on floor seen free, landmarks seen through, walls that go on past a landmark."""
+"""Dynamic objects are not landmarks: hits on floor seen free, landmarks seen through, walls that continue."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def box(x, y, half):
 
 
 def empty_room():
-    """The grid of ROOM as a robot has it that saw it empty: floor up to the walls, walls, unknown beyond."""
+    """The grid of ROOM after it was seen empty: floor up to the walls, walls, unknown beyond."""
     x, y = (ORIGIN[a] + (np.arange(n) + 0.5) * 0.1 for a, n in ((0, 90), (1, 70)))
     x, y = np.meshgrid(x, y)
     label = np.where((x > -3.0) & (x < 4.0) & (y > -2.0) & (y < 3.0), 1, 0).astype(np.uint8)
@@ -49,7 +49,7 @@ def belief(*p_map, sigma=0.01):
 
 
 def features(normals):
-    """One row a landmark, never seen again since."""
+    """One row per landmark, not seen again since."""
     n = len(normals)
     return replace(
         FeatureTable(), normals=np.array(normals, float), doubts=np.zeros(n, int), last_step=np.zeros(n, int)
@@ -57,7 +57,7 @@ def features(normals):
 
 
 def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
-    """In which step the landmark is refuted, or None."""
+    """The step in which the landmark is pruned, or None."""
     table, where = features([normals]), belief(landmark)
     for step in range(1, scans + 1):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))

@@ -1,4 +1,4 @@
-"""What is kept between scans: tracks, polygons, duplicates."""
+"""The persistent map: tracks, polygons, duplicates."""
 
 import numpy as np
 import pytest
@@ -116,7 +116,7 @@ def test_a_room_is_not_recognised_by_one_side_of_somebody():
     assert doubted([0, 2, -1], [here, jamb, side]) == [1]
     assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
     assert doubted([0, 2, -1], [here, jamb, (3.0, 1.6)]) == []
-    assert doubted([0, 2], [here, jamb], nis=10.0) == [1]  # nobody beside it, but it fits badly
+    assert doubted([0, 2], [here, jamb], nis=10.0) == [1]  # no other corner near it, but a bad fit
     assert doubted([0, 2, 1], [here, jamb, side]) == []  # both are known
     assert doubted([2, 3, -1], [here, jamb, side]) == []  # two landmarks of the room
     assert doubted([0, 2, -1], [here, jamb, side], last=(100, 100, 5, 95)) == []  # a room seen all the while

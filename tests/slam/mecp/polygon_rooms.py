@@ -1,4 +1,4 @@
-"""Rooms as rings of wall, seen by a plain NumPy laser: beams and the corners that are truly visible."""
+"""Rooms as closed walls, seen by a NumPy laser: beams and the truly visible corners."""
 
 from __future__ import annotations
 

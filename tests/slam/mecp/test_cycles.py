@@ -1,4 +1,4 @@
-"""Every kernel of the polygon stage against a plain twin."""
+"""Every compiled function of the polygon stage against a reference implementation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The polygons of a scan: what the paper claims of them, the guard against walls, and the intervals of their edges."""
+"""The polygons of a scan: the claims of the paper, the wall-crossing check, and the edge intervals."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def ring_of(polygon, corners, pose):
     ("name", "walls", "points", "poses"), list(rooms()), ids=lambda value: value if isinstance(value, str) else ""
 )
 def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, walls, points, poses):
-    """The theorem of derivations 1.5, without guard; the guard changes nothing then."""
+    """The theorem of derivations 1.5, without the wall-crossing check, which then changes nothing."""
     for pose in poses:
         corners = corners_of(points[sees(walls, pose[:2], points)], pose)
         beams = beams_of(walls, pose)
@@ -233,7 +233,7 @@ def test_too_few_corners_give_no_polygon(count):
 
 
 def test_tolerance_makes_polygons_repeatable_where_corners_are_collinear():
-    """derivations 1.4: two scans of one place share their vertex set; raw they often do not."""
+    """derivations 1.4: two scans of one place share their vertices; without tolerance they often do not."""
     points = np.array([*RECTANGLE, (3.0, 0.0), (2.0, 4.0), (6.0, 2.5)])
     walls, rng = walls_of(RECTANGLE), np.random.default_rng(6)
     same = {0.0: 0, 2.5: 0}

@@ -52,7 +52,7 @@ def contains(points, ring, robot, on_edge):
 
 
 def brute_force(points, robot, on_edge):
-    """Polygons with most vertices, sorted by ids, the slow way."""
+    """Polygons with most vertices, sorted by ids, by brute force."""
     first = {tuple(p): i for i, p in reversed(list(enumerate(points)))}
     points = {i: p for p, i in sorted(first.items(), key=lambda item: item[1])}
     ids = list(points)

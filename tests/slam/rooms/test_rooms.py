@@ -102,7 +102,7 @@ def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
 
 
 def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
-    """Two of one face and one of the other; where a jamb was forgotten and found anew, its ids changed as well."""
+    """Two sightings of one face and one of the other; a jamb that was dropped and found again has new ids."""
     keeper = RoomGraphEstimator(RoomConfig())
     for _ in range(2):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
@@ -201,7 +201,7 @@ def test_a_new_room_recognised_twice_from_two_places_is_merged():
 def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
     keeper, table = RoomGraphEstimator(RoomConfig()), features()
     walk(keeper, np.arange(-1.5, 1.6, 0.25))
-    assert keeper.current == 0  # nobody knew of a door
+    assert keeper.current == 0  # no door was known
     table.room[7:] = 0
     keeper.trail.since[:, 1] = np.where(keeper.trail.p_map[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The path since a room was entered, and whether it crossed a gap for good."""
+"""The path since a room was entered, and whether it crossed a gap."""
 
 import numpy as np
 from shapely.geometry import LineString

@@ -1,4 +1,4 @@
-"""What it costs to read the files of strangers, in a process whose memory is only theirs."""
+"""The cost of reading untrusted files, in a separate process that measures their memory."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def plan(name: str) -> object:
 
 
 def costs(reader: Reader, sound: str, paths: Sequence[Path]) -> list[Row]:
-    """What each file costs in a process that has read a sound one before, and how long the refusal is."""
-    call = f"import sys; from tests.floorplans.strangers import *; main({reader.__name__}, *sys.argv[1:])"
+    """The cost of each file in a process that has read a valid one before, and the length of its error."""
+    call = f"import sys; from tests.floorplans.untrusted import *; main({reader.__name__}, *sys.argv[1:])"
     run = subprocess.run([sys.executable, "-c", call, sound, *paths], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr[-2000:]
     rows = [line.split(";") for line in run.stdout.splitlines()]
@@ -40,7 +40,7 @@ def costs(reader: Reader, sound: str, paths: Sequence[Path]) -> list[Row]:
 
 
 def main(reader: Reader, sound: str, *names: str) -> None:
-    """Print a row for each file."""
+    """Print one row per file."""
     reader(sound)
     for name in names:
         said = list[str]()
@@ -49,7 +49,7 @@ def main(reader: Reader, sound: str, *names: str) -> None:
 
 
 def _note_refusal(reader: Reader, name: str, said: list[str]) -> None:
-    """What is said of a file that is refused, after its name; nothing of one that is read."""
+    """The error message of a refused file without its name; empty for a file that is read."""
     try:
         reader(name)
         said.append("")
