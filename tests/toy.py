@@ -1,4 +1,4 @@
-"""A hand-made world for grid and planning: rectangles, exact rays, exact segments, a point robot. No estimator."""
+"""A toy world for grid and planning: rectangles, exact rays, exact segments, a point robot. No estimator."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def segment(first: int, last: int, roll: int, T: np.ndarray, face: np.ndarray, r
 
 @dataclass
 class Toy:
-    """The world, what is believed of it, and a robot that does what it is told. Map = world moved by `T_map_world`."""
+    """The world, its estimate, and a robot that follows commands exactly. Map = world moved by `T_map_world`."""
 
     T_world_robot: np.ndarray
     T_map_world: np.ndarray = field(default_factory=lambda: HERE.copy())
@@ -157,7 +157,7 @@ class Toy:
         self.polygons.append(MapPolygon(np.array(ids), intervals, room))
 
     def output(self, completed: tuple[int, ...] = ()) -> SlamOutput:
-        """What the estimator would output of this step."""
+        """The SLAM output of this step."""
         self.step += 1
         beams, segments = look(self.T_world_robot, self.rng, self.sigma)
         belief, graph = self.belief(), self.graph()
@@ -179,7 +179,7 @@ class Toy:
 
 
 def candidate(ends: np.ndarray, room: int) -> Candidate:
-    """A gap seen once; what else a candidate holds does not matter here."""
+    """A gap seen once; the other fields of a candidate are not used here."""
     made = object.__new__(Candidate)
     for name, value in {"ends": ends, "room": room, "sightings": 1, "last_step": 1}.items():
         object.__setattr__(made, name, value)
@@ -211,7 +211,7 @@ def labels_at(grid: SemanticGrid, p_map: np.ndarray) -> np.ndarray:
 
 
 def layer_at(grid: SemanticGrid, layer: np.ndarray, p_map: np.ndarray) -> np.ndarray:
-    """(n,) what a layer of the grid says at points of the map frame, 0 outside."""
+    """(n,) value of a layer of the grid at points of the map frame, 0 outside."""
     cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
     known = (cells >= 0).all(axis=1) & (cells < np.array(layer.shape[::-1])).all(axis=1)
     values = np.zeros(len(p_map), layer.dtype)

@@ -1,4 +1,4 @@
-"""Attempts to be paid without exploring, against honest exploration; each is told the true pose, which no agent is."""
+"""Attempts at reward hacking, against honest exploration; each uses the true pose, which no agent has."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MEASURED = ("area", "pose_information", "landmark_information")
 
 @dataclass
 class Episode:
-    """What an episode paid, step by step."""
+    """The rewards of an episode, step by step."""
 
     free_m2: float = 0.0  # of the building
     mapped_m2: float = 0.0  # what counted as mapped at the end
@@ -38,12 +38,12 @@ class Episode:
         self.last = info
 
     def weigh_up(self, env: MecpEnv) -> None:
-        """Note what there is at the end."""
+        """Record the state at the end."""
         self.free_m2, self.mapped_m2 = env._true_world.truth.free_cells * CELL_M**2, env._episode.memory.area_m2
 
     @property
     def seen_m2(self) -> float:
-        """The free area that was truly seen."""
+        """The true free area that was seen."""
         return float(self.last["coverage"]) * self.free_m2
 
     def paid(self, *terms: str, until_m: float = math.inf) -> float:
@@ -63,7 +63,7 @@ def spin(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 
 def swing(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """To the left and to the right, again and again."""
+    """Left and right, alternating."""
     for step in range(10**6):
         yield 0.0, 1.0 if step % 16 < 8 else -1.0
 
@@ -80,7 +80,7 @@ def shuttle(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 
 def blind(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """Full speed, whatever stands in the way."""
+    """Full speed, ignoring obstacles."""
     while True:
         turn = rng.uniform(-0.3, 0.3)
         for _ in range(20):
@@ -88,7 +88,7 @@ def blind(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 
 def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """Scrape along walls, so that uncertainty grows, and go home, so that it shrinks."""
+    """Scrape along walls to increase uncertainty, and return home to reduce it."""
     home = env._true_world.T_world_robot[:2].copy()
     while True:
         for step in range(30):
@@ -99,7 +99,7 @@ def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 
 def sprawl(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """Spin as fast as it goes while scraping along walls: the most heading error a metre."""
+    """Spin as fast as possible while scraping along walls: the largest heading error per metre."""
     while True:
         for turn in (1.0, -1.0):
             for _ in range(int(rng.integers(4, 12))):
@@ -145,7 +145,7 @@ def attempt(name: str, seed: int, **keywords: Any) -> Episode:
 
 
 def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
-    """An episode of the breadth-first explorer, who may wait some steps before he begins."""
+    """An episode of the breadth-first explorer, which may wait some steps before it starts."""
     episode, policy = Episode(), BreadthFirst()
     env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: episode.note(step[4]))
     observation, _ = env.reset(seed=seed)

@@ -1,4 +1,4 @@
-"""Each term of the reward: its formula and unit, that what is better earns more, and that no detour earns anything."""
+"""Each term of the reward: formula and unit, more reward for better results, none for detours."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -
 
 
 def sums(*moments: RewardInputs, config: RewardConfig = CONFIG) -> dict[str, float]:
-    """The measured terms added up over an episode that goes through these moments."""
+    """The sums of the measured terms over an episode with these states."""
     memory = RewardMemory()
     remember(memory, moments[0], config)
     rows = [measured_terms(memory, now, config) for now in moments[1:]]
@@ -90,7 +90,7 @@ def test_how_well_is_drawn():
 
 def test_a_map_that_diverged_is_worth_nothing():
     measured = sums(moment(10, 1), moment(80, 2), moment(90, 3, diverged=True))
-    assert measured["area"] == pytest.approx(-10 * CELL_M2)  # what was there at the start is lost too
+    assert measured["area"] == pytest.approx(-10 * CELL_M2)  # the area of the start is lost too
     assert measured["landmark_information"] == pytest.approx(0.5 * 2 * np.log(0.01))
 
 
@@ -115,7 +115,7 @@ def test_the_first_landmark_counts_from_a_metre():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_detour_earns_anything(seed):
-    """Whatever grows, shrinks, is born, dies, is drawn and redrawn: back where it was, the sums are 0."""
+    """Growing, shrinking, creating, removing, painting and repainting: back at the start the sums are 0."""
     rng = np.random.default_rng(seed)
     begin = moment(20, 1, pose=SURE, landmarks=(0.01, 0.02))
     detour = [

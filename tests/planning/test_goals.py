@@ -1,4 +1,4 @@
-"""Goals: which there are, in which order, what settles them and what is given up."""
+"""Goals: kinds, order, closing and giving up."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
 
 
 def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
-    assert len(frontiers(toy)) == 0  # all of room A is seen; beyond the door is no room
+    assert len(frontiers(toy)) == 0  # all of room A is seen; no room beyond the door is known
     toy.T_world_robot = np.array([8.0, 2.0, 0.0])
     goals = frontiers(toy)
     assert len(goals)
@@ -257,7 +257,7 @@ def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all
 
 
 def test_a_door_out_of_reach_is_a_goal_until_it_is_closed() -> None:
-    """Seen in a home: behind a narrow door the way back was barred, and the exploration called itself complete."""
+    """Seen in a home: behind a narrow door the path back was blocked, and the exploration terminated as complete."""
     toy, history = Toy(np.array([3.0, 2.0, 0.0])), GoalHistory()
     toy.add_polygon([0, 1, 2, 3], 0)
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})

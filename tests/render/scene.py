@@ -1,4 +1,4 @@
-"""A made-up moment of an episode: two rooms with a door between them, half explored."""
+"""A constructed state of an episode: two rooms with a door between them, half explored."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def grid(T: Array) -> SemanticGrid:
 
 
 def corners() -> Corners:
-    """The four corners of the left room, seen from the robot; the last one is no site."""
+    """The four corners of the left room, seen from the robot; the last one is not a site."""
     p_robot = to_robot(T_WORLD_ROBOT, np.array(LEFT, float))
     return Corners(
         z=np.column_stack([np.hypot(*p_robot.T), np.arctan2(p_robot[:, 1], p_robot[:, 0])]),
@@ -92,7 +92,7 @@ def corners() -> Corners:
 
 
 def output() -> SlamOutput:
-    """What a pipeline could have said at that moment."""
+    """The SLAM output in that state."""
     bearings = np.radians(np.arange(-179.75, 180.0, 0.5))
     ranges = cast(faces(), T_WORLD_ROBOT, bearings)
     beams = MergedScan(ranges, bearings, ranges < 30.0, np.ones(720, np.int64), 30.0, ranges, bearings)

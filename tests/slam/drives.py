@@ -1,4 +1,4 @@
-"""Scripted drives through a shipped layout: what the sensors gave, and the true poses."""
+"""Scripted drives through an included layout: sensor data and true poses."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Drive:
     T_world_robot: list
 
     def run(self, config: SlamConfig):
-        """A output and the true corner of each corner, scan by scan."""
+        """The SLAM output and the true corner of each corner, scan by scan."""
         pipeline = SlamPipeline(config)
         for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
             output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)

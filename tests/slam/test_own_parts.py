@@ -1,4 +1,4 @@
-"""Associators and filters of others: a name makes them known wherever a configuration is read (docs/own-parts.md)."""
+"""Custom associators and filters, registered by name for every configuration (docs/own-parts.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "one_shot
 
 @pytest.fixture
 def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
-    """The modules of the page, imported; what they register is taken back afterwards."""
+    """The modules of the page, imported; their registrations are removed afterwards."""
     code = re.findall(r'```python\n("""(\w+)\.py""".*?)```', PAGE.read_text(), re.DOTALL)
     for text, name in code:
         (tmp_path / f"{name}.py").write_text(text)
@@ -51,7 +51,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     pipeline = env._episode.pipeline
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
     assert type(pipeline.filter) is RightInvariantEkf
-    assert pipeline.filter.closure_iterations == 1  # what the page's filter does; ours has 5
+    assert pipeline.filter.closure_iterations == 1  # the filter of the page; the default is 5
     assert len(env.slam_output.belief.ids) > 5
     state = env.get_state()
     other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped

@@ -1,4 +1,4 @@
-"""The semantic grid against the truth: bounds, thin walls, rooms, and what a moved landmark does to it."""
+"""The semantic grid against ground truth: bounds, thin walls, rooms, and the effect of a moved landmark."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def test_a_pocket_of_a_completed_room_is_filled(tour: Toy) -> None:
     assert labels_at(toy.output().grid, pillar) == [Cell.UNKNOWN]
     assert labels_at(toy.output(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
     p = np.stack([np.arange(-0.9, 33.0, 0.1), np.full(339, 4.9)], axis=1)
-    assert (labels_at(toy.output(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # outside is no pocket
+    assert (labels_at(toy.output(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # the outside is not a pocket
 
 
 def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
