@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import importlib
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -31,7 +30,7 @@ from mecp_env.episode.episode import (
 )
 from mecp_env.episode.observations import Observer
 from mecp_env.episode.rewards import TERMS, RewardInputs, apply_weights, events, measured_terms, remember
-from mecp_env.episode.start import parse_options
+from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
@@ -48,7 +47,6 @@ Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
-ENTRY_POINTS = ("make", "make_paper_map", "make_rooms", "make_floor_plan")
 REWARD_KEYS = {name: f"reward_{name}" for name in TERMS}
 
 
@@ -149,9 +147,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
         `options` may hold `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; where
         buildings are generated, `building`: which one of the split, instead of one drawn. Raises `ConfigError` for any
-        other option, a pose that is not free, a building that there is not; nothing is changed then.
+        other option, a seed that is no integer of at least 0, a pose that is not free, or a building out of range;
+        nothing is changed then.
         """
-        given = parse_options(options)
+        given, seed = parse_options(options), check_seed(seed)
         building = self._true_world.check_building(given.get("building"))
         start = self._true_world.check_start(given.get("start", self._start))
         super().reset(seed=seed)
@@ -459,10 +458,3 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
             self._window = self._window or Window(str(self._true_world.outline.name))
             self._window.show(self._paint())
-
-
-def __getattr__(name: str) -> Any:
-    """The entry points of the ids, by the name that older specifications hold: `mecp_env.env:make`."""
-    if name in ENTRY_POINTS:
-        return getattr(importlib.import_module("mecp_env.registration"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

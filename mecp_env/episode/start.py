@@ -36,6 +36,15 @@ def parse_options(options: Any) -> dict[str, Any]:
     return options
 
 
+def check_seed(seed: Any) -> int | None:
+    """`seed` as a Python integer of at least 0, or None. Raises `ConfigError`."""
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigError(f"seed: {seed!r:.80}, expected an integer of at least 0 or None")
+    return int(seed)
+
+
 def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
     """`start` if it can be one: "layout", "random", or a pose at which the robot touches nothing.
 

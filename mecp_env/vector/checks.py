@@ -9,6 +9,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.start import check_seed
+
 Seeds = int | Sequence[int | None] | None
 MASK = "reset_mask"
 
@@ -44,25 +47,22 @@ def check_workers(workers: int | None) -> None:
 
 def check_seeds(seed: Seeds, count: int) -> list[int | None]:
     """A seed for each environment: `seed + i` of a number, the entries of a list. Raises `ValueError`."""
-    if seed is None:
-        return [None] * count
-    if _is_integer(seed):
-        return [int(seed) + i for i in range(count)]  # type: ignore[arg-type]
     expected = f"expected an integer, or one for each of {count} environments"
+    if seed is None or _is_integer(seed):
+        first = _checked_seed(seed, expected)
+        return [None if first is None else first + i for i in range(count)]
     if not isinstance(seed, Sequence | np.ndarray):
         raise ValueError(f"seed: {seed!r:.80}, {expected}")
-    seeds = [_checked_seed(entry, expected) for entry in seed]
-    if len(seeds) != count:
-        raise ValueError(f"seed: {len(seeds)} of them, {expected}")
-    return seeds
+    if len(seed) != count:
+        raise ValueError(f"seed: {len(seed)} of them, {expected}")
+    return [_checked_seed(entry, expected) for entry in seed]
 
 
 def _checked_seed(entry: Any, expected: str) -> int | None:
-    if entry is None:
-        return None
-    if not _is_integer(entry):
-        raise ValueError(f"seed: {entry!r:.80} among them, {expected}")
-    return int(entry)
+    try:
+        return check_seed(entry)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; {expected}") from None
 
 
 def _is_integer(value: Any) -> bool:

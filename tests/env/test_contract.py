@@ -262,14 +262,6 @@ def test_a_video_can_be_recorded_frame_by_frame():
     assert len(env.render()) == 4
 
 
-def test_an_older_specification_finds_its_entry_point():
-    data = json.loads(gymnasium.make("mecp_env/Layout-v0", actions="goal").spec.to_json())
-    spec = EnvSpec.from_json(json.dumps(data | {"entry_point": "mecp_env.env:make"}))
-    assert isinstance(below(gymnasium.make(spec, render_mode="rgb_array")), GoalActions)
-    with pytest.raises(AttributeError, match="make_house"):
-        gymnasium.make(EnvSpec(id="House-v0", entry_point="mecp_env.env:make_house"))
-
-
 def test_the_docstring_is_the_spec_sheet():
     text = type(make().unwrapped).__doc__
     sections = [line[3:] for line in text.replace("    ", "").splitlines() if line.startswith("## ")]

@@ -42,6 +42,27 @@ def test_bad_options_are_refused_and_change_nothing(options):
     assert same(env.get_state(), before)
 
 
+BAD_SEEDS = [True, False, np.bool_(True), 1.0, np.float64(2.0), -1, np.int64(-3), "1", [1], np.array(1), np.nan]
+
+
+@pytest.mark.parametrize("seed", BAD_SEEDS, ids=repr)
+def test_bad_seeds_are_refused_and_change_nothing(seed):
+    env = make()
+    env.reset(seed=1)
+    before = env.unwrapped.get_state()
+    with pytest.raises(ConfigError, match=r"seed: .*at least 0"):
+        env.reset(seed=seed)
+    assert same(env.unwrapped.get_state(), before)
+
+
+def test_integers_of_numpy_are_seeds():
+    env = make()
+    first, _ = env.reset(seed=np.uint8(7))
+    again, _ = env.reset(seed=7)
+    assert same(first, again)
+    assert type(env.unwrapped.np_random_seed) is int
+
+
 def test_the_start_can_be_given():
     env = make().unwrapped
     env.reset(seed=1)
