@@ -11,6 +11,7 @@ import pytest
 
 import mecp_env
 
+Captured = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
 PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_text().splitlines() if line[:1] == "|"][
@@ -79,11 +80,22 @@ def test_the_readme_opens_with_a_small_film() -> None:
     assert (ROOT / first[1]).stat().st_size < 1.5e6
 
 
-def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_python_of_the_readme_runs(capsys: Captured) -> None:
     code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert code is not None
     exec(code[1], {})
     assert "3)" in capsys.readouterr().out
+
+
+def test_the_estimator_runs_alone_as_documented(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    record, run, configure = re.findall(r"```python\n(.*?)```", (ROOT / "docs/estimator.md").read_text(), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(record, {})
+    exec(run + configure, {})
+    assert "door      between rooms (0, 1) width 0.9" in capsys.readouterr().out
+    assert Path("map.yaml").exists()
 
 
 @pytest.mark.parametrize("row", PAPER_ROWS, ids=lambda row: row[0].strip())
