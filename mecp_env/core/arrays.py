@@ -1,4 +1,4 @@
-"""Kernels that look integers up in short columns, where numpy's own functions cost more than the search."""
+"""Compiled look-ups in short arrays of integers, where NumPy's own functions cost more than the search."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Ints = NDArray[np.int64]
 
 @compiled
 def find_equal(values: Ints, wanted: int, found: Ints) -> int:
-    """Write the places in `values` (n,) where `wanted` stands; returns how many there are."""
+    """Write the indices of `values` (n,) that equal `wanted`; returns how many there are."""
     count = 0
     for i in range(values.shape[0]):
         if values[i] == wanted:
@@ -22,15 +22,19 @@ def find_equal(values: Ints, wanted: int, found: Ints) -> int:
 
 
 @compiled
-def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> None:
-    """Write the row in `ids` (N,) of each of `wanted` (m,), -1 where it is missing."""
+def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> bool:
+    """Write the row in `ids` (N,), which differ, of each of `wanted` (m,), -1 where missing; True: none is missing."""
+    complete = True
     for k in range(wanted.shape[0]):
-        rows[k] = row_of(ids, wanted[k])
+        in_order = k < ids.shape[0] and ids[k] == wanted[k]  # often, and the search is saved
+        rows[k] = k if in_order else row_of(ids, wanted[k])
+        complete = complete and rows[k] >= 0
+    return complete
 
 
 @compiled
 def row_of(ids: Ints, wanted: int) -> int:
-    """The row in `ids` (N,) where `wanted` stands, or -1."""
+    """The row of `wanted` in `ids` (N,), or -1."""
     for i in range(ids.shape[0]):
         if ids[i] == wanted:
             return i

@@ -17,19 +17,6 @@ WIDE = 8  # doubles in the widest registers
 
 
 @compiled
-def cholesky(S: Array) -> Array:
-    """Lower L with L L^T = S (n,n); only the lower half of S is read. Raises ValueError when S is not positive."""
-    n = S.shape[0]
-    L = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            L[i, j] = S[i, j]
-    if not factor_lower(L):
-        raise ValueError("matrix is not positive definite")
-    return L
-
-
-@compiled
 def solve_lower(L: Array, b: Array) -> Array:
     """y (n,) of L y = b for a lower triangular L (n,n)."""
     n = L.shape[0]
@@ -43,13 +30,33 @@ def solve_lower(L: Array, b: Array) -> Array:
 
 
 @compiled
-def mahalanobis(nu: Array, S: Array) -> float:
-    """nu^T S^-1 nu: the normalised innovation squared (NIS) of nu (n,) under S (n,n)."""
-    y = solve_lower(cholesky(S), nu)
+def sum_of_squares(y: Array) -> float:
+    """y . y"""
     total = 0.0
     for i in range(y.shape[0]):
         total += y[i] * y[i]
     return total
+
+
+@compiled
+def quadratic(M: Array, a: Array, b: Array) -> float:
+    """a^T M b"""
+    total = 0.0
+    for i in range(a.shape[0]):
+        part = 0.0
+        for j in range(b.shape[0]):
+            part += M[i, j] * b[j]
+        total += a[i] * part
+    return total
+
+
+@compiled
+def mahalanobis(nu: Array, S: Array) -> float:
+    """nu^T S^-1 nu: the normalised innovation squared (NIS) of nu (n,) under S (n,n); ValueError: S is not positive."""
+    L = S.copy()
+    if not factor_lower(L):
+        raise ValueError("matrix is not positive definite")
+    return sum_of_squares(solve_lower(L, nu))
 
 
 @compiled
@@ -90,11 +97,25 @@ def downdate(P: Array, n: int, W: Array) -> None:
     W (m,w) has at least n columns, those behind the n-th are 0: rows that end at whole WIDEs leave no rest to the
     compiler's wide loop. What that writes beyond the diagonal is mirrored over.
     """
+    paired = W.shape[0] - W.shape[0] % 4
     if n % 2 == 1:
         for k in range(W.shape[0]):
             P[0, 0] -= W[k, 0] * W[k, 0]
-    for i in range(n % 2, n, 2):
-        downdate_two_rows(P, W, i, min(wide(i + 2), W.shape[1], P.shape[1]))
+    for i in range(n % 2, n, 2):  # two rows of P, four rows of W a pass, which the compiler makes wide
+        end = min(wide(i + 2), W.shape[1], P.shape[1])
+        upper, lower = P[i, :end], P[i + 1, :end]
+        for k in range(0, paired, 4):
+            a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
+            b0, b1, b2, b3 = W[k, i + 1], W[k + 1, i + 1], W[k + 2, i + 1], W[k + 3, i + 1]
+            w0, w1, w2, w3 = W[k], W[k + 1], W[k + 2], W[k + 3]
+            for j in range(upper.shape[0]):
+                upper[j] -= (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
+                lower[j] -= (b0 * w0[j] + b1 * w1[j]) + (b2 * w2[j] + b3 * w3[j])
+        for k in range(paired, W.shape[0]):
+            a0, b0, w0 = W[k, i], W[k, i + 1], W[k]
+            for j in range(upper.shape[0]):
+                upper[j] -= a0 * w0[j]
+                lower[j] -= b0 * w0[j]
     mirror_lower(P, n)
 
 
@@ -102,25 +123,6 @@ def downdate(P: Array, n: int, W: Array) -> None:
 def wide(n: int) -> int:
     """n, rounded up to a multiple of WIDE."""
     return (n + WIDE - 1) // WIDE * WIDE
-
-
-@compiled
-def downdate_two_rows(P: Array, W: Array, i: int, end: int) -> None:
-    """Rows i and i + 1 of `downdate`, up to column `end`; four rows of W a pass, which the compiler makes wide."""
-    upper, lower = P[i, :end], P[i + 1, :end]
-    paired = W.shape[0] - W.shape[0] % 4
-    for k in range(0, paired, 4):
-        a0, a1, a2, a3 = W[k, i], W[k + 1, i], W[k + 2, i], W[k + 3, i]
-        b0, b1, b2, b3 = W[k, i + 1], W[k + 1, i + 1], W[k + 2, i + 1], W[k + 3, i + 1]
-        w0, w1, w2, w3 = W[k], W[k + 1], W[k + 2], W[k + 3]
-        for j in range(upper.shape[0]):
-            upper[j] -= (a0 * w0[j] + a1 * w1[j]) + (a2 * w2[j] + a3 * w3[j])
-            lower[j] -= (b0 * w0[j] + b1 * w1[j]) + (b2 * w2[j] + b3 * w3[j])
-    for k in range(paired, W.shape[0]):
-        a0, b0, w0 = W[k, i], W[k, i + 1], W[k]
-        for j in range(upper.shape[0]):
-            upper[j] -= a0 * w0[j]
-            lower[j] -= b0 * w0[j]
 
 
 @compiled
@@ -160,11 +162,11 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 
 @compiled
-def soften(cov: Array, z: Array, sigma: float, softer: Array) -> None:
+def inflate(cov: Array, z: Array, sigma: float, inflated: Array) -> None:
     """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each point."""
     for i in range(cov.shape[0]):
         for j in range(cov.shape[0]):
-            softer[i, j] = cov[i, j]
+            inflated[i, j] = cov[i, j]
     for i in range(z.shape[0]):
-        softer[2 * i, 2 * i] += sigma * sigma
-        softer[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
+        inflated[2 * i, 2 * i] += sigma * sigma
+        inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2

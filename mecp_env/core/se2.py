@@ -77,7 +77,7 @@ def polar_to_points(z: Array) -> Array:
 
 
 @compiled
-def place(T_map_robot: Array, z: Array, p_map: Array) -> None:
+def polar_to_map(T_map_robot: Array, z: Array, p_map: Array) -> None:
     """Write the points (n,2), in the map frame, of ranges and bearings z (n,2) measured by the robot."""
     c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
     for i in range(z.shape[0]):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.arrays import find_equal, find_rows
-from mecp_env.core.linalg import diagonal_blocks, pick_measurements, soften
+from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -152,7 +152,7 @@ class Corners:
     def with_floor(self, sigma_m: float) -> Corners:
         """The same corners with an independent position error of `sigma_m` added to each."""
         cov = np.empty_like(self.cov)
-        soften(self.cov, self.z, sigma_m, cov)
+        inflate(self.cov, self.z, sigma_m, cov)
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
 

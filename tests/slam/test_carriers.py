@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import downdate
-from mecp_env.core.se2 import place, polar_to_points, to_map, wrap_angle
+from mecp_env.core.se2 import polar_to_map, polar_to_points, to_map, wrap_angle
 from mecp_env.slam.association.mecp import accept
 from mecp_env.slam.landmark_map.map_polygons import find_whole, is_whole, link
 from mecp_env.slam.messages import Corners, Decision, Doorways, Match, Reason
@@ -26,7 +26,7 @@ def test_corners_are_placed_as_points_are_carried_to_the_map():
     rng = np.random.default_rng(0)
     z, T_map_robot = corners_of(rng, 9).z, np.array([1.0, -2.0, 0.7])
     p_map = np.empty((9, 2))
-    place(T_map_robot, z, p_map)
+    polar_to_map(T_map_robot, z, p_map)
     assert (p_map == to_map(T_map_robot, polar_to_points(z))).all()
 
 

@@ -1,4 +1,4 @@
-"""The filter that `riekf` and `ekf` share: state, ids and slots, and the calls of the kernels."""
+"""The filter that `riekf` and `ekf` share: state, ids and slots, and the calls of the compiled functions."""
 
 from __future__ import annotations
 
@@ -8,24 +8,27 @@ from typing import Self
 
 import numpy as np
 
+from mecp_env.core.arrays import find_rows
 from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters import compatibility, landmarks, motion
-from mecp_env.slam.filters.measurement import joint_innovation
-from mecp_env.slam.filters.update import batch_update, fuse_pair
+from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, pairwise_nis
+from mecp_env.slam.filters.error_state import change_chart
+from mecp_env.slam.filters.landmarks import append, take, world_belief
+from mecp_env.slam.filters.measurement import innovation
+from mecp_env.slam.filters.motion import predict
+from mecp_env.slam.filters.update import batch_update, merge_pair
 from mecp_env.slam.messages import Array, Belief, Ints
 from mecp_env.slam.protocols import FilterError
 
 FIRST_CAPACITY = 32  # landmarks; grows by doubling
-FUSE_SIGMA_M = 1e-3
-PINNED_SIGMA = 1e-6  # m and rad
+PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 
 
 class LandmarkFilter:
     """Pose and point landmarks under one joint Gaussian. Internal order: heading, x, y, l1x, l1y, ...
 
-    All state is plain: numbers and arrays. `mean` (3+2C,) and `cov` (3+2C,3+2C) are preallocated for C landmarks, the
-    leading `size` numbers are in use; `cov` is that of the error `error_state` defines.
+    All state is plain: numbers and arrays. `state` (4+2C,3+2C) is preallocated for C landmarks: the mean in its first
+    row, below it the covariance of the error that `error_state` defines; the leading `size` numbers are in use.
     """
 
     invariant: bool
@@ -33,14 +36,31 @@ class LandmarkFilter:
     def __init__(self, config: FilterConfig) -> None:
         self.lateral_var = config.bumper_lateral_sigma_m**2
         self.heading_var = math.radians(config.bumper_heading_sigma_deg) ** 2
+        self.merge_var = config.prior_sigma_m**2
         self.closure_iterations = config.closure_iterations
         self.max_landmarks = config.max_landmarks
-        self.count = 0
         self.dropped = 0
-        self.slot_ids: Ints = np.empty(0, np.int64)
-        self.mean: Array = np.zeros(3)
-        self.cov: Array = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
+        self.slot_ids: Ints = np.empty(0, np.int64)  # (N,) id of the landmark in each slot
+        self.state: Array = np.zeros((4, 3))
+        self.state[1:] = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
         self._reserve(min(FIRST_CAPACITY, self.max_landmarks))
+
+    @property
+    def mean(self) -> Array:
+        """(3+2C,) a view of the state."""
+        mean: Array = self.state[0]
+        return mean
+
+    @property
+    def cov(self) -> Array:
+        """(3+2C,3+2C) a view of the state."""
+        cov: Array = self.state[1:]
+        return cov
+
+    @property
+    def count(self) -> int:
+        """How many landmarks there are."""
+        return len(self.slot_ids)
 
     @property
     def size(self) -> int:
@@ -50,19 +70,18 @@ class LandmarkFilter:
     @property
     def ids(self) -> Ints:
         """(N,) ids of the landmarks in the order of their birth."""
-        return self.slot_ids[: self.count].copy()
+        return self.slot_ids.copy()
 
     def has(self, landmark: int) -> bool:
         """True when the filter holds a landmark with this id."""
-        return bool((self.slot_ids[: self.count] == landmark).any())
+        return bool((self.slot_ids == landmark).any())
 
     def predict(self, odometry: Odometry) -> None:
         """Move the pose by the increments of one step; a bumper contact adds lateral and heading variance."""
         slip = 1.0 if odometry.bumper else 0.0
         lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
         increments, covs = _array(odometry.increments), _array(odometry.cov)
-        size = 3 + 2 * self.count
-        motion.predict(self.mean, self.cov, size, increments, covs, lateral_var, heading_var, self.invariant)
+        predict(self.state, self.size, increments, covs, lateral_var, heading_var, self.invariant)
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by all pairs z[i] - ids[i] at once; z (n,2), R (2n,2n), ids (n,); FilterError: S is not positive."""
@@ -70,7 +89,7 @@ class LandmarkFilter:
         if len(ids) == 0:
             return
         steps = self.closure_iterations if iterate else 1
-        if not batch_update(self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, steps):
+        if not batch_update(self.state, self.slot_ids, ids, z, R, self.invariant, steps):
             self._refuse_unknown(ids)
             raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
 
@@ -82,19 +101,18 @@ class LandmarkFilter:
         if room == 0:
             return
         given = set(ids.tolist())
-        if len(given) < len(ids) or not given.isdisjoint(self.slot_ids[: self.count].tolist()):
+        if len(given) < len(ids) or not given.isdisjoint(self.slot_ids.tolist()):
             raise FilterError(f"augment: ids {ids.tolist()} must be new and differ")
         self._reserve(self.count + room)
-        landmarks.append(self.mean, self.cov, self.size, z[:room], R, self.invariant)
-        self.slot_ids[self.count : self.count + room] = ids[:room]
-        self.count += room
+        append(self.state, self.size, z[:room], R, self.invariant)
+        self.slot_ids = np.concatenate((self.slot_ids, ids[:room]))
 
     def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
         """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
         z, R, ids = _observations(z, R, ids)
         size = 2 * len(ids)
         nu, S = np.empty(size), np.empty((size, size))
-        if not joint_innovation(self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, nu, S):
+        if not innovation(self.state, self.slot_ids, ids, z, R, self.invariant, nu, S):
             self._refuse_unknown(ids)
         return nu, S
 
@@ -102,17 +120,14 @@ class LandmarkFilter:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
         z, R, ids = _array(z), _array(R), _integers(ids)
         nis = np.empty((len(z), len(ids)))
-        if not compatibility.pairwise_nis(
-            self.mean, self.cov, self.slot_ids, self.count, ids, z, R, self.invariant, nis
-        ):
+        if not pairwise_nis(self.state, self.slot_ids, ids, z, R, self.invariant, nis):
             self._refuse_unknown(ids)
         return nis
 
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
         z, R, ids = _observations(z, R, ids)
-        mean, cov, slot_ids, count = self.mean, self.cov, self.slot_ids, self.count
-        nis = compatibility.joint_cost(mean, cov, slot_ids, count, ids, z, R, self.invariant, iterations)
+        nis = joint_cost(self.state, self.slot_ids, ids, z, R, self.invariant, iterations)
         return self._finite(nis, "joint_nis", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
@@ -121,35 +136,40 @@ class LandmarkFilter:
         Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
         """
         z, R, ids = _observations(z, R, ids)
-        mean, cov, slot_ids, count = self.mean, self.cov, self.slot_ids, self.count
-        nis = compatibility.centre_nis(mean, cov, slot_ids, count, ids, z, R, self.invariant, paper_S)
+        nis = centre_nis(self.state, self.slot_ids, ids, z, R, self.invariant, paper_S)
         return self._finite(nis, "mean_of_gaussians_nis", ids)
 
     def marginal(self, ids: Ints) -> tuple[Array, Array]:
         """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
-        return landmarks.world_marginal(self.mean, self.cov, self._slots(ids), self.invariant)
+        part = take(self.state, self._slots(ids))
+        size = part.shape[1]
+        change_chart(part, size, 1.0, self.invariant)
+        order = np.array([1, 2, 0, *range(3, size)])
+        return part[0, order], part[1:][np.ix_(order, order)]
 
     def fuse(self, keep: int, drop: int) -> None:
-        """Landmarks `keep` and `drop` are one corner: l_keep - l_drop = 0 within 1 mm, then `drop` goes."""
+        """Merge two landmarks that are one corner: l_keep - l_drop = 0 within the prior's sigma, then `drop` goes."""
         kept, gone = self._slots(np.array([keep, drop]))
         if kept == gone:
             raise FilterError(f"fuse: {keep} with itself")
-        if not fuse_pair(self.mean, self.cov, self.size, kept, gone, FUSE_SIGMA_M**2, self.invariant):
+        if not merge_pair(self.state, self.size, kept, gone, self.merge_var, self.invariant):
             raise FilterError(f"fuse: covariance of {keep} - {drop} is not positive")
         self.remove(np.array([drop]))
 
     def remove(self, ids: Ints) -> None:
         """Forget the landmarks ids (m,)."""
         kept = np.setdiff1d(np.arange(self.count), self._slots(ids))
-        landmarks.compact(self.mean, self.cov, self.slot_ids, kept)
-        self.count = len(kept)
+        rows = np.concatenate((np.arange(3), np.ravel(3 + 2 * kept[:, None] + [0, 1])))
+        size = len(rows)
+        self.mean[:size], self.cov[:size, :size] = self.mean[rows], self.cov[np.ix_(rows, rows)]
+        self.slot_ids = self.slot_ids[kept]
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
         pose, pose_cov = np.empty(3), np.empty((3, 3))
         p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
-        landmarks.world_belief(self.mean, self.cov, self.invariant, pose, pose_cov, p_map, covs)
-        return Belief(pose, pose_cov, self.slot_ids[: self.count].copy(), p_map, covs)
+        world_belief(self.state, self.invariant, pose, pose_cov, p_map, covs)
+        return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)
 
     def snapshot(self) -> Self:
         """A deep copy."""
@@ -157,13 +177,19 @@ class LandmarkFilter:
 
     def set_pose(self, T_map_robot: Array) -> None:
         """The pose (3,) x, y, heading is exactly this; landmarks keep mean and world covariance."""
-        var = PINNED_SIGMA**2
-        landmarks.pin_pose(self.mean, self.cov, self.size, _array(T_map_robot), var, self.invariant)
+        x, y, heading = T_map_robot
+        size, cov = self.size, self.cov
+        change_chart(self.state, size, 1.0, self.invariant)
+        self.mean[:3] = heading, x, y
+        cov[:3, :size] = 0.0
+        cov[:size, :3] = 0.0
+        np.fill_diagonal(cov[:3, :3], PINNED_SIGMA**2)
+        change_chart(self.state, size, -1.0, self.invariant)
 
     def _slots(self, ids: Ints) -> Ints:
         ids = _integers(ids)
         slots = np.empty(len(ids), np.int64)
-        if not landmarks.find_slots(self.slot_ids, self.count, ids, slots):
+        if not find_rows(self.slot_ids, ids, slots):
             raise FilterError(f"ids {ids[slots < 0].tolist()} are no landmarks of this filter")
         return slots
 
@@ -178,15 +204,12 @@ class LandmarkFilter:
         return nis
 
     def _reserve(self, landmark_count: int) -> None:
-        capacity = len(self.slot_ids)
+        capacity = self.state.shape[1] // 2 - 1
         if landmark_count <= capacity:
             return
-        capacity = min(max(landmark_count, 2 * capacity), self.max_landmarks)
-        mean, cov, slot_ids = self.mean, self.cov, self.slot_ids
-        self.mean, self.cov = np.zeros(3 + 2 * capacity), np.zeros((3 + 2 * capacity, 3 + 2 * capacity))
-        self.slot_ids = np.full(capacity, -1)
-        self.mean[: len(mean)], self.cov[: len(mean), : len(mean)] = mean, cov
-        self.slot_ids[: len(slot_ids)] = slot_ids
+        size = 3 + 2 * min(max(landmark_count, 2 * capacity), self.max_landmarks)
+        old, self.state = self.state, np.zeros((1 + size, size))
+        self.state[: len(old), : old.shape[1]] = old
 
 
 def _array(values: Array) -> Array:

@@ -91,19 +91,12 @@ def linearise(mean: Array, xi: Array, slots: Ints, invariant: bool, h: Array, A:
 
 
 @compiled
-def birth_column(mean: Array, x: float, y: float, invariant: bool) -> tuple[float, float]:
-    """Derivative of a new landmark at (x, y) by the heading: J (l - p), or zero for the invariant error."""
-    if invariant:
-        return 0.0, 0.0
-    return mean[2] - y, x - mean[1]
-
-
-@compiled
-def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
-    """P += G N G^T for pose noise N (3,3) (heading, x, y in the world, at the new pose `mean`); F is the identity.
+def propagate_invariant(state: Array, n: int, N: Array) -> None:
+    """P += G N G^T for pose noise N (3,3) (heading, x, y in the world, at the new pose); F is the identity.
 
     The error of the map turns with the heading: xi_p = dp - J p dtheta, xi_l = -J l dtheta, so every block gets some.
     """
+    mean, cov = state[0], state[1:]
     px, py = mean[1], mean[2]
     G = np.array([[1.0, 0.0, 0.0], [py, 1.0, 0.0], [-px, 0.0, 1.0]])
     GN = np.zeros((3, 3))
@@ -121,23 +114,17 @@ def propagate_invariant(mean: Array, cov: Array, n: int, N: Array) -> None:
         for j in range(3, n):
             cov[i, j] += GN[i, 0] * turn[j]
             cov[j, i] = cov[i, j]
-    add_outer(cov, n, turn, N[0, 0])
-
-
-@compiled
-def add_outer(cov: Array, n: int, v: Array, q: float) -> None:
-    """P += q v v^T on the landmarks' block, the same bits on both sides of the diagonal."""
-    tail = v[3:n]
-    for i in range(3, n):
-        row, v_i = cov[i, 3:n], v[i]
+    tail = turn[3:n]
+    for i in range(3, n):  # the landmarks' block, the same bits on both sides of the diagonal
+        row, v_i = cov[i, 3:n], turn[i]
         for j in range(row.shape[0]):
-            row[j] += q * (v_i * tail[j])
+            row[j] += N[0, 0] * (v_i * tail[j])
 
 
 @compiled
-def propagate_plain(mean: Array, cov: Array, n: int, moved: Array, N: Array) -> None:
+def propagate_plain(state: Array, n: int, moved: Array, N: Array) -> None:
     """P_rr = F P_rr F^T + N, P_rl = F P_rl with F = [[1, 0], [J (p' - p), I]]; `moved` (2,) is p' - p, N (3,3)."""
-    fx, fy = -moved[1], moved[0]
+    cov, fx, fy = state[1:], -moved[1], moved[0]
     for j in range(n):
         cov[1, j] += fx * cov[0, j]
         cov[2, j] += fy * cov[0, j]
@@ -153,18 +140,16 @@ def propagate_plain(mean: Array, cov: Array, n: int, moved: Array, N: Array) -> 
 
 
 @compiled
-def world_jacobian(mean: Array, n: int, invariant: bool) -> Array:
-    """The heading column of T (n,) in d(heading, p, l_1, ...) = T xi: J p, J l_i under the identity; zero if plain."""
-    column = np.zeros(n)
+def change_chart(state: Array, n: int, sign: float, invariant: bool) -> None:
+    """P := T P T^T on the leading n numbers: `sign` 1.0 to the covariance of world coordinates, -1.0 back.
+
+    T is the Jacobian d(heading, p, l_1, ...) / d xi: the identity, and for the invariant error J p, J l_i in the
+    heading's column.
+    """
+    mean, cov, column = state[0], state[1:], np.zeros(n)
     if invariant:
         for i in range(1, n, 2):
-            column[i], column[i + 1] = -mean[i + 1], mean[i]
-    return column
-
-
-@compiled
-def change_chart(cov: Array, n: int, column: Array) -> None:
-    """P := T P T^T on the leading n x n block, T the identity with `column` (n,) added to the heading's column."""
+            column[i], column[i + 1] = -sign * mean[i + 1], sign * mean[i]
     top = cov[0, :n].copy()
     for i in range(1, n):
         row, factor = cov[i, : i + 1], column[i]

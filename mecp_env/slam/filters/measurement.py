@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import wide
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import linearise
-from mecp_env.slam.filters.landmarks import find_slots
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,25 +56,16 @@ def innovation_cov(HP: Array, A: Array, a_heading: Array, slots: Ints, R: Array,
 
 
 @compiled
-def joint_innovation(
-    mean: Array,
-    cov: Array,
-    slot_ids: Ints,
-    count: int,
-    ids: Ints,
-    z: Array,
-    R: Array,
-    invariant: bool,
-    nu: Array,
-    S: Array,
+def innovation(
+    state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, nu: Array, S: Array
 ) -> bool:
     """Write nu (2m,) and S (2m,2m) of z (m,2) against the landmarks `ids`, all cross terms; False: an unknown id."""
-    m, n = ids.shape[0], 3 + 2 * count
+    m, n = ids.shape[0], 3 + 2 * slot_ids.shape[0]
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
-    if not find_slots(slot_ids, count, ids, slots):
+    if not find_rows(slot_ids, ids, slots):
         return False
     xi = np.zeros(n)
-    linearise(mean, xi, slots, invariant, h, A, a_heading)
+    linearise(state[0], xi, slots, invariant, h, A, a_heading)
     residual(z, h, A, a_heading, slots, xi, nu)
-    innovation_cov(project(cov, n, A, a_heading, slots), A, a_heading, slots, R, S)
+    innovation_cov(project(state[1:], n, A, a_heading, slots), A, a_heading, slots, R, S)
     return True

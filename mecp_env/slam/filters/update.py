@@ -1,61 +1,71 @@
-"""The batch update of a whole scan, one-shot or iterated (derivations 4), and the fusion of two landmarks."""
+"""The batch update of a whole scan, one-shot or iterated (derivations 4), and the merging of two landmarks."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower
+from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower, sum_of_squares
 from mecp_env.slam.filters.error_state import linearise, retract
-from mecp_env.slam.filters.landmarks import find_slots
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CONVERGED = 1e-7  # m and rad: an iterated update stops when no number of the state moves by more
+CONVERGED = 1e-7  # m and rad: an iteration stops when no number of the state moves by more
 
 
 @compiled
-def batch_update(
-    mean: Array,
-    cov: Array,
-    slot_ids: Ints,
-    count: int,
-    ids: Ints,
-    z: Array,
-    R: Array,
-    invariant: bool,
-    iterations: int,
-) -> bool:
-    """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
+def gauss_newton(
+    state: Array, n: int, slots: Ints, z: Array, R: Array, invariant: bool, iterations: int, xi: Array
+) -> tuple[float, Array]:
+    """Minimise prior + measurement cost over the error xi (n,) of the state; xi is the start and becomes the result.
 
-    Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
+    At most `iterations` steps; one from xi = 0 is the EKF's. Returns the cost, which is nu^T S^-1 nu with
+    nu = z - h(xi) + H xi, and W = L^-1 H P (2m,w) of the last step, S = L L^T. The cost is nan where S is not positive
+    or xi not finite.
     """
-    m, n = ids.shape[0], 3 + 2 * count
-    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
-    nu, S, W, xi = np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((0, n)), np.zeros(n)
-    if not find_slots(slot_ids, count, ids, slots):
-        return False
+    m, mean, cov, cost = slots.shape[0], state[0], state[1:], math.nan
+    h, A, a_heading = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    nu, S, W = np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((0, n))
     for _ in range(iterations):
         linearise(mean, xi, slots, invariant, h, A, a_heading)
         residual(z, h, A, a_heading, slots, xi, nu)
         W = project(cov, n, A, a_heading, slots)
         innovation_cov(W, A, a_heading, slots, R, S)
         if not factor_lower(S):
-            return False
+            return math.nan, W
         forward_rows(S, W)  # W = L^-1 H P
-        step = combine(W, solve_lower(S, nu), xi)  # xi = P H^T S^-1 nu
+        y = solve_lower(S, nu)
+        step = state_increment(W, y, xi)  # xi = P H^T S^-1 nu
         if not step < np.inf:
-            return False
+            return math.nan, W
+        cost = sum_of_squares(y)
         if step < CONVERGED:
             break
-    return commit(mean, cov, n, W, xi, invariant)
+    return cost, W
 
 
 @compiled
-def combine(W: Array, y: Array, xi: Array) -> float:
+def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, iterations: int) -> bool:
+    """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
+
+    Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
+    """
+    n = 3 + 2 * slot_ids.shape[0]
+    slots, xi = np.empty(ids.shape[0], np.int64), np.zeros(n)
+    if not find_rows(slot_ids, ids, slots):
+        return False
+    cost, W = gauss_newton(state, n, slots, z, R, invariant, iterations, xi)
+    return not math.isnan(cost) and apply_update(state, n, W, xi, invariant)
+
+
+@compiled
+def state_increment(W: Array, y: Array, xi: Array) -> float:
     """Replace xi (n,) by W^T y; returns the largest change of a number (inf when one is not finite)."""
     new = np.zeros(xi.shape[0])
     for k in range(W.shape[0]):
@@ -73,8 +83,9 @@ def combine(W: Array, y: Array, xi: Array) -> float:
 
 
 @compiled
-def commit(mean: Array, cov: Array, n: int, W: Array, xi: Array, invariant: bool) -> bool:
+def apply_update(state: Array, n: int, W: Array, xi: Array, invariant: bool) -> bool:
     """x <- x retracted by xi, P -= W^T W; False when a variance is then not positive (the state is spoilt)."""
+    mean, cov = state[0], state[1:]
     downdate(cov, n, W)
     retract(mean, n, xi, invariant)
     positive = True
@@ -84,11 +95,12 @@ def commit(mean: Array, cov: Array, n: int, W: Array, xi: Array, invariant: bool
 
 
 @compiled
-def fuse_pair(mean: Array, cov: Array, n: int, keep: int, drop: int, var: float, invariant: bool) -> bool:
+def merge_pair(state: Array, n: int, keep: int, drop: int, var: float, invariant: bool) -> bool:
     """Update with the pseudo-measurement l_keep - l_drop = 0 (variance `var`, m^2); False when not positive.
 
     Differences of landmarks have the same Jacobian in both filters.
     """
+    mean, cov = state[0], state[1:]
     i, j = 3 + 2 * keep, 3 + 2 * drop
     W, S, nu = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
     for r in range(2):
@@ -103,5 +115,5 @@ def fuse_pair(mean: Array, cov: Array, n: int, keep: int, drop: int, var: float,
         return False
     forward_rows(S, W)
     xi = np.zeros(n)
-    combine(W, solve_lower(S, nu), xi)
-    return commit(mean, cov, n, W, xi, invariant)
+    state_increment(W, solve_lower(S, nu), xi)
+    return apply_update(state, n, W, xi, invariant)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import place, wrap_angle
+from mecp_env.core.se2 import polar_to_map, wrap_angle
 from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.messages import (
     Belief,
@@ -44,7 +44,7 @@ def record_sightings(
     """
     p_map, ripe = np.empty_like(corners.z), np.empty(len(corners), np.int64)
     if NEW in match.decision.tolist():
-        place(belief.T_map_robot, corners.z, p_map)
+        polar_to_map(belief.T_map_robot, corners.z, p_map)
         _follow_tracks(features, corners, match, belief.T_map_robot[2], p_map, config)
         _start_tracks(features, corners, match, p_map, room)
     count = _count(
@@ -152,7 +152,7 @@ def _count(
     Writes to `p_map` (n,2) where the corners z (n,2) lie, and to `ripe` those whose track has now been seen often
     enough; returns how many there are.
     """
-    place(T_map_robot, z, p_map)
+    polar_to_map(T_map_robot, z, p_map)
     count = 0
     for i in range(ids.shape[0]):
         f = ids[i]

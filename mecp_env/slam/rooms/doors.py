@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import place
+from mecp_env.core.se2 import polar_to_map
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
@@ -87,7 +87,7 @@ def seen_through(
     `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`. Says whether there are any.
     """
     points = np.empty_like(z)
-    place(T_map_robot, z, points)
+    polar_to_map(T_map_robot, z, points)
     beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, through)
     some = False
     for i in range(z.shape[0]):
@@ -147,7 +147,7 @@ def record_doorways(book: DoorMap, seen: Sighting, features: FeatureTable, room:
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
         ends = np.empty((2, 2))
-        place(belief.T_map_robot, corners.z[pair], ends)
+        polar_to_map(belief.T_map_robot, corners.z[pair], ends)
         if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends):
             continue
         if ids in book.row:

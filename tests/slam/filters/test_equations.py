@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mecp_env.slam.filters.error_state import left_jacobian, linearise, retract, world_jacobian
-from mecp_env.slam.filters.motion import integrate
+from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise, retract
+from mecp_env.slam.filters.motion import predict
 from tests.slam.filters.conftest import Pair, random_odometry
 from tests.slam.filters.twin import exp_map, expected, wrap
 
@@ -97,19 +97,24 @@ def test_motion_noise_is_the_jacobian_of_the_motion():
         Q[3 * k : 3 * k + 2, 3 * k : 3 * k + 2] = odometry.cov[k]
         Q[3 * k + 1, 3 * k + 1] += 0.02 / 3
         Q[3 * k + 2, 3 * k + 2] += 0.01 / 3
-    pose = start.copy()
-    N = integrate(pose, odometry.increments, odometry.cov, 0.01, 0.02)
-    np.testing.assert_allclose(N, G @ Q @ G.T, atol=1e-10)
-    np.testing.assert_allclose(pose, end(np.zeros(9)), atol=1e-14)
+    state = np.zeros((4, 3))
+    state[0] = start
+    predict(state, 3, odometry.increments, odometry.cov, 0.01, 0.02, False)
+    np.testing.assert_allclose(state[1:], G @ Q @ G.T, atol=1e-10)
+    np.testing.assert_allclose(state[0], end(np.zeros(9)), atol=1e-14)
 
 
-def test_world_jacobian_of_the_invariant_error():
-    x = random_state(np.random.default_rng(4))
+def test_world_covariance_of_the_invariant_error():
+    rng = np.random.default_rng(4)
+    x, P = random_state(rng), np.cov(rng.normal(size=(11, 30)))
     T = central_difference(lambda e: retracted(x, e, True), np.zeros(11))
-    expected_T = np.eye(11)
-    expected_T[:, 0] += world_jacobian(x, 11, True)
-    np.testing.assert_allclose(T, expected_T, atol=1e-7)
-    np.testing.assert_array_equal(world_jacobian(x, 11, False), 0.0)
+    state = np.vstack((x, P))
+    change_chart(state, 11, 1.0, True)
+    np.testing.assert_allclose(state[1:], T @ P @ T.T, atol=1e-6)
+    change_chart(state, 11, -1.0, True)
+    np.testing.assert_allclose(state[1:], P, atol=1e-12)
+    change_chart(state, 11, 1.0, False)
+    np.testing.assert_allclose(state[1:], P, atol=1e-12)
 
 
 def test_same_belief_as_the_dense_twin(kind):
