@@ -1,4 +1,4 @@
-"""The configuration tree of the environment: frozen, validated, unknown names refused, JSON both ways."""
+"""The configuration tree of the environment: frozen, validated, unknown names refused, JSON in both directions."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ class ObservationConfig(Settings):
 
 
 class RewardConfig(Settings):
-    """Weight of each term of the reward; the unit of the term stands beside it (see docs/rewards.md)."""
+    """Weight of each reward term, with the unit of the term next to it (see docs/rewards.md)."""
 
-    source: Literal["belief", "truth"] = "belief"  # what the area is measured on
-    area_sigma_m: float = Field(0.3, gt=0.0)  # the belief's area counts while it is drawn at least so well
-    area: float = 0.1  # a m^2 newly mapped
-    pose_information: float = 0.05  # a nat: the rise of -0.5 log det of the pose covariance
-    landmark_information: float = 0.05  # a nat: the rise of -0.5 log det of a landmark's covariance, mean over all
-    contact: float = -0.1  # a step in which the robot touched something
-    time: float = -0.005  # a step
-    completion: float = 10.0  # 100 m^2 of map, once, when the task ends by itself
+    source: Literal["belief", "truth"] = "belief"  # the source of the area
+    area_sigma_m: float = Field(0.3, gt=0.0)  # the estimated area counts while a wall is drawn at least this well
+    area: float = 0.1  # per m^2 newly mapped
+    pose_information: float = 0.05  # per nat: increase of -0.5 log det of the pose covariance
+    landmark_information: float = 0.05  # per nat: increase of -0.5 log det of a landmark covariance, mean over all
+    contact: float = -0.1  # per step in which the robot touched something
+    time: float = -0.005  # per step
+    completion: float = 10.0  # per 100 m^2 of map, once, when the episode terminates
     divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
 
 
 class EndConfig(Settings):
-    """When an episode ends before its limit; without a coverage it ends when no goal is left in the belief."""
+    """When an episode ends before its limit; without a coverage it ends when no goal is left in the estimate."""
 
-    coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the truth's free area that must have been seen
-    quiet_steps: int = Field(25, ge=1, le=10_000)  # where people walk, who may hide a door: so long no goal is left
+    coverage: float | None = Field(None, gt=0.0, le=1.0)  # share of the true free area that must have been seen
+    quiet_steps: int = Field(25, ge=1, le=10_000)  # with pedestrians, who may hide a door: no goal for this many steps
 
 
 def plain_value(value: Any) -> Any:
@@ -86,10 +86,10 @@ class EnvConfig(Settings):
 
     @classmethod
     def build(cls, config: Self | Mapping[str, Any] | None = None, **keywords: Any) -> Self:
-        """The configuration that `config` (an `EnvConfig`, a dict or None) and the keywords over it stand for.
+        """The configuration from `config` (an `EnvConfig`, a dict or None), overridden by keywords.
 
-        Sections are merged field by field. Raises `ConfigError` for an unknown name at any level (with the nearest
-        known one), a wrong type or a value out of bounds.
+        Sections are merged field by field. Raises `ConfigError` for an unknown name at any level (with the closest
+        match), a wrong type or a value out of bounds.
         """
         fields = merge(plain(config), {name: plain_value(value) for name, value in keywords.items()})
         refuse_unknown(cls, fields, cls.__name__)
@@ -97,16 +97,16 @@ class EnvConfig(Settings):
 
     @classmethod
     def paper(cls, **keywords: Any) -> Self:
-        """The whole pipeline to the letter of the paper (2010), in one switch; keywords override it.
+        """The whole pipeline as in the text of the paper (2010), in one switch; keywords override it.
 
-        Every deviation of ours in the estimator is switched off by `SlamConfig.paper()`; the laser has the noise of
-        section IV on every beam. The burst of sweeps stays: it is the paper's own dense scan (III-A.1).
+        `SlamConfig.paper()` disables every deviation of the estimator; the laser has the noise of section IV on every
+        beam. The burst of sweeps stays: it is the paper's dense scan (III-A.1).
         """
         return cls.build({"laser": {"preset": "paper"}, "slam": SlamConfig.paper()}, **keywords)
 
     @property
     def estimator_config(self) -> SlamConfig:
-        """`slam` as the estimator gets it: the sensor follows the laser unless set, "known" merges no landmarks."""
+        """`slam` for the estimator: the sensor follows the laser unless set, "known" merges no landmarks."""
         laser = self.laser
         sensor = {"range_sigma_m": laser.range_sigma_m, "bearing_sigma_deg": laser.bearing_sigma_deg}
         slam = self.slam.model_copy(update={"sensor": following(self.slam.sensor, sensor)})
@@ -117,7 +117,7 @@ class EnvConfig(Settings):
 
     @property
     def planning_config(self) -> PlanningConfig:
-        """`planning` as the planner gets it: size and limits follow the robot unless set."""
+        """`planning` for the planner: size and limits follow the robot unless set."""
         robot, planning = self.robot, self.planning
         control = {
             "speed_m_s": robot.max_speed_m_s,
@@ -159,7 +159,7 @@ def at_most(field: str, value: float, bound: float, what: str) -> None:
 
 S = TypeVar("S", bound=Settings)
 
-# fields that follow from another section as long as nobody sets them
+# fields that follow from another section unless they are set
 FOLLOWING = {
     ("slam", "sensor"): ("range_sigma_m", "bearing_sigma_deg"),
     ("planning", "paths"): ("radius_m",),
@@ -168,12 +168,12 @@ FOLLOWING = {
 
 
 def following(section: S, values: dict[str, float]) -> S:
-    """`section` with those of `values` that nobody set in it."""
+    """`section` with those of `values` that are not set in it."""
     return section.model_copy(update={k: v for k, v in values.items() if k not in section.model_fields_set})
 
 
 def dump(config: EnvConfig) -> dict[str, Any]:
-    """`config` as plain data; what nobody set and follows from another section is left out, so that it still does."""
+    """`config` as plain data, without unset values that follow from another section, so that they still follow it."""
     data: dict[str, Any] = config.model_dump(mode="json")
     for (outer, inner), names in FOLLOWING.items():
         known = getattr(getattr(config, outer), inner).model_fields_set
@@ -194,7 +194,7 @@ def plain(config: Any) -> dict[str, Any]:
 
 
 def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """`above` over `below`, section by section; a layout is one value, not a section."""
+    """`below` overridden by `above`, section by section; a layout is one value, not a section."""
     merged = dict(below)
     for name, value in above.items():
         both = isinstance(value, dict) and isinstance(merged.get(name), dict) and name != "layout"

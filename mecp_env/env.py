@@ -1,4 +1,4 @@
-"""The environment: simulate, sense, estimate, observe, reward. No maths, no drawing, no physics of its own."""
+"""The environment: simulate, sense, estimate, observe, reward. The maths, drawing and physics are in other modules."""
 
 from __future__ import annotations
 
@@ -51,66 +51,66 @@ REWARD_KEYS = {name: f"reward_{name}" for name in TERMS}
 
 
 class MecpEnv(gymnasium.Env[Observation, Any]):
-    """An indoor robot that explores a building by its own map.
+    """An indoor robot that explores a building with its estimated map.
 
     ## Description
 
-    A circular robot with a differential drive (Pioneer P3-DX) stands in a building it does not know. Every step is
-    one control step of 0.4 s: the robot moves, its odometry and its laser measure with noise, and a complete
-    EKF-SLAM with Maximum Empty Convex Polygon data association (Kosuru, Pedduri, Krishna, 2010) updates pose,
-    landmarks, rooms, doors and a semantic grid. The agent is given that belief, never the truth. The map frame is the
-    robot's true pose at reset.
+    A circular robot with a differential drive (Pioneer P3-DX) starts in an unknown building. Every step is one control
+    step of 0.4 s: the robot moves, odometry and laser measure with noise, and a complete EKF-SLAM with Maximum Empty
+    Convex Polygon data association (Kosuru, Pedduri, Krishna, 2010) updates pose, landmarks, rooms, doors and a
+    semantic grid. The agent receives this estimate, never ground truth. The map frame is the robot's true pose at
+    reset.
 
     ## Action Space
 
-    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, the fractions of the largest speed (0.75 m/s) and of
-      the largest turn rate (1.75 rad/s, counter-clockwise).
-    - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (the turns at half of the largest rate).
+    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, fractions of the maximum speed (0.75 m/s) and of the
+      maximum turn rate (1.75 rad/s, counter-clockwise).
+    - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (turns at half of the maximum rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
-      `action_masks()` tells which rows are goals; a masked choice is one step of waiting.
+      `action_masks()` returns the valid rows; a masked row is one step of waiting.
 
-    An action outside its space raises `ActionError` and leaves the environment as it was.
+    An action outside the space raises `ActionError` and leaves the environment unchanged.
 
     ## Observation Space
 
-    A `Dict` of float32 arrays of fixed shape (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
+    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
     `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,).
-    Values beyond their bounds are cut to them, and rows beyond the table left out; `info["saturated"]` counts both.
+    Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
 
     ## Rewards
 
-    The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): area
-    newly mapped (m^2), pose and landmark information (nat), contact, time, completion (100 m^2 of map), divergence.
-    They are measured on the belief; `reward={"source": "truth"}` measures the area on the truth. docs/rewards.md has
-    the formulas, and why a wrong map does not pay.
+    The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): newly
+    mapped area (m^2), pose and landmark information (nat), contact, time, completion (100 m^2 of map), divergence. They
+    are measured on the estimate; `reward={"source": "truth"}` measures the area on ground truth. docs/rewards.md
+    contains the formulas.
 
     ## Starting State
 
-    The first start pose of the layout, at rest, with three scans taken; `start="random"` draws a pose anywhere in
-    free space, `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode, and
-    `reset(options={"building": 12})` chooses the generated building. Any other option is refused.
+    The first start pose of the layout, at rest, with three scans taken. `start="random"` draws a pose in free space,
+    `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode, and
+    `reset(options={"building": 12})` selects the generated building. Any other option raises `ConfigError`.
 
     ## Episode End
 
-    Terminated: no goal is left in a belief with at least one polygon (where people walk, for 25 steps), or the share
-    `end={"coverage": ...}` of the true free area has been seen. Truncated: `max_steps` steps are over (default
-    3,000), or the filter diverged (`info["diverged"]`).
+    Terminated: no goal is left in an estimate with at least one polygon (with pedestrians: for 25 steps), or the share
+    `end={"coverage": ...}` of the true free area has been seen. Truncated: `max_steps` steps (default 3,000), or the
+    filter diverged (`info["diverged"]`).
 
     ## Arguments
 
-    `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig`
-    as a keyword over it (`layout`, `estimator`, `actions`, `max_steps`, `start`, `robot`, `laser`, `odometry`,
-    `crowd`, `clutter`, `slam`, `planning`, `goal_steps`, `observation`, `reward`, `end`). `crowd={"people": 4}` lets
-    people walk about, `clutter` has boxes to push and doors that are closed. `layout` is a shipped name, a path, a
-    dict or a `Layout`; `PaperMap-v0` has its own, and `Rooms-v0` generates one at every reset, by `difficulty`, `split`
-    and the fields of `GeneratorSpec`. `EnvConfig.paper()` is the paper to the letter. With `estimator="known"`
-    association is told the true identities, with `"truth"` the filter is told the true pose. Unknown names, and values
-    with which nothing can be explored, raise `ConfigError`.
+    `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig` as
+    a keyword that overrides it (`layout`, `estimator`, `actions`, `max_steps`, `start`, `robot`, `laser`, `odometry`,
+    `crowd`, `clutter`, `slam`, `planning`, `goal_steps`, `observation`, `reward`, `end`). `crowd={"people": 4}` adds
+    pedestrians, `clutter` adds boxes to push and closed doors. `layout` is a layout name, a path, a dict or a `Layout`;
+    `PaperMap-v0` has a fixed one, and `Rooms-v0` generates one at every reset from `difficulty`, `split` and the fields
+    of `GeneratorSpec`. `EnvConfig.paper()` follows the paper literally. `estimator="known"` uses the true
+    correspondences, `"truth"` the true pose. Unknown names, and values with which nothing can be explored, raise
+    `ConfigError`.
 
     ## Vectorized environment
 
-    `gymnasium.make_vec(id, num_envs=n)` holds them in a few worker processes (`mecp_env.vector`), the modes "sync" and
-    "async" in Gymnasium's own classes, all bit for bit as each alone; `info` has fixed keys and shapes.
+    `gymnasium.make_vec(id, num_envs=n)` runs them in a few worker processes (`mecp_env.vector`), the modes "sync" and
+    "async" in Gymnasium's classes, each environment bit for bit as if alone; `info` has fixed keys and shapes.
 
     ## Version History
 
@@ -126,7 +126,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self, config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ConfigError(f"render_mode: {render_mode!r} is none of None, {', '.join(map(repr, RENDER_MODES))}")
+            raise ConfigError(
+                f"render_mode: expected one of None, {', '.join(map(repr, RENDER_MODES))}, got {render_mode!r}"
+            )
         self.config = EnvConfig.build(config, **keywords)
         self.render_mode = render_mode
         self._true_world = TrueWorld(self.config)
@@ -145,10 +147,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """The first observation of a new episode, and its info.
 
-        `options` may hold `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; where
-        buildings are generated, `building`: which one of the split, instead of one drawn. Raises `ConfigError` for any
-        other option, a seed that is no integer of at least 0, a pose that is not free, or a building out of range;
-        nothing is changed then.
+        `options` may contain `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; for
+        generated buildings also `building`, an index in the split instead of a random one. Raises `ConfigError` for any
+        other option, a seed that is not an integer of at least 0, a pose that is not free, or a building out of range,
+        and then changes nothing.
         """
         given, seed = parse_options(options), check_seed(seed)
         building = self._true_world.check_building(given.get("building"))
@@ -164,7 +166,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step: observation, reward, terminated, truncated, info.
 
-        Raises `ActionError`; the environment is then as it was. Raises `ResetNeeded` before `reset` and after the end.
+        Raises `ActionError` and then changes nothing. Raises `ResetNeeded` before `reset` and after the end.
         """
         command = self._actions.command(action)
         episode = self._running()
@@ -212,12 +214,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue bit for bit from what `get_state` gave, in an environment of the same configuration.
+        """Continue bit for bit from a snapshot of `get_state`, in an environment with the same configuration.
 
-        Gymnasium's wrapper `OrderEnforcing` does not know of it: an environment of `gymnasium.make` that was never
-        reset still refuses `step` (`ResetNeeded`). Call it after a `reset`, or step `env.unwrapped`.
+        Gymnasium's wrapper `OrderEnforcing` does not notice it: an environment of `gymnasium.make` that was never reset
+        still raises `ResetNeeded` in `step`. Call it after a `reset`, or step `env.unwrapped`.
 
-        Raises `StateError` for data of another version or configuration, or damaged; the environment is then as it was.
+        Raises `StateError` for damaged data or another version or configuration, and then changes nothing.
         """
         check_state(state, self.config)
         building = self._true_world.building_of(state)
@@ -229,7 +231,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._observer, self._episode = self._new_observer(), episode
 
     def view(self) -> SceneView:
-        """The present moment as plain data for a picture: truth and belief."""
+        """The current state as plain data for rendering: ground truth and estimate."""
         episode = self._started()
         return SceneView(
             segments=self._true_world.outline.segments,
@@ -249,37 +251,37 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def slam_output(self) -> SlamOutput:
-        """What the estimator saw and decided in the last step."""
+        """The SLAM output of the last step."""
         return self._started().slam_output
 
     @property
     def goals(self) -> Goals:
-        """What is left to see, as the observation has it."""
+        """The current goals, as in the observation."""
         return self._started().goals
 
     def aim_at(self, p_map: Array) -> None:
-        """Note where a goal action drives to, for pictures."""
+        """Set the target of a goal action, for rendering."""
         self._started().target = p_map.copy()
 
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
-        """Remember how a drive to a goal ended, and look for goals anew."""
+        """Record how a drive to a goal ended, and search for goals again."""
         episode = self._started()
         episode.goal_history.record(goals, row, ended, self._planning.goals)
         episode.target = None
         self.refresh_goals()
 
     def observation(self) -> Observation:
-        """The observation of this moment again, in fresh arrays."""
+        """The current observation again, in fresh arrays."""
         return self._observe(self._started())
 
     def summary(self) -> dict[str, float]:
-        """The figures of the episode so far, from ground truth (see `EpisodeMetrics.summary`, `TrueWorld.counts`)."""
+        """The metrics of the episode until now, from ground truth (see `EpisodeMetrics.summary`, `TrueWorld.counts`)."""
         episode = self._started()
         return episode.metrics.summary(self._true_world.truth, episode.slam_output) | self._true_world.counts()
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gymnasium.make` made this from; its keywords are plain data."""
+        """The specification from `gymnasium.make`; its keywords are plain data."""
         return self._spec
 
     @spec.setter
@@ -289,7 +291,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             self._spec.kwargs = plain_value(self._spec.kwargs)
 
     def __getstate__(self) -> dict[str, Any]:
-        """For pickle and deepcopy: what this was made from, and the state of the running episode."""
+        """For pickle and deepcopy: the constructor arguments and the state of the running episode."""
         spaces = {"action_space": self.action_space, "observation_space": self.observation_space}
         made_from = {"config": self.config.to_dict(), "render_mode": self.render_mode, "spec": self._spec}
         random = {"_np_random": self._np_random, "_np_random_seed": self._np_random_seed}
@@ -335,7 +337,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return episode
 
     def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
-        """What SLAM makes of this step; only "known" and "truth" are told anything that is true."""
+        """The SLAM output of this step; only "known" and "truth" use ground truth."""
         odometry, scan = self._sense(motion, T_world_robot)
         exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
         self._inject_truth(episode.pipeline, T_world_robot)
@@ -346,7 +348,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._true_world.look(T_world_robot, self.np_random)
 
     def _sense(self, motion: Motion, T_world_robot: Array) -> tuple[Odometry, Scan]:
-        """What odometry and laser measure of a step."""
+        """The measurements of odometry and laser for a step."""
         odometry = measure(motion, self.config.odometry, self.np_random)
         return odometry, self._look(T_world_robot)
 
@@ -358,14 +360,14 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             pipeline.associator.correspondences = source
 
     def _find_goals(self, episode: EpisodeState) -> None:
-        """Look for goals anew when the map changed, at most every few steps, and at once when none is left."""
+        """Search for goals when the map changed, at most every few steps, and at once when none is left."""
         episode.goal_history.notice(episode.slam_output)
         due = episode.slam_output.step - episode.goals_step >= self.config.goal_steps
         if (due and episode.goals_key != goals_key(episode.slam_output)) or not len(episode.goals):
             self.refresh_goals()
 
     def refresh_goals(self) -> None:
-        """Look for goals now, however lately that was done; the grid is told which rooms have none left."""
+        """Search for goals now; rooms without goals become complete in the grid."""
         episode = self._started()
         episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
         painter, graph = episode.pipeline.grid, episode.slam_output.graph
@@ -375,7 +377,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         episode.goals_step, episode.goals_key = episode.slam_output.step, goals_key(episode.slam_output)
 
     def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:
-        """Hold the belief against the truth."""
+        """Compare the estimate with ground truth."""
         episode.contact = motion.contact
         episode.metrics.move(motion.increments, motion.contact)
         episode.metrics.look(self._true_world.truth, T_world_robot, episode.slam_output, self._true_world.obstacles())
@@ -389,7 +391,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Whether the task is done, and whether the episode is cut short."""
         enough = self.config.end.coverage
         seen = enough is not None and episode.metrics.coverage(self._true_world.truth) >= enough
-        lost = episode.slam_output.diverged  # then it does not matter what the map says
+        lost = episode.slam_output.diverged  # the map is then ignored
         done = (self._nothing_left(episode) or seen) and not lost
         cut = not done and (episode.metrics.steps >= self.config.max_steps or lost)
         episode.over = done or cut
@@ -398,7 +400,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return done, cut
 
     def _nothing_left(self, episode: EpisodeState) -> bool:
-        """True when no goal is left: at once, or for a while where people walk, who may hide a door or bar a way."""
+        """True when no goal is left: at once, or for several steps with pedestrians, who may hide a door or block a
+        path.
+        """
         empty = not len(episode.goals) and len(episode.slam_output.map_polygons) > 0
         episode.quiet = episode.quiet + 1 if empty else 0
         if not self.config.crowd.people:
@@ -415,7 +419,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return apply_weights(self.config.reward, measured | happened)
 
     def _reward_inputs(self, episode: EpisodeState) -> RewardInputs:
-        """What the reward is measured on."""
+        """The inputs of the measured reward terms."""
         output = episode.slam_output
         true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
         return RewardInputs(output.belief, output.grid, output.diverged, true_area)
@@ -428,7 +432,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return observation
 
     def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
-        """GroundTruth, metrics and reward terms: fixed keys, all finite, no wall clock."""
+        """Ground truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
         return {
             "period": episode.metrics.steps,
             "event": "",
@@ -439,13 +443,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "contact": episode.contact,
             "diverged": episode.slam_output.diverged,
             "saturated": episode.saturated,
-            "landmarks_dropped": episode.pipeline.filter.dropped,  # that found no room in a full filter
+            "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
             **figures(episode.metrics, self._true_world.truth, episode.slam_output),
             **{REWARD_KEYS[name]: value for name, value in terms.items()},
         }
 
     def _paint(self) -> NDArray[np.uint8]:
-        from mecp_env.render.screen import Screen  # pygame is loaded only where a picture is wanted
+        from mecp_env.render.screen import Screen  # pygame is loaded only for rendering
 
         self._screen = self._screen or Screen()
         frame: NDArray[np.uint8] = self._screen.frame(self.view())

@@ -1,4 +1,6 @@
-"""What `gymnasium.make` calls: the environment of a configuration, in the wrapper that its actions need."""
+"""The functions that `gymnasium.make` calls: the environment of a configuration, with the wrapper that its actions
+need.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +38,10 @@ def make_paper_map(
 def make_rooms(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `Rooms-v0`: as `make`, in a building that is generated anew at every reset.
+    """The entry point of `Rooms-v0`: as `make`, in a new generated building at every reset.
 
-    Beside the fields of `EnvConfig`, keywords are `difficulty` ("medium"), `split` ("train") and every field of
-    `GeneratorSpec` over the difficulty's own. Raises `ConfigError`, for a layout too.
+    Keywords are the fields of `EnvConfig`, `difficulty` ("medium"), `split` ("train") and every field of
+    `GeneratorSpec`, which overrides the difficulty. Raises `ConfigError`, also for a layout.
     """
     buildings, rest = generator_keywords(keywords)
     return _make_from(GENERATE, buildings, config, render_mode, rest)
@@ -48,11 +50,11 @@ def make_rooms(
 def make_floor_plan(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan; of a folder, in one drawn at every reset.
+    """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan, or in one drawn from a folder at every reset.
 
-    Beside the fields of `EnvConfig`, keywords are `plan`, the path of a file or of a folder (with those in it; images
-    are taken where `resolution_m` is given), and the options of `load_plan`. Raises `ConfigError`, for a layout too,
-    and `LayoutError` for a plan that cannot be read.
+    Keywords are the fields of `EnvConfig`, `plan` (the path of a file, or of a folder with its subfolders; images are
+    used if `resolution_m` is given), and the options of `load_plan`. Raises `ConfigError`, also for a layout, and
+    `LayoutError` for an unreadable plan.
     """
     plans, rest = plan_keywords(keywords)
     return _make_from(PLAN, plans, config, render_mode, rest)
@@ -69,5 +71,5 @@ def _make_from(
     return make(config, render_mode, **keywords | {"layout": layout | {key: layout[key] | fields}})
 
 
-for entry_point in (make, make_paper_map, make_rooms, make_floor_plan):  # gymnasium.make asks it for the render modes
+for entry_point in (make, make_paper_map, make_rooms, make_floor_plan):  # gymnasium.make reads the render modes from it
     entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]

@@ -30,14 +30,14 @@ EVENTS = {
 class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     """Discrete(32): drive to a goal of the observation, with path planner, controller and recovery, until it ends.
 
-    A drive ends when the goal is reached or has nothing more to show, when it is refused (no way, stuck, too long), or
-    with the episode. Rewards of its steps are summed. `info["event"]` tells how it ended ("reached", "refused",
-    "ended" with the episode, "masked" for a row that holds no goal: one step of waiting) and `info["periods"]` how
-    many steps it took, at least one. A drive after which no goal is left is followed by one step of waiting, in
-    which the episode ends (unless nothing was mapped yet, or people walk: then it ends after some such steps).
+    A drive ends when the goal is reached or has nothing more to show, when it is refused (no path, stuck, too long), or
+    with the episode. The rewards of its steps are summed. `info["event"]` is "reached", "refused", "ended" (with the
+    episode) or "masked" (an empty row: one step of waiting), and `info["periods"]` is the number of steps, at least
+    one. A drive after which no goal is left is followed by one step of waiting, in which the episode ends (unless
+    nothing was mapped yet; with pedestrians it ends after several such steps).
 
-    `callback`, if one is set, is called with the result of every inner step. A state taken inside a drive continues
-    as a velocity environment: the drive itself is not part of it.
+    `callback`, if set, receives the result of every inner step. A snapshot taken inside a drive continues as a velocity
+    environment: the drive itself is not part of it.
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Any], callback: Callable[[Step], None] | None = None) -> None:
@@ -51,11 +51,11 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]
-        """The specification; with `actions="goal"` the entry point makes this wrapper by itself."""
+        """The specification; with `actions="goal"` the entry point creates this wrapper."""
         return self.env.spec if self.base.config.actions == "goal" else super().spec
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(32,) which rows of the observation hold a goal."""
+        """(32,) which rows of the observation contain a goal."""
         return np.arange(GOALS) < len(self.base.goals)
 
     def reset(
