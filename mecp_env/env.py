@@ -275,7 +275,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._observe(self._started())
 
     def summary(self) -> dict[str, float]:
-        """The metrics of the episode until now, from ground truth (see `EpisodeMetrics.summary`, `TrueWorld.counts`)."""
+        """The metrics of the episode until now, from ground truth (`EpisodeMetrics.summary`, `TrueWorld.counts`)."""
         episode = self._started()
         return episode.metrics.summary(self._true_world.truth, episode.slam_output) | self._true_world.counts()
 
