@@ -1,4 +1,4 @@
-"""From an action to a velocity command, or a refusal that leaves everything as it was."""
+"""From an action to a velocity command, or an error that changes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the building of an episode comes from: always the same one, or a new one at every reset."""
+"""The source of an episode's building: always the same one, or a new one at every reset."""
 
 from __future__ import annotations
 

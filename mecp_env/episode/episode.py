@@ -1,4 +1,4 @@
-"""One episode: all that lives over its steps, and the form in which its state is handed out."""
+"""One episode: everything that persists over its steps, and the format of its snapshot."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 @dataclass(slots=True, eq=False)
 class EpisodeState:
-    """All that lives over the steps of an episode beside the body and the random numbers; plain state."""
+    """Everything that persists over the steps of an episode except the body and the random numbers; plain state."""
 
     pipeline: SlamPipeline
     slam_output: SlamOutput
     metrics: EpisodeMetrics
     goal_history: GoalHistory = field(default_factory=GoalHistory)
     goals: Goals = field(default_factory=Goals)
-    goals_step: int = -1  # when they were looked for
-    goals_key: tuple[int, ...] = ()  # of the map they were looked for on
+    goals_step: int = -1  # step of the last search for goals
+    goals_key: tuple[int, ...] = ()  # of the map in that search
     memory: RewardMemory = field(default_factory=RewardMemory)
     path_map: TravelledPath = field(default_factory=TravelledPath)
     path_world: TravelledPath = field(default_factory=TravelledPath)
     target: Array | None = None  # (2,) m, map frame: where a goal action drives to
     quiet: int = 0  # steps without a goal, in a row
     contact: bool = False
-    saturated: int = 0  # values of the observation cut to their bounds, rows left out
+    saturated: int = 0  # clipped values and omitted rows of the observation
     over: bool = False
 
 
 def goals_key(output: SlamOutput) -> tuple[int, ...]:
-    """Changes whenever other goals may be found."""
+    """A value that changes whenever other goals may be found."""
     graph = output.graph
     return output.grid.version, graph.current, len(graph.doors), len(graph.candidates), len(graph.merged)
 
 
 def nearest_goal(goals: Goals, target: Array | None) -> int:
-    """Row of the goal at `target` (2,) m, or -1 when it is no goal any more."""
+    """Row of the goal at `target` (2,) m, or -1 if it is no longer a goal."""
     if target is None or not len(goals):
         return -1
     far = np.hypot(*(goals.p_map - target).T)
@@ -61,7 +61,7 @@ def nearest_goal(goals: Goals, target: Array | None) -> int:
 
 
 def check_state(state: Any, config: EnvConfig) -> None:
-    """Raise `StateError` unless `state` is of this format, version and configuration."""
+    """Raise `StateError` unless `state` has this format, version and configuration."""
     if not isinstance(state, dict) or state.get("format") != STATE_FORMAT:
         raise StateError(f"state: expected what get_state() gave, given {type(state).__name__}")
     if state.get("version") != STATE_VERSION:

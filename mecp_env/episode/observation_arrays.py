@@ -1,4 +1,4 @@
-"""Compiled kernels of the observation: grid windows, landmark and goal rows, bounds."""
+"""Compiled functions of the observation: grid windows, landmark and goal rows, bounds."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: i
         for j in range(cols):
             padded[i + 1, j + 1] = label[i, j]
     codes = np.empty((rows, cols), np.uint8)
-    nobody = current < 0
+    unknown_room = current < 0
     for i in range(rows):
         for j in range(cols):  # without branches, so that it is done for many cells at a time
             a = padded[i + 1, j + 1]
             beside = (padded[i, j + 1] == 0) | (padded[i + 2, j + 1] == 0)
             beside |= (padded[i + 1, j] == 0) | (padded[i + 1, j + 2] == 0)
-            mine = (room[i, j] == current) & (not nobody)
+            mine = (room[i, j] == current) & (not unknown_room)
             code = FREE * (a & 1) | OCCUPIED * (a == 2) | UNKNOWN * (a == 0) | DOOR * (a == 3)  # FREE 1, DOOR 3
             codes[i, j] = code | POLYGON * polygon[i, j] | ROOM * mine | FRONTIER * ((a == 1) & beside)
     return codes

@@ -1,4 +1,4 @@
-"""What the agent is given: the belief, in arrays of fixed shape. Nothing here knows the truth."""
+"""The observation: the estimate, in arrays of fixed shape. Nothing here uses ground truth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LANDMARKS, GOALS = 128, 32  # rows
-GRID = (96, 0.2)  # cells along a side, m a cell
+GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)
 EXTENT_M = 200.0  # bound of every position and length
 COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
@@ -73,21 +73,21 @@ def make_space(with_map: bool, beams: int, max_range_m: float) -> spaces.Dict:
 
 
 class Observer:
-    """Makes observations; keeps nothing but a cache that follows from the grid's version, so it is no state.
+    """Computes observations; keeps only a cache that follows from the version of the grid, so it has no state.
 
-    The parts of an observation (float32 unless said otherwise):
+    The parts of an observation (float32 unless noted):
 
     - `pose` (4): x, y, cos and sin of the heading, map frame.
     - `pose_cov` (6): xx, xy, x heading, y y, y heading, heading heading.
-    - `landmarks` (128,8), the nearest first: x, y in the robot frame, covariance xx, xy, yy in the robot's axes, room,
-      kind (0 crossing, 1 free end, 2 jamb), valid.
-    - `goals` (32,9), in the order of `find_goals`: x, y in the robot frame, path length, size, kind (0 open edge,
-      1 candidate door, 2 frontier, 3 door), room, level, visits, valid.
-    - `grid` (8,96,96) uint8, 0.2 m a cell, the robot in the middle and its heading up: 255 where any cell
-      of the semantic grid in it is free, in a polygon, occupied, unknown, a door, in the current room, a frontier, or
-      on the path travelled.
-    - `map` (8,64,64) uint8, on request: the same at 0.8 m a cell.
-    - `scan` (B,), on request: ranges of the merged beams, the longest range where nothing was hit.
+    - `landmarks` (128,8), nearest first: x, y in the robot frame, covariance xx, xy, yy in the robot's axes, room, kind
+      (0 crossing, 1 free end, 2 jamb), valid.
+    - `goals` (32,9), in the order of `find_goals`: x, y in the robot frame, path length, size, kind (0 open edge, 1
+      candidate door, 2 frontier, 3 door), room, level, visits, valid.
+    - `grid` (8,96,96) uint8, cells of 0.2 m, centred on the robot with its heading up: 255 where any cell of the
+      semantic grid in it is free, in a polygon, occupied, unknown, a door, in the current room, a frontier, or on the
+      path travelled.
+    - `map` (8,64,64) uint8, on request: the same with cells of 0.8 m.
+    - `scan` (B,), on request: ranges of the merged beams, the maximum range where nothing was hit.
     """
 
     def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:

@@ -1,8 +1,8 @@
-"""The reward: named terms in their own units, a weight for each (`RewardConfig`); docs/rewards.md tells it at length.
+"""The reward: named terms in their own units, a weight for each (`RewardConfig`); see docs/rewards.md.
 
-What is measured is a potential: a term is by how much it changed in a step, so that the terms of an episode add up to
-its value at the end less that at the start, whatever happened in between. Uncertainty that grows and shrinks again, an
-area mapped twice, a map redrawn and drawn again earn nothing.
+Each measured term is the change of a potential in a step. The terms of an episode therefore sum to the potential at its
+end minus the potential at its start, whatever happened in between: uncertainty that grows and shrinks again, an area
+mapped twice, or a map that is redrawn earns nothing.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ Array = NDArray[np.float64]
 TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence")
 LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose
 COMPLETION_M2 = 100.0  # the unit of a completed area
-AHEAD_M = 5.0  # how far from the robot a wall typically is that it draws
+AHEAD_M = 5.0  # typical distance from the robot to a wall that it draws
 
 
 class RewardInputs(NamedTuple):
-    """What the measured terms of a step are measured on."""
+    """The inputs of the measured terms in one step."""
 
     belief: Belief
     grid: SemanticGrid
     diverged: bool = False
-    true_area_m2: float | None = None  # the true free area seen; None where the belief's counts
+    true_area_m2: float | None = None  # the true free area seen; None if the estimated area counts
 
 
 @dataclass(slots=True, eq=False)
 class RewardMemory:
-    """The potentials as they were in the step before; plain state."""
+    """The potentials of the step before; plain state."""
 
     area_m2: float = 0.0
     pose_nat: float = 0.0
     landmark_nat: float = 0.0
-    grid_version: int = -1  # of the map whose area that is
+    grid_version: int = -1  # version of the map with that area
 
 
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
-    """Bring `memory` up to this step."""
+    """Update `memory` to this step."""
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
 
 
 def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
-    """m^2 that count as mapped: the cells not UNKNOWN, as they were when the robot last was `sure` of its pose.
+    """m^2 that count as mapped: the cells not UNKNOWN when the robot was last `sure` of its pose.
 
-    What it draws while it is not sure counts once it is sure again, if it still stands. A map that diverged is none.
+    What it draws while unsure counts once it is sure again, if it is still in the map. A diverged map counts 0.
     """
     if inputs.true_area_m2 is not None:
         return inputs.true_area_m2
@@ -69,11 +69,11 @@ def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
 
 
 def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
-    """The terms that are measured, in their own units; `memory` is brought up to this step.
+    """The measured terms, in their own units; updates `memory` to this step.
 
-    - `area`: m^2 newly mapped, what a redrawn map lost taken off (see `area`); with `source="truth"` newly seen.
-    - `pose_information`: nat, by how much -0.5 log det P of the pose grew.
-    - `landmark_information`: nat, by how much the mean of -0.5 log det P over the landmarks grew.
+    - `area`: m^2 newly mapped minus what a redrawn map lost (see `area`); with `source="truth"` newly seen.
+    - `pose_information`: nat, increase of -0.5 log det P of the pose.
+    - `landmark_information`: nat, increase of the mean of -0.5 log det P over the landmarks.
     """
     area_m2, pose_nat, landmark_nat = memory.area_m2, memory.pose_nat, memory.landmark_nat
     remember(memory, inputs, config)
@@ -85,11 +85,11 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
 
 
 def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool) -> dict[str, float]:
-    """The terms that happen; `memory` is that of this step.
+    """The terms of events; `memory` is that of this step.
 
     - `contact`: 1 in a step in which the robot touched something.
     - `time`: 1 in every step.
-    - `completion`: once, when the episode terminates, the area that counts as mapped then, in 100 m^2.
+    - `completion`: once, when the episode terminates: the area that counts as mapped, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
     """
     return {

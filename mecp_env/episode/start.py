@@ -1,4 +1,4 @@
-"""Where an episode starts: the layout's first start, a pose drawn anywhere in free space, or a given one."""
+"""The start of an episode: the layout's first start, a random pose in free space, or a given pose."""
 
 from __future__ import annotations
 

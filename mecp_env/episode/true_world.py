@@ -1,4 +1,4 @@
-"""The site of an episode: the building, its doors and walls, what moves in it, the robot's body. All of it is true."""
+"""The true world of an episode: building, doors and walls, dynamic obstacles, the robot's body."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 class TrueWorld:
     """The world of an environment, one building after the other, and the robot in it.
 
-    `building` is its number in the source, `outline` its walls as they stand in this episode, `truth` what follows from
-    them, `laser` and `simulation` are made for them, `movers` are the people and boxes.
+    `building` is the index of the building in its source, `outline` its walls in this episode, `truth` the ground truth
+    derived from them, `laser` and `simulation` belong to them, `movers` are the pedestrians and boxes.
     """
 
     building: int
@@ -37,10 +37,10 @@ class TrueWorld:
     laser: Laser
     simulation: Simulation
     movers: Movers
-    _obstacles: DynamicObstacles | None  # None: not worked out yet
+    _obstacles: DynamicObstacles | None  # None: not computed yet
 
     def __init__(self, config: EnvConfig) -> None:
-        """The first building of `config`, nobody in it. Raises `ConfigError` or `LayoutError`."""
+        """The first building of `config` without obstacles. Raises `ConfigError` or `LayoutError`."""
         self._config = config
         self._source = make_source(config.layout)
         self.building = 0
@@ -59,7 +59,7 @@ class TrueWorld:
         self.simulation.reset(pose)
 
     def restore(self, building: int, moving: Moving, body: dict[str, Array]) -> None:
-        """Continue in that building, with what moves and the robot's body as they were."""
+        """Continue in that building with the given dynamic obstacles and body."""
         self._move_to(building)
         self._admit(moving)
         self.simulation.set_state(body)
@@ -70,11 +70,11 @@ class TrueWorld:
         return self.simulation.step(command[0] * robot.max_speed_m_s, command[1] * robot.max_turn_rad_s)
 
     def look(self, T_world_robot: Array, rng: np.random.Generator) -> Scan:
-        """A scan from where the robot is."""
+        """A scan from the robot's pose."""
         return self.laser.scan(T_world_robot, rng, self.obstacles().faces)
 
     def obstacles(self) -> DynamicObstacles:
-        """What moves beside the robot, as laser and metrics want it; worked out once a step."""
+        """The dynamic obstacles for laser and metrics, computed once per step."""
         if self._obstacles is None:
             movers = self.movers
             self._obstacles = (
@@ -83,7 +83,7 @@ class TrueWorld:
         return self._obstacles
 
     def counts(self) -> dict[str, float]:
-        """The people, boxes and closed doors that there are; fewer than were asked for where no more found room."""
+        """The numbers of pedestrians, boxes and closed doors; fewer than configured where no more fit."""
         moving = self.movers.state
         return {"people": len(moving.people), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
 

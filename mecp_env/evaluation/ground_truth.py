@@ -1,4 +1,4 @@
-"""What is true of a layout, prepared once: rasters of its free area and rooms, its corners, its doors."""
+"""Ground truth of a layout, computed once: rasters of free area and rooms, corners, doors."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ IDENTITY_GATE_M = 0.3
 
 
 class DynamicObstacles(NamedTuple):
-    """What moves beside the robot, at one moment, in the world frame."""
+    """The dynamic obstacles of one step, in the world frame."""
 
     faces: Array  # (m,2,2) m, free space on the left
-    corners: Array  # (c,2) m, of boxes: as true as those of the building, but they may have moved
-    walking: Array  # (n,3) m, place and reach of what may have moved by itself or slides
+    corners: Array  # (c,2) m, corners of boxes, which may have moved
+    walking: Array  # (n,3) m, position and radius of pedestrians and boxes
 
 
 NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
@@ -42,11 +42,11 @@ NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueCorrespondences:
-    """Which true corner each corner of a scan is, seen from a true pose; plain data."""
+    """True correspondences of the corners of a scan from a true pose; plain data."""
 
     T_world_robot: Array  # (3,)
     p_world: Array  # (C,2) m, true corners: those of boxes come after those of the building
-    segments: Array  # (S,2,2) m, world: what may hide them
+    segments: Array  # (S,2,2) m, world: faces that may hide them
 
     def __call__(self, corners: Corners) -> Ints:
         """(n,) index of the true corner of each corner, or -1 for a spurious one.
@@ -77,7 +77,7 @@ def identify(
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """An outline with its rasters; what follows from a layout and never changes."""
+    """An outline with its rasters: derived from a layout, constant."""
 
     outline: Outline
     max_range_m: float
@@ -94,7 +94,7 @@ class GroundTruth:
 
     @cached_property
     def centres(self) -> Array:
-        """(H,W,2) m, world frame: the middles of the cells."""
+        """(H,W,2) m, world frame: the centres of the cells."""
         size = np.array(self.outline.bounds[2:]) + MARGIN_M - self.corner
         cols, rows = np.ceil(size / CELL_M).astype(np.int64)
         x, y = (low + (np.arange(n) + 0.5) * CELL_M for low, n in zip(self.corner, (cols, rows), strict=True))
@@ -103,14 +103,14 @@ class GroundTruth:
 
     @cached_property
     def free(self) -> Bools:
-        """(H,W) the cell's middle lies in free space."""
+        """(H,W) whether the centre of the cell is in free space."""
         shapely.prepare(self.outline.free_area)
         inside: Bools = shapely.contains_xy(self.outline.free_area, self.centres[..., 0], self.centres[..., 1])
         return inside
 
     @cached_property
     def room(self) -> Ints:
-        """(H,W) index of the room that the cell's middle lies in, or -1."""
+        """(H,W) index of the room that contains the centre of the cell, or -1."""
         return self.outline.room_at(self.centres.reshape(-1, 2)).reshape(self.free.shape)
 
     @cached_property
@@ -127,7 +127,7 @@ class GroundTruth:
         return int(room[row, col]) if inside else -1
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
-        """Mark in `seen` (H,W) the free cells in sight from the true pose (3,); how many are new."""
+        """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
         level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
         scan = self.laser.scan(level, NO_NOISE)
         return metric_arrays.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)

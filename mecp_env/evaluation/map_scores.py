@@ -1,4 +1,4 @@
-"""The map held against the truth: rooms and doors found, and how well the grid covers the free area."""
+"""The map compared with ground truth: rooms and doors found, and how well the grid covers the free area."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled kernels of the truth metrics: pose errors, what the robot has seen, pairs and their score."""
+"""Compiled functions of the ground-truth metrics: pose errors, seen area, pairs and their scores."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell see
 STEP = 0.9  # cells between two looks along a beam
 LANDMARK = int(Decision.LANDMARK)
 NEES_MAX = 1e9
-BESIDE_M = 0.15  # of what moved: a landmark there may sit on it
+BESIDE_M = 0.15  # distance from dynamic obstacles: a landmark there may be on one
 BORDER = 3  # depth of a cell beside one of another room
 
 
@@ -34,7 +34,7 @@ def pose_between(T_a_b: Array, T_a_c: Array) -> Array:
 
 @compiled
 def pose_errors(T_map_robot: Array, believed: Array, cov: Array) -> tuple[float, float, float]:
-    """How far (m) and by what turn (rad) the believed pose (3,) is off the true one, and its NEES."""
+    """Position error (m), heading error (rad) and NEES of the estimated pose (3,)."""
     error = np.empty(3)
     for i in range(3):
         error[i] = T_map_robot[i] - believed[i]
@@ -90,7 +90,7 @@ def pair_corners(seen: Array, true: Array, segments: Array, pose: Array, gate: f
 
 @compiled
 def settle_row(apart: Array, identity: Ints, row: int) -> None:
-    """Pair `row` with its nearest free column; whoever is nearer to that column than its present owner takes it."""
+    """Pair `row` with its nearest free column; a row nearer to that column than its present owner takes it."""
     while row >= 0:
         best = np.inf
         column = -1

@@ -1,4 +1,4 @@
-"""How well an episode went, measured on the truth. The agent is given none of this but through `info`."""
+"""Metrics of an episode, measured on ground truth. The agent receives them through `info` only."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth", "identify"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-NEVER = 2**40  # a step that does not come
-SWEEP_STEP_M = 0.4  # what is in sight is looked up again when the robot moved by so much
-MAP_STEPS = 25  # rooms and doors are held against the truth when one is new, and this often
+NEVER = 2**40  # a step that never comes
+SWEEP_STEP_M = 0.4  # the visible area is computed again after this motion
+MAP_STEPS = 25  # rooms and doors are compared with ground truth when one is new, and this often
 
 
 @dataclass(slots=True, eq=False)
@@ -42,7 +42,7 @@ class AssociationLog:
         self.rows = np.empty((1024, 4), np.int64)
 
     def record(self, output: SlamOutput, truth: Ints) -> None:
-        """Add a scan whose corners truly are `truth` (n,)."""
+        """Add a scan whose corners have the true identities `truth` (n,)."""
         match, landmarks = output.match, output.belief.ids
         rows = self._new_rows(len(match.ids))
         most = metric_arrays.note_scan(rows, output.step, truth, match.ids, match.decision, landmarks)
@@ -80,9 +80,9 @@ class AssociationLog:
 
 @dataclass(slots=True, eq=False)
 class EpisodeMetrics:
-    """The truth metrics of one episode, brought up to date every step; plain state."""
+    """The ground-truth metrics of one episode, updated every step; plain state."""
 
-    T_world_map: Array  # (3,) true pose at reset: where the map frame lies
+    T_world_map: Array  # (3,) true pose at reset: origin of the map frame
     T_map_robot: Array  # (3,) true pose in the map frame
     seen: NDArray[np.bool_]  # (H,W) free cells the robot has seen
     association: AssociationLog
@@ -104,20 +104,20 @@ class EpisodeMetrics:
     compared_doors: int = 0
     visited_by_obstacles: NDArray[np.bool_] = field(
         default_factory=lambda: np.zeros((0, 0), np.bool_)
-    )  # (H,W) by what moves
+    )  # (H,W) visited by dynamic obstacles
 
     @classmethod
     def begin(
         cls, truth: GroundTruth, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES
     ) -> EpisodeMetrics:
-        """The metrics of an episode that starts at the true pose (3,) among what moves."""
+        """The metrics of an episode that starts at the true pose (3,) with dynamic obstacles."""
         log = AssociationLog(len(truth.outline.corners) + len(obstacles.corners))
         return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log)
 
     def look(
         self, truth: GroundTruth, T_world_robot: Array, output: SlamOutput, obstacles: DynamicObstacles = NO_OBSTACLES
     ) -> None:
-        """Take in what the robot sees and believes at the true pose (3,) among what moves."""
+        """Update with the SLAM output at the true pose (3,) with dynamic obstacles."""
         self.T_map_robot = self.in_map(T_world_robot)
         self._sweep(truth, T_world_robot)
         self.association.record(output, truth.identify(output.corners, T_world_robot, obstacles))
@@ -152,7 +152,7 @@ class EpisodeMetrics:
             self.seen_cells += self.new_cells
 
     def _mark_obstacles(self, truth: GroundTruth, walking: Array) -> None:
-        """Note where something that moves is now, (n,3) m: place and reach."""
+        """Record the dynamic obstacles (n,3) m: position and radius."""
         if not len(walking):
             return
         if not self.visited_by_obstacles.size:
@@ -178,7 +178,7 @@ class EpisodeMetrics:
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
 
     def compare_map(self, truth: GroundTruth, output: SlamOutput, due: bool) -> None:
-        """Hold rooms and doors against the truth where there is a new one, and all of them when that is `due`."""
+        """Compare rooms and doors with ground truth when one is new, and all of them when `due`."""
         if due or output.graph.rooms != self.compared_rooms:
             self.compared_rooms = output.graph.rooms
             self.rooms = rooms_found(truth, output, self.T_world_map)
@@ -187,7 +187,7 @@ class EpisodeMetrics:
             self.doors = doors_found(truth, output, self.T_world_map)
 
     def summary(self, truth: GroundTruth, output: SlamOutput) -> dict[str, float]:
-        """The figures of the episode so far; lengths in metres, NEES of 3 degrees of freedom (3 expected)."""
+        """The metrics of the episode until now; lengths in metres, NEES of 3 degrees of freedom (3 expected)."""
         tp, fp, fn, _ = (int(count) for count in self.association.final_counts())
         rooms, rooms_false = rooms_found(truth, output, self.T_world_map)
         doors, doors_false = doors_found(truth, output, self.T_world_map)
@@ -225,7 +225,7 @@ class EpisodeMetrics:
 
 
 def figures(metrics: EpisodeMetrics, truth: GroundTruth, output: SlamOutput) -> dict[str, float]:
-    """The figures of this step, cheap enough for every step; the association counts go by the majority so far."""
+    """The metrics of this step, cheap enough for every step; association counts use the majority until now."""
     tp, fp, fn, tn = metrics.association.counts.tolist()
     return {
         "coverage": metrics.coverage(truth),

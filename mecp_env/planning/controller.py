@@ -11,16 +11,16 @@ from mecp_env.core.jit import compiled
 from mecp_env.planning.config import ControlConfig, PathsConfig
 from mecp_env.slam.messages import Array, MergedScan
 
-NEAR_M = 2.0  # what is farther away does not slow the robot
-SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # of the wanted speed, tried from the fastest
-BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the wanted curvature where the path is blocked
+NEAR_M = 2.0  # objects farther away do not slow the robot
+SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # shares of the desired speed, fastest first
+BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the desired curvature where the path is blocked
 STEP_M = 0.05
 
 Limits = tuple[float, float, float, float, float, float, float]  # as from `limits_of`
 
 
 def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
-    """What the compiled functions of the controller need."""
+    """The parameters of the compiled functions of the controller."""
     return (
         control.lookahead_m,
         math.radians(control.turn_first_deg),
@@ -37,7 +37,7 @@ def follow(
 ) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) of the next step along a path (n,2) m, map frame.
 
-    (0, w) turns on the spot; (0, 0) means that something seen blocks every arc.
+    (0, w) turns in place; (0, 0) means that every arc is blocked.
     """
     seen = (beams.ranges, beams.bearings, beams.hit)
     v, w = follow_path(path, T_map_robot, seen, limits_of(control, body))
@@ -70,7 +70,7 @@ def coast(
 ) -> tuple[float, float]:
     """The command, or, where the way to a stop would bend into something seen, braking on the arc driven before.
 
-    A robot told to turn on the spot rolls on while it brakes.
+    A robot commanded to turn in place rolls on while it brakes.
     """
     v, w = before
     if command[0] > 0.0 or v <= 0.05:
@@ -88,7 +88,7 @@ def turn_rate(bearing: float, step: float, top_turn: float) -> float:
 
 @compiled
 def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits) -> tuple[float, float]:
-    """The fastest command near the wanted one that can stop before the points seen (n,2) m; (0, 0) without one."""
+    """The fastest command near the desired one that can stop before the points (n,2) m; (0, 0) without one."""
     _, _, _, acceleration, step, top_turn, keep_off = limits
     for i in range(len(SHARES)):
         v = SHARES[i] * speed

@@ -1,4 +1,4 @@
-"""A goal while it is sought, and the list of goals that is handed on."""
+"""A goal, and the list of goals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mecp_env.slam.messages import NO_ID, Array, Ints
 
 
 class GoalKind(IntEnum):
-    """What there is to see, in the order of the list."""
+    """Kinds of goals, in the order of the list."""
 
     OPEN = 0  # the floor beyond an open edge of a polygon
     CANDIDATE = 1  # a gap that may be a door
@@ -21,12 +21,12 @@ class GoalKind(IntEnum):
 
 
 class Outcome(IntEnum):
-    """How the drive to a goal stands."""
+    """State of the drive to a goal."""
 
     RUNNING = 0
     REACHED = 1
     REFUSED = 2
-    SETTLED = 3  # nothing was left to see there before the robot came
+    SETTLED = 3  # nothing was left to see before the robot arrived
 
 
 OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind  # a name is found much faster than a member of an enumeration
@@ -35,7 +35,7 @@ LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 
 @dataclass(slots=True, eq=False)
 class Goal:
-    """One thing left to see; visits, path and level are filled in as they become known."""
+    """One goal; visits, path and level are filled in later."""
 
     kind: GoalKind
     x: float  # m, map frame
@@ -50,7 +50,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Goals:
-    """What is left to see: the current room first, in the order of kinds; then doors; then what other rooms hold."""
+    """All goals: the current room first, in the order of kinds; then doors; then other rooms."""
 
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
     kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind

@@ -1,6 +1,6 @@
-"""Where goals come from: open edges, floor outside polygons, rooms without a polygon, candidates, frontiers, doors.
+"""Sources of goals: open edges, floor outside polygons, rooms without a polygon, candidates, frontiers, doors.
 
-They are few, so they are plain lists; only the cells of the grid are searched by a compiled function.
+Goals are few, so they are plain lists; only the cells of the grid are searched by a compiled function.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward
 Places = dict[int, list[float]]  # id -> x, y in m, map frame
 
 OPEN_EDGE, GAP_EDGE = int(EdgeLabel.OPEN), int(EdgeLabel.GAP)
-GAP_BEYOND_M = 0.4  # so far beyond a gap another polygon is looked for
-WALL_BEHIND_M = 0.5  # an edge across a corner has a wall as near behind it
-SAME_GAP_M = 0.8  # a gap in an edge as near to a door is that door, seen at a grazing angle
-BARRIER_CELLS = 1.5  # floor does not join floor so near to the line of a door
+GAP_BEYOND_M = 0.4  # another polygon is searched this far beyond a gap
+WALL_BEHIND_M = 0.5  # an edge across a corner has a wall this close behind it
+SAME_GAP_M = 0.8  # a gap in an edge this close to a door is that door, seen at a grazing angle
+BARRIER_CELLS = 1.5  # floor is not joined this close to the line of a door
 NOWHERE = [math.nan, math.nan]
 
 
 class DoorPlace(NamedTuple):
-    """Where a door is in the map; nan without its jambs."""
+    """Position of a door in the map; nan without its jambs."""
 
     x: float  # m: its middle
     y: float
@@ -64,7 +64,7 @@ class GoalContext:
 
 
 def landmark_places(belief: Belief) -> Places:
-    """Where the landmarks lie."""
+    """Positions of the landmarks."""
     return dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
 
 
@@ -94,7 +94,7 @@ def find_everything(context: GoalContext, entry: dict[int, Array], config: Goals
 
 
 def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:
-    """The goals in rooms that hold none of the others."""
+    """The goals in rooms without any of the other goals."""
     rooms = {goal.room for goal in others}
     return [goal for goal in goals if goal.room not in rooms]
 
@@ -113,7 +113,7 @@ def open_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
 
 
 def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
-    """Of goals as near to each other as that the widest."""
+    """The widest of goals closer to each other than this."""
     kept: list[Goal] = []
     for goal in sorted(goals, key=lambda goal: -goal.size_m):
         if all(math.hypot(goal.x - other.x, goal.y - other.y) > apart_m for other in kept):
@@ -210,7 +210,7 @@ def further_in(p_entry: Array, doors: list[DoorPlace], further_m: float) -> Poin
 
 
 def candidate_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
-    """A place in front of each gap that may be a door."""
+    """A place in front of each candidate."""
     goals = []
     for candidate in context.slam_output.graph.candidates:
         (ax, ay), (bx, by) = candidate.ends.tolist()  # right and left as seen from the room
@@ -254,7 +254,7 @@ def is_explained(context: GoalContext, x: float, y: float) -> bool:
 
 
 def door_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
-    """A place beyond each door behind which nobody has been."""
+    """A place beyond each unexplored door."""
     graph, beyond = context.slam_output.graph, config.door_beyond_m
     return [
         Goal(

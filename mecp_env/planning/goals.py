@@ -1,7 +1,8 @@
-"""Where there is something left to see: open edges, door candidates, frontiers, unexplored doors.
+"""Goals: open edges, door candidates, frontiers, unexplored doors.
 
-A goal lies in a room and has a level, so that a policy can explore breadth first. What cannot be reached, or is not
-settled by going there, is given up: closed in the `GoalHistory`. Without a goal the exploration is complete, only then.
+A goal belongs to a room and has a level, so that a policy can explore breadth first. A goal that cannot be reached, or
+that stays open after visits, is given up: closed in the `GoalHistory`. Exploration is complete only when no goal is
+left.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", 
 
 @dataclass(slots=True, eq=False)
 class Remembered:
-    """What became of the drives to one goal."""
+    """Outcomes of the drives to one goal."""
 
     kind: int
     room: int  # on this side
     p_map: Array  # (2,) m
     visits: int = 0  # drives that ended there
     refusals: int = 0
-    settled: int = 0  # drives that ended before, since there was nothing left to see
-    closed: bool = False  # given up: what lies there is no goal any more
+    settled: int = 0  # drives that ended early because nothing was left to see
+    closed: bool = False  # given up: no longer a goal
 
 
 @dataclass(slots=True, eq=False)
@@ -37,12 +38,12 @@ class GoalHistory:
     """Memory over the steps of an episode: drives, and where each room was entered."""
 
     drives: list[Remembered] = field(default_factory=list)
-    entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, where the robot first stood in it
+    entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, first position of the robot in it
     first_room: int = UNKNOWN_ROOM
-    retries: int = 0  # how often refused goals were tried again
+    retries: int = 0  # number of retries of refused goals
 
     def notice(self, output: SlamOutput) -> None:
-        """Remember where a room was entered."""
+        """Record where a room was entered."""
         room = output.graph.resolve(output.graph.current)
         if room not in self.entry:
             self.entry[room] = output.belief.T_map_robot[:2].copy()

@@ -1,4 +1,4 @@
-"""One drive to one goal, step by step: plan, follow, back off when stuck, give up when it does not work."""
+"""The drive to one goal, step by step: plan, follow, back off when stuck, refuse what fails."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, la
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamOutput
 
-OFF_PATH_M = 0.4  # farther from its path the robot plans again
+OFF_PATH_M = 0.4  # the robot plans again when it is farther from its path
 BACK_M_S = 0.2
 BACK_STEPS = 4
-APPROACH_M = 0.6  # a door is entered along its normal from so far
-GAP_NEAR_M = 3.0  # a candidate as near to the place from which it is looked at
-ASIDE_M = 0.5  # a gap is looked at from in front of it
+APPROACH_M = 0.6  # distance from which a door is entered along its normal
+GAP_NEAR_M = 3.0  # distance between a candidate and its viewing position
+ASIDE_M = 0.5  # a gap is viewed from in front of it
 TRIES = 3  # plans without a path before the goal is refused
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
@@ -28,7 +28,7 @@ UNKNOWN = int(Cell.UNKNOWN)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Where a drive goes."""
+    """Target of a drive."""
 
     kind: int  # GoalKind
     p_map: Array  # (2,) m
@@ -53,22 +53,22 @@ class Navigator:
     planned: int = 0  # step of the last plan
     planned_version: int = -1  # of the grid
     tries: int = 0  # plans without a path, in a row
-    best_left_m: float = math.inf  # the shortest path left so far
-    best_step: int = 0  # when it was
+    best_left_m: float = math.inf  # the shortest remaining path until now
+    best_step: int = 0  # its step
     recoveries: int = 0
-    backing: int = 0  # steps of backing off that are left
+    backing: int = 0  # remaining steps of backing off
     dwelt: int = 0  # steps spent at the goal
     command: tuple[float, float] = STOP  # the last one of the drive
 
     def start(self, target: Target) -> None:
-        """Begin a drive."""
+        """Start a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = np.empty((0, 2))
         self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
     def step(self, output: SlamOutput) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s) for the next step; `outcome` tells whether the drive goes on."""
+        """Speed (m/s) and turn rate (rad/s) for the next step; `outcome` is the state of the drive."""
         if self.target is None or self.outcome != Outcome.RUNNING:
             return STOP
         self.steps += 1
@@ -81,7 +81,7 @@ class Navigator:
         return self._back_off(output) if self.backing else self._drive(self.target, output)
 
     def _judge(self, target: Target, output: SlamOutput) -> Outcome:
-        """How the drive stands before this step."""
+        """State of the drive before this step."""
         limits = self.config.navigator
         if settled(target, output):
             far = target.kind == FRONTIER and not self._there(target, output)
@@ -118,7 +118,7 @@ class Navigator:
             self.outcome = Outcome.REFUSED
 
     def _drive(self, target: Target, output: SlamOutput) -> tuple[float, float]:
-        """Follow the path, and notice when that leads nowhere."""
+        """Follow the path, and detect missing progress."""
         if self._must_plan(output):
             self._plan(target, output)
         if not len(self.path):
@@ -144,7 +144,7 @@ class Navigator:
         return self._back_off(output)
 
     def _back_off(self, output: SlamOutput) -> tuple[float, float]:
-        """One step backwards, bending to one side and the other in turn; on the spot where that is barred."""
+        """One step backwards, bending to one side and the other in turn; in place where that is blocked."""
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
         keep_off = self.config.paths.radius_m + self.config.control.guard_m
@@ -210,7 +210,7 @@ def door_of(target: Target, output: SlamOutput) -> Door | None:
 
 
 def blocked(path: Array, output: SlamOutput, config: PlanningConfig) -> bool:
-    """True when a wall lies nearer to the path (n,2) than the robot's radius."""
+    """True when a wall is closer to the path (n,2) than the robot's radius."""
     grid = output.grid
     return bool(grid_paths.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 

@@ -1,4 +1,4 @@
-"""Paths over the believed grid for a round robot: costs that keep off walls, one cost-to-go field, smoothed paths."""
+"""Paths on the estimated grid for a round robot: costs that keep off walls, one cost-to-go field, smoothed paths."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CostToGoField:
     cost: Bytes  # (H,W) cost of a cell, 0: barred
     total: Costs  # (H,W) cost of the path there, grid_paths.FAR: none
     step: Bytes  # (H,W) the step that leads there
-    shortcut: float  # cells: shortcuts keep so far from walls
+    shortcut: float  # cells: distance of shortcuts from walls
 
     def nearest(self, p_map: Array, reach_m: float) -> tuple[int, int] | None:
         """Row and column of the reachable cell nearest to `p_map` (2,), within `reach_m`; None without one."""
