@@ -1,1 +1,1 @@
-"""The truth: layouts, physics and sensors. Nothing of the estimator imports it."""
+"""Ground truth: layouts, physics and sensors. The estimator imports none of it."""

@@ -1,4 +1,4 @@
-"""People and boxes in the pymunk space: people are moved by their own will, boxes by what pushes them."""
+"""Pedestrians and boxes in the pymunk space: pedestrians choose their motion, boxes are pushed."""
 
 from __future__ import annotations
 

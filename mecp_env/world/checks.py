@@ -32,17 +32,17 @@ from mecp_env.world.schema import DoorSpec, Layout, Pillar
 ON_LINE_M = 0.01
 SQUARE_DEG = 1.0
 OVERLAP_M2 = 0.01
-GRID_M = 1e-6  # without one, GEOS finds rooms that touch along a slanted wall to be one inside the other
-DOORSTEP_M = 0.15  # what lies so near to a room's border may be its doorway
+GRID_M = 1e-6  # without a grid, GEOS reports rooms that touch along a slanted wall as one inside the other
+DOORSTEP_M = 0.15  # points this close to a room's border may be in its doorway
 MAX_CROSSINGS = 10_000  # pairs of walls, obstacles and solids that touch
 MAX_TOUCHING = 10_000  # pairs of rooms that touch
-MAX_BOXES = 200_000  # pairs of which the boxes around them touch; each counts twice, and with itself
-MAX_SLANTED = 1_000_000  # the same of faces
-MAX_NEAR = 200_000  # pairs of faces so near to each other; each counts twice, and with itself
+MAX_BOXES = 200_000  # pairs with touching bounding boxes; each counts twice, and with itself
+MAX_SLANTED = 1_000_000  # the same for faces
+MAX_NEAR = 200_000  # pairs of close faces; each counts twice, and with itself
 NEAR_M = 0.44
 CHUNK = 100
 OPEN_SHARE = 0.9  # of a doorway that is a gap
-SHARED_SHARE = 0.1  # of the smaller of two doorways of which one is a gap; two cuts touch nowhere
+SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts may not touch
 
 
 def check_geometry(layout: Layout) -> Layout:
@@ -109,7 +109,7 @@ def _check_obstacles(layout: Layout) -> None:
 
 
 def _check_crowding(layout: Layout) -> None:
-    """Walls, obstacles and solids lie on each other seldom enough for their union to be quick."""
+    """Walls, obstacles and solids overlap rarely enough for a fast union."""
     shapes = [*wall_lines(layout)[0], *map(obstacle_shape, layout.obstacles), *map(solid_shape, layout.solids)]
     _touching(np.array(shapes, dtype=np.object_), MAX_CROSSINGS, "walls")
 
@@ -159,7 +159,7 @@ def _check_door_wall(door: DoorSpec, wall: LineString, index: int) -> None:
 
 
 def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, index: int) -> None:
-    """A step before the door lies in the first room, a step behind it in the second."""
+    """A point in front of the door is in the first room, a point behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)
     ahead = step * np.array([math.cos(heading), math.sin(heading)])
@@ -170,7 +170,7 @@ def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: 
 
 
 def _check_doors_apart(doors: Doors) -> None:
-    """No doorway lies on another one: between two doors there are posts."""
+    """No two doorways overlap: there are jambs between two doors."""
     rings = shapely.polygons(np.array([door_ring(doors, i, 0.0) for i in range(len(doors))]).reshape(-1, 4, 2))
     one, other = _touching(rings, MAX_TOUCHING, "doors")
     shared = shapely.area(shapely.intersection(rings[one], rings[other]))
@@ -222,7 +222,7 @@ def _check_starts(layout: Layout, outline: Outline) -> None:
 
 
 def _check_density(outline: Outline) -> None:
-    """Straight faces lie near each other seldom enough for the robot's reach to be computed quickly."""
+    """Straight faces are close to each other rarely enough for a fast computation of the robot's reach."""
     lines = shapely.linestrings(outline.segments[~outline.round])
     tree, boxes, near = shapely.STRtree(lines), 0, 0
     for first in range(0, len(lines), CHUNK):

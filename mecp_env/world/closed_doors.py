@@ -1,4 +1,4 @@
-"""Doors that are closed for an episode: wall, and what lies behind them is no part of the building."""
+"""Doors closed for an episode: they become wall, and what lies behind them is not part of the building."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mecp_env.world.schema import DoorSpec, Layout, Solid, Start
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-START_M = 0.6  # a door nearer to the start, beyond half its width, stays open
-LEAST_M2 = 0.05  # a room of which less is in reach is out of reach
+START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
+LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
 
 
 def draw_closed(doors: Doors, start: Array, share: float, rng: np.random.Generator) -> Ints:
@@ -27,7 +27,7 @@ def draw_closed(doors: Doors, start: Array, share: float, rng: np.random.Generat
 
 
 def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
-    """The layout without those doors, and without the rooms that are then out of reach from `start` (2,) m."""
+    """The layout without those doors, and without the rooms that are then unreachable from `start` (2,) m."""
     if not len(closed):
         return layout
     shut = set(closed.tolist())
@@ -42,7 +42,7 @@ def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
 
 
 def _leaf(door: DoorSpec) -> Solid:
-    """What fills a doorway that is a gap, its ends in the walls beside it."""
+    """The solid that fills a gap, with its ends in the adjacent walls."""
     depth, heading = door.depth_m or 0.0, math.radians(door.direction_deg)
     through = 0.5 * depth * np.array([math.cos(heading), math.sin(heading)])
     along = (0.5 * door.width_m + GAP_POST_M) * np.array([-math.sin(heading), math.cos(heading)])

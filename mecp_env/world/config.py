@@ -1,4 +1,4 @@
-"""Configuration of the true world: the robot, its laser, its odometry, and what moves beside it."""
+"""Configuration of the true world: robot, laser, odometry, pedestrians and clutter."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class LaserConfig(Settings):
 
     preset: Literal["paper", "lms200", "ideal"] = "paper"
     sweeps: int = Field(4, ge=1, le=8)
-    beams: int = Field(720, ge=8, le=7200)  # paper: 720, a beam every 0.5 deg
+    beams: int = Field(720, ge=8, le=7200)  # paper: 720, one beam per 0.5 deg
     max_range_m: float = Field(30.0, gt=0.0, le=1000.0)
 
     @property
@@ -86,7 +86,7 @@ class OdometryConfig(Settings):
     reading: Literal["per_metre", "per_step", "linear"] = "per_metre"
     distance_sigma_m: float = Field(0.1, ge=0.0, le=1.0)  # per sqrt(m), per step, or per metre
     turn_sigma_deg: float = Field(1.5, ge=0.0, le=30.0)  # per sqrt(m), per step, or per 90 deg and per metre
-    turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path that a turn of 90 deg stands for
+    turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path equivalent of a turn of 90 deg
     scale: float = Field(1.0, ge=0.0, le=10.0)  # of all sigmas: 0 is perfect odometry
 
     @property
@@ -95,18 +95,18 @@ class OdometryConfig(Settings):
 
 
 class CrowdConfig(Settings):
-    """People: round, each with its own size and speed, who walk from room to room along shortest ways."""
+    """Pedestrians: round, each with a size and speed, walking from room to room along shortest paths."""
 
-    people: int = Field(0, ge=0, le=50)  # at most; fewer where there is no room for them, see `summary()`
+    people: int = Field(0, ge=0, le=50)  # at most; fewer if no more fit, see `summary()`
     radius_m: Sizes = (0.2, 0.3)
     speed_m_s: Speeds = (0.3, 1.2)
     pause_s: Times = (0.0, 5.0)  # how long a person stands at a destination
-    polite: bool = True  # they avoid each other and the robot; else they walk until they touch it
+    polite: bool = True  # they avoid each other and the robot; otherwise they walk until they touch it
 
 
 class ClutterConfig(Settings):
-    """What else is not as the plan has it: boxes that the robot can push, doors that are closed for an episode."""
+    """Deviations from the floor plan: boxes that the robot can push, doors that are closed for an episode."""
 
-    movable_boxes: int = Field(0, ge=0, le=50)  # at most; fewer where there is no room for them, see `summary()`
+    movable_boxes: int = Field(0, ge=0, le=50)  # at most; fewer if no more fit, see `summary()`
     box_m: Sizes = (0.3, 0.6)  # length of a side
     closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door that is not at the start

@@ -205,7 +205,7 @@ def glide_among(
 
 @compiled
 def in_reach(obstacles: DynamicObstacles, state: Array, drive: Array) -> bool:
-    """True when a box slides, or somebody or a box is within reach of the robot's next substep."""
+    """True when a box slides, or a pedestrian or a box is within reach of the robot's next substep."""
     people, boxes, _, rounds, _ = obstacles
     for i in range(people.shape[0]):
         reach = drive[REACH] + people[i, RADIUS] + people[i, PACE] * drive[DT]
@@ -221,7 +221,7 @@ def in_reach(obstacles: DynamicObstacles, state: Array, drive: Array) -> bool:
 
 @compiled
 def who_is_near(obstacles: DynamicObstacles, state: Array, drive: Array) -> Ints:
-    """The people, ascending, whom the robot or a box may touch in the substep that pymunk makes next."""
+    """The pedestrians, ascending, that the robot or a box may touch in pymunk's next substep."""
     people, boxes, _, rounds, _ = obstacles
     near, n = np.empty(people.shape[0], np.int64), 0
     for i in range(people.shape[0]):

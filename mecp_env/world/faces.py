@@ -1,4 +1,4 @@
-"""Kernels of faces: how far a point is from them, and the faces of what moves."""
+"""Compiled functions of faces: distances to them, and the faces of dynamic obstacles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mecp_env.core.jit import compiled
 
 Array = NDArray[np.float64]
 
-SIDES = 16  # of the polygon that stands for a person before the laser
+SIDES = 16  # of the polygon that represents a pedestrian for the laser
 
 
 @compiled

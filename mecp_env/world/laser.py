@@ -21,9 +21,9 @@ Bools = NDArray[np.bool_]
 Draws = NDArray[np.uint16]
 Normals = NDArray[np.float32]
 
-CUT_SIGMAS = 4.0  # noise is cut there: a face is looked at by its own beams and those within so many sigmas beside it
+CUT_SIGMAS = 4.0  # noise is truncated there: a face is tested by its own beams and those within this many sigmas of it
 QUANTILES = 65_536
-SEEN_M = 1e-3  # a point is seen when nothing lies more than this in front of it
+SEEN_M = 1e-3  # a point is visible when nothing is more than this in front of it
 MIN_RANGE_M = 1e-3
 
 
@@ -58,7 +58,7 @@ class Laser:
         return Scan(ranges, self._bearings, hit, self.config.max_range_m)
 
     def visible(self, p_world: Array, T_world_robot: Array) -> Bools:
-        """Which points (n,2) have a free line of sight to the robot at (3,): noise and range play no part."""
+        """Which points (n,2) have a free line of sight to the robot at (3,): noise and range do not matter."""
         points = np.ascontiguousarray(p_world, dtype=np.float64).reshape(-1, 2)
         return line_of_sight(self._segments, float(T_world_robot[0]), float(T_world_robot[1]), points)
 

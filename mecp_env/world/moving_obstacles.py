@@ -1,7 +1,7 @@
-"""What moves in an episode: people who walk from room to room, and boxes that the robot can push.
+"""Dynamic obstacles of an episode: pedestrians who walk from room to room, and boxes that the robot can push.
 
-All is drawn at reset; later decisions of the people come from a generator of their own, so that what they do depends
-on nothing but the state.
+Everything is drawn at reset. Later decisions of the pedestrians use a separate random generator, so that their motion
+depends on the state only.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from mecp_env.world.walkways import Ways
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LEGS = 96  # points of a route that are kept; who reaches the last and is not there yet looks for a new one
+LEGS = 96  # stored points of a route; a pedestrian who reaches the last one before the destination plans again
 PLACES_A_ROOM = 3
-OFF_DOORS_M = 1.0  # nobody stands nearer to a door on purpose
+OFF_DOORS_M = 1.0  # no destination is closer to a door
 BOX_OFF_DOORS_M = 1.2
 OFF_ROBOT_M = 1.2  # at the start, between skins
 APART_M = 0.1
-CHOICES = 6  # places that one who gets nowhere thinks of
-STEP_M = 0.3  # along a route, by which it is told where it leads
+CHOICES = 6  # candidate destinations of a blocked pedestrian
+STEP_M = 0.3  # along a route, to determine its direction
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
 DISC = np.array([kernels.X, kernels.Y, kernels.RADIUS])
@@ -37,22 +37,22 @@ NO_FACES, NO_ROUNDS = np.empty((0, 2, 2)), np.empty((0, 3))
 
 @dataclass(slots=True, eq=False)
 class Moving:
-    """People and boxes as they are now, and which doors of the building are closed; plain state."""
+    """Pedestrians, boxes and closed doors of the building; plain state."""
 
     people: Array = field(default_factory=lambda: np.empty((0, kernels.PERSON)))  # (n,11), see crowd_kernels
     routes: Array = field(default_factory=lambda: np.empty((0, LEGS, 2)))  # (n,L,2) m, world
     legs: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) next point, how many
-    places: Array = field(default_factory=lambda: np.empty((0, 2)))  # (p,2) m, where people may want to go
+    places: Array = field(default_factory=lambda: np.empty((0, 2)))  # (p,2) m, possible destinations
     rooms: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (p,) the room of each
     boxes: Array = field(default_factory=lambda: np.empty((0, BOX)))  # (b,6) x, y, turn, their velocities
     sizes: Array = field(default_factory=lambda: np.empty((0, 2)))  # (b,2) m
     closed: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # doors of the layout
-    start: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m, what is in reach from here is the building
+    start: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m, the building is what can be reached from here
     random: np.random.Generator = field(default_factory=lambda: np.random.Generator(np.random.PCG64(0)))
 
 
 class Movers:
-    """What moves in one building, step by step; all that outlives a step is in `state`."""
+    """The dynamic obstacles of one building, step by step; everything that outlives a step is in `state`."""
 
     def __init__(self, ways: Ways | None, config: CrowdConfig, robot: RobotConfig, state: Moving) -> None:
         self.config, self.robot, self.state = config, robot, state
@@ -63,7 +63,7 @@ class Movers:
 
     @property
     def faces(self) -> Array:
-        """(m,2,2) m, world frame: what the laser sees of them, free space on the left."""
+        """(m,2,2) m, world frame: their faces for the laser, free space on the left."""
         return moving_faces(self.round_people(), self.state.boxes, self.state.sizes) if len(self) else NO_FACES
 
     @property
@@ -73,7 +73,7 @@ class Movers:
 
     @property
     def walking(self) -> Array:
-        """(n,3) m: place and reach of the people, and of the boxes that slide."""
+        """(n,3) m: position and radius of the pedestrians, and of the boxes that slide."""
         if not len(self.state.boxes):
             return self.round_people()
         slides = self.state.boxes[:, 3:].any(axis=1)
@@ -81,22 +81,22 @@ class Movers:
 
     @property
     def discs(self) -> Array:
-        """(n,3) m: where each thing is and how far it reaches."""
+        """(n,3) m: position and radius of each."""
         return np.concatenate([self.round_people(), self.round_boxes()])
 
     def round_people(self) -> Array:
-        """(n,3) m: place and radius of the people."""
+        """(n,3) m: position and radius of the pedestrians."""
         discs: Array = self.state.people.take(DISC, axis=1)
         return discs
 
     def round_boxes(self) -> Array:
-        """(b,3) m: place and reach of the boxes."""
+        """(b,3) m: position and radius of the boxes."""
         if not len(self.state.boxes):
             return NO_ROUNDS
         return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
-        """Everybody chooses a velocity for the coming step, and where to go next if he is there."""
+        """All pedestrians choose a velocity for the next step, and a new destination when they have arrived."""
         state, config = self.state, self.config
         if not len(state.people):
             return
@@ -110,7 +110,7 @@ class Movers:
                 self._turn_away(i, robot[:2])
 
     def _rest(self, i: int) -> None:
-        """Person i is where he wanted to go: he stays a while, and then wants to go to another room."""
+        """Pedestrian i has arrived: it waits, and then goes to another room."""
         self.state.people[i, kernels.PAUSE] = self.state.random.uniform(*self.config.pause_s)
         self._go_to_another_room(i)
 
@@ -122,7 +122,7 @@ class Movers:
         self._set_out(i, self._route(i, int(chosen)))
 
     def _turn_away(self, i: int, p_robot: Array) -> None:
-        """Person i gets nowhere: he wants to go elsewhere, on a way that does not begin past the robot (2,)."""
+        """Pedestrian i is blocked: it chooses another destination, on a path that starts away from the robot (2,)."""
         state = self.state
         state.people[i, kernels.STUCK] = 0.0
         for place in state.random.permutation(len(state.places))[:CHOICES].tolist():
@@ -132,17 +132,17 @@ class Movers:
         self._set_out(i, route)
 
     def _route(self, i: int, place: int) -> Array:
-        """(n,2) m: the shortest way of person i to a place."""
+        """(n,2) m: the shortest path of pedestrian i to a place."""
         assert self._ways is not None
         return self._ways.route(self.state.people[i, :2], self.state.places[place])[:LEGS]
 
     def _set_out(self, i: int, route: Array) -> None:
-        """Person i goes along a route (n,2)."""
+        """Pedestrian i follows a route (n,2)."""
         self.state.routes[i, : len(route)] = route
         self.state.legs[i] = 0, len(route)
 
     def populate(self, outline: Outline, clutter: ClutterConfig, rng: np.random.Generator) -> None:
-        """Draw boxes and people around the start; one number is drawn from `rng`."""
+        """Draw boxes and pedestrians around the start; one number is drawn from `rng`."""
         assert self._ways is not None
         self.state.random = np.random.Generator(np.random.PCG64(int(rng.integers(2**63))))
         cells = self._ways.reachable(self.state.start)
@@ -155,7 +155,7 @@ class Movers:
             self._place_people(cells)
 
     def _place_boxes(self, cells: Array, clutter: ClutterConfig) -> None:
-        """Boxes on free floor away from doors, as many of those wanted as find room."""
+        """Boxes on free floor away from doors, as many as configured if they fit."""
         assert self._ways is not None
         state, clear = self.state, self._ways.clearance_m(cells)
         for _ in range(clutter.movable_boxes):
@@ -176,7 +176,7 @@ class Movers:
             state.rooms = np.append(state.rooms, np.full(PLACES_A_ROOM, room))
 
     def _place_people(self, cells: Array) -> None:
-        """People anywhere on the free floor, on their way to somewhere, as many of those wanted as find room."""
+        """Pedestrians on the free floor with a destination, as many as configured if they fit."""
         state, config = self.state, self.config
         for i in range(config.people):
             radius, pace = state.random.uniform(*config.radius_m), state.random.uniform(*config.speed_m_s)
@@ -192,7 +192,7 @@ class Movers:
             self._go_to_another_room(i)
 
     def _draw_cell(self, cells: Array, reach: float) -> Array | None:
-        """One of the places (n,2) at which something of that reach touches nothing that is there already, or None."""
+        """One of the places (n,2) at which an object of this radius touches nothing, or None."""
         discs = self.discs
         for _ in range(TRIES if len(cells) else 0):
             cell: Array = cells[self.state.random.integers(len(cells))]
@@ -202,12 +202,12 @@ class Movers:
 
 
 def wants_movers(crowd: CrowdConfig, clutter: ClutterConfig) -> bool:
-    """True when people or boxes are asked for."""
+    """True when pedestrians or boxes are configured."""
     return crowd.people > 0 or clutter.movable_boxes > 0
 
 
 def is_whole(moving: Moving) -> bool:
-    """True when the arrays fit each other."""
+    """True when the arrays are consistent."""
     n, b, p = len(moving.people), len(moving.boxes), len(moving.places)
     known = moving.people, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
     shapes = (n, kernels.PERSON), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
@@ -216,18 +216,18 @@ def is_whole(moving: Moving) -> bool:
 
 
 def no_movers(robot: RobotConfig) -> Movers:
-    """Nothing moves."""
+    """No dynamic obstacles."""
     return Movers(None, CrowdConfig(), robot, Moving())
 
 
 def leads_away(p_world: Array, route: Array, p_robot: Array) -> bool:
-    """True when the way from `p_world` (2,) along a route (n,2) begins with a step away from the robot (2,)."""
+    """True when the path from `p_world` (2,) along a route (n,2) starts away from the robot (2,)."""
     aside = np.hypot(*(route - p_world).T) > STEP_M
     return bool(aside.any()) and bool((route[int(np.argmax(aside))] - p_world) @ (p_robot - p_world) <= 0.0)
 
 
 def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Array:
-    """What the people's kernels need of the robot (6,)."""
+    """The robot (6,) as the compiled functions of the pedestrians need it."""
     return np.array([*T_world_robot[:2], *velocity[:2], robot.radius_m, robot.max_acceleration_m_s2])
 
 

@@ -1,4 +1,4 @@
-"""The odometry: the true motion of a step -> what the wheels say, with its covariance."""
+"""The odometry: the true motion of a step -> the measured motion with its covariance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PER_METRE, PER_STEP = 0, 1
 def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
     """The measured increments (M,2) with their covariances (M,2,2), noise from `rng`; bumper = contact.
 
-    The noise grows with the true motion; the covariance that goes with the reading is made from the reading alone.
+    The noise grows with the true motion; the covariance is computed from the reading alone.
     """
     noise = rng.standard_normal(motion.increments.shape)
     measured, cov = _measure(motion.increments, noise, *_rules(config))
@@ -39,7 +39,7 @@ def variances(increments: Array, config: OdometryConfig) -> Array:
 
 @lru_cache
 def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
-    """Reading, sigma of distance and of turn, metres a radian."""
+    """Reading, sigma of distance and of turn, metres per radian."""
     distance, turn = config.scale * config.distance_sigma_m, config.scale * config.turn_sigma_rad
     return READINGS.index(config.reading), distance, turn, config.turn_m / QUARTER_TURN
 
@@ -48,7 +48,7 @@ def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
 def _measure(
     increments: Array, noise: Array, reading: int, distance: float, turn: float, turn_m: float
 ) -> tuple[Array, Array]:
-    """The increments (M,2) with their noise, given in sigmas (M,2), and what they say of it (M,2,2)."""
+    """The increments (M,2) with noise, given in sigmas (M,2), and their covariances (M,2,2)."""
     measured, variance = np.empty_like(increments), _variances(increments, reading, distance, turn, turn_m)
     for m in range(increments.shape[0]):  # no noise at rest
         measured[m, 0] = increments[m, 0] + math.sqrt(variance[m, 0]) * noise[m, 0]
@@ -58,7 +58,7 @@ def _measure(
 
 @compiled
 def _covariances(measured: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
-    """(M,2,2) what the increments (M,2) say of their own noise: that of the whole step, in equal parts."""
+    """(M,2,2) covariances from the increments (M,2): the noise of the whole step, in equal parts."""
     arcs = measured.shape[0]
     even, cov = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2))
     for k in range(2):

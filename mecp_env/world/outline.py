@@ -1,7 +1,7 @@
-"""The one outline of the truth: union of wall solids, doors cut out, obstacles added.
+"""The single outline of the building: union of wall solids, doors cut out, obstacles added.
 
-Walls that the robot bumps into, faces that the laser sees and corners that the estimate is scored against all come
-from here. Only faces that bound the free space around the start are kept: the outside of the building is no one's.
+The walls of the simulation, the faces for the laser and the corners for the metrics all come from here. Only faces
+around the free space of the start are kept; the outside of the building has none.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ Bools = NDArray[np.bool_]
 ROBOT_RADIUS_M = 0.22  # the paper's robot
 SNAP_M = 1e-6  # the free area is rounded to this grid, so that touching solids leave no slivers
 SAME_M = 1e-4  # points closer than this are one
-GAP_POST_M = 0.12  # between a corner of a gap and the convex corner that is its post
-THIN_FOR_M = 0.2  # a wall that is thin for so long is a thin wall
+GAP_POST_M = 0.12  # between a corner of a gap and the convex corner that is its jamb
+THIN_FOR_M = 0.2  # a wall that is thin over this length is a thin wall
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-CIRCLE_SIDES = ROUND_FACES  # a round obstacle is a polygon of so many sides: within 0.5 % of its radius
+CIRCLE_SIDES = ROUND_FACES  # sides of the polygon of a round obstacle: within 0.5 % of its radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +43,10 @@ class TrueCorners:
     p_world: Array  # (n,2) m
     convex: Bools  # (n,) the solid fills less than 180 degrees
     faces: Array  # (n,2) m, lengths of the faces before and after
-    jamb: Bools  # (n,) post of a door
+    jamb: Bools  # (n,) jamb of a door
     normals: Array  # (n,2) rad, of the faces before and after, towards free space
     room: Ints  # (n,) index of the room it is seen from, or -1
-    door: Ints  # (n,) index of the door whose post it is, or -1
+    door: Ints  # (n,) index of the door whose jamb it is, or -1
 
     def __len__(self) -> int:
         return len(self.p_world)
@@ -58,7 +58,7 @@ class Doors:
 
     centre: Array  # (d,2) m
     width: Array  # (d,) m
-    normal: Array  # (d,) rad, heading of a walk from rooms[:, 0] to rooms[:, 1]
+    normal: Array  # (d,) rad, heading from rooms[:, 0] to rooms[:, 1]
     rooms: Ints  # (d,2) room indices
     thickness: Array  # (d,) m, of the wall it is cut from, or the depth of the gap
     gap: Bools  # (d,) a gap of the solids, not cut
@@ -69,14 +69,14 @@ class Doors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """What bounds the free space of a layout, in the world frame."""
+    """The boundary of the free space of a layout, in the world frame."""
 
     name: str
     segments: Array  # (S,2,2) m, start and end of each face, free space on the left
     round: Bools  # (S,) face of a round obstacle
     corners: TrueCorners
     doors: Doors
-    free_area: Polygon  # what the robot's centre could see: connected, doorways included
+    free_area: Polygon  # the free area: connected, doorways included
     rooms: tuple[Polygon, ...]  # floors, up to the middle of the walls
     room_names: tuple[str, ...]
     starts: Array  # (k,3) x, y, heading
@@ -149,7 +149,7 @@ def random_free_pose(outline: Outline, rng: np.random.Generator, clearance_m: fl
 
 
 def thin_walls_m(floor: Polygon, least_m: float) -> float:
-    """Length, m, of the walls between parts of `floor` that are thinner than that; shorter ones than 0.2 m are none."""
+    """Length, m, of the walls in `floor` that are thinner than this; walls under 0.2 m do not count."""
     closed = floor.buffer(least_m / 2.0, join_style="mitre").buffer(-least_m / 2.0, join_style="mitre")
     parts = shapely.get_parts(closed.difference(floor))
     around, area = shapely.length(parts), shapely.area(parts)

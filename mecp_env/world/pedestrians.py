@@ -1,4 +1,4 @@
-"""Kernels of the people: which way each walks for a step, and the substeps in which he does."""
+"""Compiled functions of the pedestrians: the velocity of each for a step, and the substeps in which it moves."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from mecp_env.world.faces import from_face
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# A person (11,): place; velocity chosen for this step; radius; own speed; how long he still stands, how long he has
-# got nowhere, s; where he was when the step began; 1 in a substep in which he moves, else 0
+# A pedestrian (11,): position; velocity of this step; radius; preferred speed; remaining waiting time, time without
+# progress, s; position at the start of the step; 1 in a substep in which it moves, else 0
 X, Y, VX, VY, RADIUS, PACE, PAUSE, STUCK, FROM_X, FROM_Y, MOVES = range(11)
 PERSON = 11
-WALKS, ARRIVED, IS_STUCK = 0, 1, 2  # how it stands with a person
+WALKS, ARRIVED, IS_STUCK = 0, 1, 2  # state of a pedestrian
 # The robot (6,): place, velocity, radius, deceleration
 ROBOT = 6
 
-POLITE_M = 0.3  # a polite person comes no nearer to the robot, nor to where it can stop, by steps of his own
-PRESS_M = 0.04  # one who is not walks on until he is so deep in the robot
+POLITE_M = 0.3  # distance that a polite pedestrian keeps from the robot and its stopping point
+PRESS_M = 0.04  # others walk on until they overlap the robot by this
 THERE_M = 0.15  # a place is reached
 ROUNDING_M = 1e-9
-SEE_M = 0.01  # to spare beside a leg
-SOONEST_S = 0.5  # what is nearer already can be mended no sooner
-HORIZON_S, BERTH_M = 2.0, 0.3  # others are looked out for so far ahead, and given so wide a berth
-PATIENCE_S = 3.0  # one who gets nowhere for so long wants to go elsewhere
-SLOW = 0.3  # less than this share of the own speed is getting nowhere
-TURNS = np.radians(np.array([0.0, -25.0, 25.0, -50.0, 50.0, -80.0, 80.0, -120.0, 120.0, 180.0]))  # rather to the right
+SEE_M = 0.01  # clearance beside a leg
+SOONEST_S = 0.5  # smallest time to collision
+HORIZON_S, BERTH_M = 2.0, 0.3  # horizon for avoiding others, and distance to keep
+PATIENCE_S = 3.0  # time without progress before a new destination
+SLOW = 0.3  # less than this share of the preferred speed is no progress
+TURNS = np.radians(np.array([0.0, -25.0, 25.0, -50.0, 50.0, -80.0, 80.0, -120.0, 120.0, 180.0]))  # prefer the right
 SHARES = np.array([1.0, 0.5])
 
 
@@ -38,7 +38,7 @@ SHARES = np.array([1.0, 0.5])
 def steer(
     people: Array, routes: Array, legs: Ints, segments: Array, boxes: Array, robot: Array, polite: bool, step: float
 ) -> Ints:
-    """Chooses a velocity for each of the people (n,11) for a step; how it stands with each (n,).
+    """Choose a velocity for each of the pedestrians (n,11) for a step; returns the state of each (n,).
 
     `routes` (n,L,2) m and `legs` (n,2), the next point and how many there are; `boxes` (b,3): place and reach of each.
     No velocity chosen leads into one of the faces (S,2,2).
@@ -62,7 +62,7 @@ def steer(
 
 @compiled
 def note_progress(person: Array, step: float) -> None:
-    """Count how long he has got nowhere though he wants to walk."""
+    """Update the time without progress of a walking pedestrian."""
     moved = math.hypot(person[X] - person[FROM_X], person[Y] - person[FROM_Y])
     if person[PAUSE] > 0.0 or moved > SLOW * person[PACE] * step:
         person[STUCK] = 0.0
@@ -86,7 +86,7 @@ def look_ahead(person: Array, route: Array, leg: Ints, segments: Array) -> bool:
 
 @compiled
 def wanted(person: Array, route: Array, leg: Ints, walks: bool, step: float) -> tuple[float, float]:
-    """The velocity that leads to the next point, at most at his own speed."""
+    """The velocity towards the next point, at most the preferred speed."""
     if not walks or person[PAUSE] > 0.0 or leg[1] == 0:
         return 0.0, 0.0
     dx, dy = route[leg[0], 0] - person[X], route[leg[0], 1] - person[Y]
@@ -107,7 +107,7 @@ def choose(
 ) -> None:
     """Write the cheapest velocity of person i: near the wanted one, clear of walls, a berth from others.
 
-    `manners`: whether he looks out for people and boxes, and whether for the robot.
+    `manners`: whether it avoids pedestrians and boxes, and whether it avoids the robot.
     """
     person = people[i]
     best_x, best_y = 0.0, 0.0
@@ -135,7 +135,7 @@ def choose(
 def crowding(
     people: Array, i: int, velocity: tuple[float, float], boxes: Array, robot: Array, manners: tuple[bool, bool]
 ) -> float:
-    """What a velocity costs person i for how near it leads to others within the horizon."""
+    """Cost of a velocity of pedestrian i for coming close to others within the horizon."""
     cost, person = 0.0, people[i]
     for j in range(people.shape[0] if manners[0] else 0):
         if j != i:
@@ -207,9 +207,9 @@ def crosses(face: Array, x0: float, y0: float, x1: float, y1: float) -> bool:
 
 @compiled
 def walk(people: Array, boxes: Array, robot: Array, polite: bool, dt: float) -> None:
-    """One substep of all people; who would step into somebody, into a box, or too near to the robot, stands still.
+    """One substep of all pedestrians; one that would step into another, into a box, or too close to the robot, waits.
 
-    Only his velocity chosen stays then: he tries again in the next substep.
+    It keeps its velocity and tries again in the next substep.
     """
     for i in range(people.shape[0]):
         vx, vy = people[i, VX], people[i, VY]
@@ -222,7 +222,7 @@ def walk(people: Array, boxes: Array, robot: Array, polite: bool, dt: float) -> 
 
 @compiled
 def may_step(people: Array, i: int, boxes: Array, robot: Array, polite: bool, dt: float) -> bool:
-    """True when the next substep of person i leads nearer to nothing that is too near then."""
+    """True when the next substep of pedestrian i brings it closer to no object that is then too close."""
     person = people[i]
     for j in range(people.shape[0]):
         if j != i and closes_in(person, people[j, X], people[j, Y], person[RADIUS] + people[j, RADIUS], dt):
@@ -234,7 +234,7 @@ def may_step(people: Array, i: int, boxes: Array, robot: Array, polite: bool, dt
     if not polite:
         return not closes_in(person, robot[0], robot[1], apart - PRESS_M, dt)
     speed = math.hypot(robot[2], robot[3])
-    ahead = speed / robot[5]  # s, until it stands
+    ahead = speed / robot[5]  # s, until it stops
     share = 0.0
     for _ in range(3):  # where it is, half-way to where it can stop, and there
         x, y = robot[0] + share * ahead * robot[2], robot[1] + share * ahead * robot[3]

@@ -1,4 +1,4 @@
-"""The layout of a building as its file says it: walls, rooms, doors, obstacles, starts. JSON both ways."""
+"""The layout file of a building: walls, rooms, doors, obstacles, starts. JSON in both directions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Part(BaseModel):
 
 
 class WallSpec(_Part):
-    """A wall as a thick solid: the polyline of its middle, with square ends."""
+    """A wall of constant thickness: its centre line with square ends."""
 
     points: Annotated[tuple[Point, ...], Field(min_length=2, max_length=1000, fail_fast=True)]
     thickness_m: Annotated[float, Strict(), Field(ge=0.02, le=5.0)] = 0.12
@@ -54,28 +54,28 @@ class WallSpec(_Part):
 
 
 class Solid(_Part):
-    """WallSpec material of any shape: what lies inside of `outer` and in none of the holes."""
+    """Wall of any shape: the inside of `outer` without the holes."""
 
     outer: LongRing
     holes: Annotated[tuple[LongRing, ...], Field(max_length=MAX_WALLS)] = ()
 
 
 class RoomSpec(_Part):
-    """A room: its name and the polygon of its floor, drawn up to the middle of its walls."""
+    """A room: its name and the polygon of its floor, up to the centre lines of its walls."""
 
     name: Name
     polygon: Ring
 
 
 class DoorSpec(_Part):
-    """A doorway: cut out of a wall, or a gap that the solids leave open."""
+    """A door: cut out of a wall, or a gap between solids."""
 
     centre: Point  # on the middle line of a wall; the middle of a gap
     width_m: Annotated[float, Strict(), Field(ge=0.1, le=20.0)] = 0.9
     rooms: tuple[Name, Name]
-    direction_deg: Degrees  # heading of a walk from the first room to the second
+    direction_deg: Degrees  # heading from the first room to the second
     opening: Literal["cut", "gap"] = "cut"
-    depth_m: Annotated[float, Strict(), Field(ge=0.01, le=5.0)] | None = None  # of a gap: how thick its wall is
+    depth_m: Annotated[float, Strict(), Field(ge=0.01, le=5.0)] | None = None  # of a gap: the thickness of its wall
 
     @model_validator(mode="after")
     def _has_depth(self) -> Self:
@@ -112,7 +112,7 @@ Obstacle = Annotated[BoxSpec | Block | Pillar, Field(discriminator="kind")]
 
 
 def faces_of(obstacle: BoxSpec | Block | Pillar) -> int:
-    """How many faces an obstacle has."""
+    """Number of faces of an obstacle."""
     if isinstance(obstacle, Block):
         return len(obstacle.points)
     return 4 if isinstance(obstacle, BoxSpec) else ROUND_FACES
@@ -126,7 +126,7 @@ class Start(_Part):
 
 
 class Layout(_Part):
-    """A building. A wrong field raises `LayoutError`; what is impossible as geometry is refused by `load_layout`."""
+    """A building. A wrong field raises `LayoutError`; impossible geometry is refused by `load_layout`."""
 
     format: Literal["mecp_env/layout"] = "mecp_env/layout"
     version: Literal[1] = 1
@@ -184,7 +184,7 @@ class Layout(_Part):
         return next((i for i, room in enumerate(self.rooms) if room.name == name), -1)
 
     def to_json(self) -> str:
-        """The layout as a JSON text that a person can read: one wall, room, door, obstacle or start a line."""
+        """The layout as readable JSON: one wall, room, door, obstacle or start per line."""
         document = self.model_dump(mode="json")
         document |= {"doors": [_without_defaults(door) for door in document["doors"]]}
         if not document["solids"]:
@@ -194,12 +194,12 @@ class Layout(_Part):
 
 
 def _without_defaults(door: dict[str, Any]) -> dict[str, Any]:
-    """The JSON of a door; one that is cut is written as it was before there were gaps."""
+    """The JSON of a door; a cut is written without the fields of a gap."""
     return {key: value for key, value in door.items() if door["opening"] == "gap" or key not in ("opening", "depth_m")}
 
 
 def _lines(value: Any) -> str:
-    """JSON of `value`; a list gets one line an entry."""
+    """JSON of `value`; a list has one entry per line."""
     if not isinstance(value, list) or not value:
         return json.dumps(value)
     return "[\n" + ",\n".join(f"    {json.dumps(entry)}" for entry in value) + "\n  ]"

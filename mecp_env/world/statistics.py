@@ -1,4 +1,4 @@
-"""What a building is like, in figures."""
+"""Statistics of a building."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shapely.geometry import Polygon
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.schema import Layout
 
-NARROW = 3.0  # a corridor is at least so many times as long as wide
+NARROW = 3.0  # smallest ratio of length to width of a corridor
 
 Array = NDArray[np.float64]
 
@@ -24,9 +24,9 @@ class BuildingFigures:
 
     rooms: int
     doors: int
-    loops: int  # doors without which every room could still be reached from the same rooms
+    loops: int  # doors that could be removed without disconnecting a room
     floor_m2: float
-    faces: int  # straight stretches of wall or obstacle that a laser can see
+    faces: int  # straight faces of walls and obstacles visible to a laser
     corners: int
     obstacles: int
     longest_corridor_m: float  # the longest room that is narrow, 0 without one
@@ -34,12 +34,12 @@ class BuildingFigures:
     height_m: float  # along y
 
     def as_dict(self) -> dict[str, float]:
-        """Name -> figure."""
+        """Name -> value."""
         return asdict(self)
 
 
 def building_figures(layout: Layout, outline: Outline | None = None) -> BuildingFigures:
-    """The figures of a checked layout; `outline` if it is built already."""
+    """The statistics of a checked layout; `outline` if it is already built."""
     outline = outline or build_outline(layout)
     x0, y0, x1, y1 = outline.bounds
     return BuildingFigures(

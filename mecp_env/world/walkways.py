@@ -1,4 +1,4 @@
-"""Where people can walk in a building, and the shortest ways there."""
+"""Where pedestrians can walk in a building, and the shortest paths there."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from mecp_env.core import grid_paths as kernels
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-MARGIN_M = 0.05  # that the raster may be off
-COMFORT_M, WALL_COST = 0.7, 3.0  # nearer to walls than this a way costs more, up to so many times
-SHORTCUT_M = 0.5  # shortcuts keep so far from walls
-NEAR_M = 1.0  # who stands too near to a wall begins at a free cell within this distance
+MARGIN_M = 0.05  # error of the raster
+COMFORT_M, WALL_COST = 0.7, 3.0  # closer to walls than this a path costs more, up to this factor
+SHORTCUT_M = 0.5  # distance of shortcuts from walls
+NEAR_M = 1.0  # a pedestrian too close to a wall starts at a free cell within this distance
 
 
 class Ways:
-    """The ways of round people over the raster of a building's free space; derived, no part of a state."""
+    """Paths of round pedestrians over the raster of a building's free space; derived, not part of a snapshot."""
 
     def __init__(self, free: Bools, corner: Array, cell_m: float, radius_m: float) -> None:
         label = np.where(free, kernels.FREE, kernels.OCCUPIED).astype(np.uint8)
@@ -26,12 +26,12 @@ class Ways:
         self._corner, self._cell_m = corner, cell_m
         self.clearance = kernels.clearance(label, comfort)  # (H,W) cells to the nearest wall, up to the comfort
         self._cost = kernels.cell_costs(label, self.clearance, least, comfort, WALL_COST)
-        self._open = np.where(self._cost > 0, 0, kernels.FAR).astype(np.int32)  # (H,W) FAR where nobody may stand
+        self._open = np.where(self._cost > 0, 0, kernels.FAR).astype(np.int32)  # (H,W) FAR where no pedestrian may be
         self._shortcut = max(SHORTCUT_M / cell_m, least)
         self._fields: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
 
     def reachable(self, p_world: Array) -> Array:
-        """(n,2) m: the middles of all cells that can be reached from `p_world` (2,); none where nobody could stand."""
+        """(n,2) m: the centres of all cells reachable from `p_world` (2,); empty where no pedestrian can be."""
         start = self._nearest(self._open, p_world)
         if start is None:
             return np.empty((0, 2))
@@ -46,7 +46,7 @@ class Ways:
         return clear
 
     def route(self, p_from: Array, p_to: Array) -> Array:
-        """Points (n,2) m of the shortest way between two points (2,), without the first; none where there is no way."""
+        """Points (n,2) m of the shortest path between two points (2,), without the first; empty without a path."""
         end = self._nearest(self._open, p_to)
         if end is None:
             return np.empty((0, 2))
@@ -59,7 +59,7 @@ class Ways:
         return points
 
     def _field(self, row: int, column: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-        """Cost of and step on the ways from a cell to all others."""
+        """Cost and step of the paths from a cell to all others."""
         if (row, column) not in self._fields:
             self._fields[row, column] = kernels.distance_field(self._cost, row, column)
         return self._fields[row, column]

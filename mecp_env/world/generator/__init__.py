@@ -1,7 +1,7 @@
-"""Buildings without end: a specification and a seed give a layout whose rooms and doors are known.
+"""Generated buildings: a specification and a seed give a layout with known rooms and doors.
 
-`generate(spec, seed)`: divide a rectangle among the rooms (`partition`), find the walls between them (`walls`), open
-doors along a spanning tree and as many more as there shall be loops (`doorplan`), put up furniture (`furniture`).
+`generate(spec, seed)` divides a rectangle among the rooms (`partition`), finds the walls between them (`walls`), opens
+doors along a spanning tree and one more per loop (`doorplan`), and places furniture (`furniture`).
 """
 
 from mecp_env.world.generator.build import generate

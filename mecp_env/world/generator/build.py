@@ -18,8 +18,8 @@ from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 from mecp_env.world.generator.walls import Line, borders, joined, shared_stretches, wall_lines
 from mecp_env.world.schema import Layout
 
-ATTEMPTS = 100  # buildings thrown away before a specification is called impossible,
-FURNISHED = 10  # and of these with too little furniture
+ATTEMPTS = 100  # rejected buildings before a specification counts as impossible,
+FURNISHED = 10  # and rejections for too little furniture
 START_CLEAR_M = 0.45  # between a start and every wall and piece
 MOST_STARTS = 4
 START_TRIES = 20  # to find one in a room
@@ -56,7 +56,7 @@ def _checked(seed: Any) -> int:
 
 
 def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
-    """What to say of a specification: the field that failed most often or last, its value, the most that there was."""
+    """The error for a specification: the field that failed most often or last, its value, the largest value found."""
     counts = Counter(why.field for why in rejected)
     field = "furniture" if counts["furniture"] >= FURNISHED else counts.most_common(1)[0][0]
     most = max(why.most for why in rejected if why.field == field)

@@ -21,7 +21,7 @@ class Opening(NamedTuple):
     centre: Point
     width: float  # m
     rooms: tuple[int, int]
-    heading: float  # rad, of a walk from the first room to the second
+    heading: float  # rad, heading from the first room to the second
 
 
 def plan_doors(
@@ -49,7 +49,7 @@ def _places(stretches: list[Shared], least: float) -> dict[tuple[int, int], Shar
 def _chosen(
     pairs: list[tuple[int, int]], spaces: list[Space], spec: GeneratorSpec, rng: np.random.Generator
 ) -> list[tuple[int, int]] | Rejected:
-    """The pairs of rooms that get a door: first a tree in random order, through corridors rather, then the loops."""
+    """Pairs of rooms with a door: first a tree in random order that prefers corridors, then the loops."""
     corridor = np.array([space.corridor for space in spaces])
     order = rng.random(len(pairs)) - 0.5 * corridor[np.array(pairs, np.int64).reshape(-1, 2)].sum(axis=1)
     ranked = [pairs[i] for i in np.argsort(order, kind="stable").tolist()]
@@ -82,7 +82,7 @@ def _take(pair: tuple[int, int], most: list[int]) -> bool:
 
 
 def _opening(stretch: Shared, width: float, thickness: float, rng: np.random.Generator) -> Opening:
-    """A door anywhere in a stretch of wall that leaves a post on either side."""
+    """A door anywhere in a part of wall that leaves a jamb on both sides."""
     margin = width / 2.0 + POST_M + thickness / 2.0
     along = float(rng.uniform(stretch.low + margin, stretch.high - margin))
     centre = (stretch.at, along) if stretch.vertical else (along, stretch.at)

@@ -1,4 +1,4 @@
-"""What a generated building may be told to be, by the names and kinds of `GeneratorSpec`, before any is made."""
+"""Fields of a generated building, by the names and kinds of `GeneratorSpec`, before any is built."""
 
 from __future__ import annotations
 

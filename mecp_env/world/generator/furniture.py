@@ -1,6 +1,6 @@
-"""Furniture that leaves every way open: clear of doors, of other pieces, and of walls or flush with one.
+"""Furniture that keeps every path open: clear of doors, other pieces and walls, or flush with one wall.
 
-A piece is covered by circles, so that all distances are those of points, of many candidate places at a time.
+A piece is covered by circles, so that all distances are those of points, for many candidate places at a time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Placed(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where a piece may stand."""
+    """Candidate places of a piece."""
 
     centres: Array  # (m,k,2) m, of its circles
     radius: float  # m, of each
@@ -89,7 +89,7 @@ def _elsewhere(kinds: list[str], rooms: list[Room], spec: GeneratorSpec, rng: np
 
 @dataclass(slots=True)
 class Room:
-    """A room and what stands in it."""
+    """A room and its furniture."""
 
     ring: Array  # (n,2) m
     doors: Array  # (d,2) m, their middles

@@ -1,4 +1,4 @@
-"""Dividing a rectangle among rooms: halves and halves again, corridors between them, notches for L, T and U."""
+"""Divides a rectangle among rooms: recursive splits, corridors between them, notches for L, T and U."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a generated building shall be, the presets, and the seeds of the splits."""
+"""The specification of a generated building, the presets, and the seeds of the splits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SPLITS: dict[str, range] = {
 
 
 class Rejected(NamedTuple):
-    """Why a try gave no building: the field that it could not keep, and how much of it there was."""
+    """Why a try failed: the field that it could not meet, and the value that it reached."""
 
     field: str
     most: float = 0.0
@@ -48,8 +48,8 @@ class GeneratorSpec(Settings):
     corridors: int = Field(0, ge=0, le=8)  # of the rooms so many; at most one for three others
     corridor_width_m: Annotated[tuple[Width, Width], Single] = (1.6, 2.0)  # between the middles of its walls
     room_side_m: Annotated[tuple[Side, Side], Single] = (3.2, 5.5)  # the side of a square of the room's area
-    shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are no rectangle
-    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # which they may be
+    shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are not rectangles
+    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # their possible shapes
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
     turned_deg: Annotated[tuple[Turn, Turn], Single] = (0.0, 0.0)  # the whole building against the axes
