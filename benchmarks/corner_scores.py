@@ -135,7 +135,7 @@ def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     clock = [time.thread_time()]
     beams = merge_sweeps(scan, config.sensor)
     clock.append(time.thread_time())
-    clusters = cluster_beams(beams, config.clustering, config.sensor)
+    clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)
     clock.append(time.thread_time())
     segments = extract_segments(beams, clusters, config.segments, config.sensor)
     clock.append(time.thread_time())

@@ -93,7 +93,7 @@ def scans_of(layout: str, scans: int) -> Iterator[SeenScan]:
     laser = Laser(outline, LaserConfig())
     for _ in range(scans):
         beams = merge_sweeps(laser.scan(random_free_pose(outline, rng, 0.3), rng), config.sensor)
-        clusters = cluster_beams(beams, config.clustering, config.sensor)
+        clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)
         segments = extract_segments(beams, clusters, config.segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)
         yield corners, beams, beams_on_walls(clusters, beams)

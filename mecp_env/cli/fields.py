@@ -31,7 +31,7 @@ def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) 
 
 
 def named(fields: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Of all fields the one at `path` (`laser.max-range-m`; a switch also as `slam.mecp.polygons.no-guard`)."""
+    """Of all fields the one at `path` (`laser.max-range-m`; a switch also as `slam.polygon.no-check-walls`)."""
     first, _, rest = path.partition(".")
     name = first.replace("-", "_")
     name = name if name in fields else name.removeprefix("no_")

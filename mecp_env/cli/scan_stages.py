@@ -28,7 +28,7 @@ def draw(config: EnvConfig, seed: int, step: int, folder: Path) -> list[Path]:
     run = Run.begin(config, seed)
     output = recognition(run, step)
     slam = run.env.config.estimator_config
-    clusters = cluster_beams(output.beams, slam.clustering, slam.sensor)
+    clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import reprlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
@@ -172,6 +172,12 @@ class Settings(BaseModel):
             packed[name][0] = column
         packed.setflags(write=False)
         return packed
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other values, not validated; its `record` is made again."""
+        copied = super().model_copy(update=update, deep=deep)
+        copied.__dict__.pop("record", None)
+        return copied
 
     @classmethod
     def parse(cls, given: Self | dict[str, Any] | None) -> Self:

@@ -29,6 +29,12 @@ class SensorModel(Settings):
 
     range_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bearing_sigma_deg: float = Field(0.3, ge=0.0, le=5.0)
+    least_range_sigma_m: float = Field(0.001, gt=0.0, le=1.0)  # of an ideal laser: covariances stay invertible
+    noise_sigmas: float = Field(3.0, gt=0.0, le=20.0)  # what differs by more standard deviations is not noise
+    outlier_sigmas: float = Field(4.0, gt=0.0, le=20.0)  # a single beam that is off by more is an outlier
+    least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
+    merge_slope: float = Field(4.0, ge=0.0, le=100.0)
+    """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
 
     @property
     def bearing_sigma_rad(self) -> float:
@@ -38,51 +44,83 @@ class SensorModel(Settings):
 class ClusteringConfig(Settings):
     """III-A.1, data clustering."""
 
-    threshold: Literal["adaptive_noise", "adaptive", "fixed"] = "adaptive_noise"  # paper: "adaptive"
+    threshold: Literal["adaptive_noise", "adaptive", "fixed"] = "adaptive_noise"  # paper: "adaptive", no noise term
     grazing_deg: float = Field(85.0, gt=45.0, lt=90.0)  # paper: 85
-    noise_sigmas: float = Field(3.0, ge=0.0, le=10.0)  # paper: none
     fixed_m: float = Field(0.3, gt=0.0, le=5.0)
-    wall_beams: int = Field(5, ge=3, le=100)  # fewer hits, or
-    wall_extent_m: float = Field(0.25, gt=0.0, le=5.0)  # a smaller extent: something small, no wall
 
 
 class SegmentConfig(Settings):
-    """III-A.1, Ramer-Douglas-Peucker and the line fit."""
+    """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a cluster that holds no segment is no wall."""
 
     min_beams: int = Field(5, ge=3, le=100)
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
-    split_sigmas: float = Field(3.0, gt=0.0, le=20.0)  # Ramer-Douglas-Peucker; the paper gives no tolerance
     merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; paper: none
+    shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face
+    face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
     trim_beams: int = Field(2, ge=0, le=10)  # left out of the fit at each end, where the segment is long enough
+    long_beams: int = Field(15, ge=1, le=1000)  # from here on a bad fit widens the covariance, below it is no wall
+    parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
+    pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a circle up to this radius is no wall
+
+
+class GapConfig(Settings):
+    """III, doors: which gaps between two line ends are doors."""
+
+    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between the two walls beside a door that are in line
+    oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between them, where the door is in line with one
+    offset_m: float = Field(0.15, gt=0.0, le=2.0)  # of a jamb from the line of the other wall
+    stub_deg: float = Field(20.0, gt=0.0, lt=90.0)  # of the faces of a concave corner from the wall and its normal
+    stub_m: float = Field(0.3, gt=0.0, le=2.0)  # length of the unseen wall that a concave corner may stand for
+    stub_share: float = Field(0.85, ge=0.0, le=1.0)  # `through_share` where a concave corner stands for a jamb
+    through_share: float = Field(0.6, ge=0.0, le=1.0)  # of the beams between the jambs pass by `corners.end_jump_m`
+    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of them pass by the larger `depth_m`: else the gap is a niche
+    plain_width_m: float = Field(1.05, gt=0.0, le=10.0)  # up to here a gap in a wall is a door, above it only
+    depth_m: Limits = (0.35, 0.7)  # where the floor gets wider in this range behind it (a wall is thinner)
+    passed_m: float = Field(0.12, ge=0.0, le=2.0)  # beams that go so far beside the gap's width show that it does
+    stopped_m: float = Field(0.05, ge=0.0, le=2.0)  # beams that end so near to the gap's width show that it does not
+    odd_width_m: float = Field(1.3, gt=0.0, le=10.0)  # the widest door that is not between two walls in line of
+    beside_m: float = Field(0.5, ge=0.0, le=10.0)  # at least this length
 
 
 class CornerConfig(Settings):
-    """III-A.1, crossings and free ends; door jambs (III: fixed unique width for doors)."""
+    """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
-    min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between the lines of a crossing
-    end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a free end the next beams are farther by this, and
-    end_jump_sigmas: float = Field(4.0, ge=0.0, le=20.0)  # this many sigmas of the range
-    max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
+    min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
+    break_m: float = Field(0.08, ge=0.0, le=2.0)  # of an intersection from the ends of its two segments, plus noise
+    end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a line end or a gap beams are farther by this, plus noise
+    line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line by less: a hit may be on it, a corner is not behind it
+    edge_beams: int = Field(2, ge=1, le=10)  # beams that bearing noise mixes at an edge; one more makes sure
+    count_beams: int = Field(3, ge=1, le=100)  # of a segment, before its end, that are counted to find the end
+    reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
+    step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
+    post_m: float = Field(0.4, gt=0.0, le=5.0)  # a face shorter than this may be the end of a wall
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
+    face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
+    passing_cost: float = Field(2.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
+    misfit: float = Field(3.5, gt=0.0, le=100.0)  # mean chi-square of its beams at most
+    twin_m: float = Field(0.25, ge=0.0, le=2.0)  # two corners nearer than this, with faces that differ by less than
+    twin_deg: float = Field(45.0, ge=0.0, le=180.0)  # this, are one
+    max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
     covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
     door_width_m: Limits = (0.6, 1.95)
-    door_range_m: float = Field(3.5, gt=0.0, le=30.0)
-    door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)
+    door_range_m: float = Field(3.5, gt=0.0, le=30.0)  # farther, or
+    door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)  # more from the side, a gap is no sighting of a door
+    gaps: GapConfig = GapConfig()
 
 
 class PolygonConfig(Settings):
     """III-A.2, the Maximum Empty Convex Polygon."""
 
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
-    guard: bool = True  # paper: none
-    guard_beams: int = Field(3, ge=1, le=100)
-    guard_m: float = Field(0.2, gt=0.0, le=5.0)
+    check_walls: bool = True  # no polygon that a wall crosses; paper: none
+    crossing_beams: int = Field(3, ge=1, le=100)  # neighbours that end in front of an edge: a wall crosses it
+    depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, or behind an edge: by more than this
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
-    open_depth_m: float = Field(0.2, gt=0.0, le=2.0)
-    open_width_m: float = Field(0.4, gt=0.0, le=5.0)
-    gap_width_m: Limits = (0.4, 2.1)  # between walls: a door, or one seen from the side; else it is open
+    open_width_m: float = Field(0.4, gt=0.0, le=5.0)  # a narrower interval that beams pass is none
+    widest_gap_m: float = Field(2.1, gt=0.0, le=10.0)  # between walls: a door, or one seen from the side; else open
+    jamb_offset_m: float = Field(0.3, ge=0.0, le=2.0)  # of the jambs of a gap from the edge
 
 
 class TransientConfig(Settings):
@@ -193,7 +231,7 @@ class SlamConfig(Settings):
                 covariance="sensor",  # IV: constant sigmas
                 door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
             ),
-            polygon=PolygonConfig(tolerance_sigmas=0.0, guard=False, gap_width_m=(0.4, 1.2)),  # III-A.2: exact
+            polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, widest_gap_m=1.2),  # III-A.2: exact
             transients=TransientConfig(margin_m=0.0, refutations=0, closure_sigma_m=100.0),  # a static world
             tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
             association=AssociationConfig(

@@ -123,7 +123,7 @@ class SlamPipeline:
     def _observe(self, scan: Scan) -> SlamOutput:
         config = self.config
         beams = merge_sweeps(scan, config.sensor)  # III-A.1, dense scan
-        clusters = cluster_beams(beams, config.clustering, config.sensor)  # III-A.1
+        clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)  # III-A.1
         segments = extract_segments(beams, clusters, config.segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)
         corners = corners.with_floor(config.filter.linearisation_sigma_m)

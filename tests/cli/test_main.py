@@ -298,14 +298,14 @@ def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> Non
 
 
 def test_a_field_set_to_its_default_is_set() -> None:
-    line = "demo --config.laser.preset ideal --config.slam.sensor.range-sigma-m 0.05 --config.slam.polygon.no-guard"
-    words, options = cli.split(line.split())
+    line = "demo --config.laser.preset ideal --config.slam.sensor.range-sigma-m 0.05"
+    words, options = cli.split([*line.split(), "--config.slam.polygon.no-check-walls"])
     chosen = cli.parse(words, options)
     assert isinstance(chosen, Demo)
     config = configuration("paper", chosen.config, options)
     assert config.estimator_config.sensor.range_sigma_m == 0.05
     assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
-    assert not config.slam.polygon.guard
+    assert not config.slam.polygon.check_walls
 
 
 def test_the_progress_shows_everything_in_80_columns() -> None:

@@ -48,7 +48,7 @@ WRONG = [
     {"observation": {"map": "please"}},
     {"robot": {"max_speed_m_s": -1.0}},
     {"slam": {"corners": {"door_width_m": (1.0, 0.5)}}},
-    {"slam": {"polygon": {"gap_width_m": (-0.1, 0.5)}}},
+    {"slam": {"polygon": {"widest_gap_m": -0.1}}},
     {"slam": {"rooms": {"wall_thickness_m": (0.4, 0.1)}}},
 ]
 IN_VAIN = [  # nothing can be explored
@@ -178,5 +178,6 @@ def test_the_paper_in_one_switch():
     slam = config.estimator_config
     assert (config.layout, config.laser.preset) == ("twins", "paper")
     assert (slam.filter.kind, slam.association.method) == ("ekf", "mecp_paper")
-    assert (slam.clustering.threshold, slam.polygon.guard, slam.polygon.tolerance_sigmas) == ("adaptive", False, 0.0)
+    assert (slam.clustering.threshold, slam.polygon.tolerance_sigmas) == ("adaptive", 0.0)
+    assert not slam.polygon.check_walls
     assert not slam.association.use_signature

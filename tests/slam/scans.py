@@ -74,7 +74,7 @@ def front_end(scan, sensor=PAPER, config=None):
     """MergedScan, clusters, segments and corners of a scan."""
     config = config or SlamConfig()
     beams = merge_sweeps(scan, sensor)
-    clusters = cluster_beams(beams, config.clustering, sensor)
+    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
     segments = extract_segments(beams, clusters, config.segments, sensor)
     return beams, clusters, segments, extract_corners(beams, segments, config.corners, sensor)
 

@@ -9,77 +9,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import ClusteringConfig, SensorModel
-from mecp_env.slam.frontend.noise import noise_of
+from mecp_env.slam.config import ClusteringConfig, SegmentConfig, SensorModel
+from mecp_env.slam.frontend.beams import Record, laser_noise
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-LINES, SMALL = int(ClusterKind.LINES), int(ClusterKind.SMALL)
 WIDEST_STEP = 1.75  # nominal bearing steps between two beams that may still be neighbours
 
 
 class Threshold(NamedTuple):
-    """The largest distance of two consecutive hits of one cluster: fixed + per_metre * range + sigmas * sigma."""
+    """The largest distance of two consecutive hits of one cluster: fixed + per_metre * range + sigma * noise."""
 
     fixed: float  # m
     per_metre: float
     sigma: float  # m, of one raw beam, times the number of sigmas
 
 
-class Wall(NamedTuple):
-    """The least number of beams and extent (m) of a cluster of straight walls."""
-
-    beams: int
-    extent: float
-
-
-def cluster_beams(beams: MergedScan, config: ClusteringConfig, sensor: SensorModel) -> Clusters:
+def cluster_beams(
+    beams: MergedScan, config: ClusteringConfig, segments: SegmentConfig, sensor: SensorModel
+) -> Clusters:
     """Runs of consecutive hits whose distances stay below the threshold D = d / cos(grazing), plus noise (III-A.1).
 
-    Differs from the paper: without the noise term a flat wall at 1 m is cut at a fifth of its beam pairs.
+    A run with fewer beams or a smaller extent than a segment has is SMALL. Differs from the paper: without the noise
+    term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
-    roll, (first, last, kind) = find_clusters(
-        (beams.ranges, beams.bearings, beams.hit, beams.count),
-        _threshold(config, noise_of(sensor)[0]),
-        (config.wall_beams, config.wall_extent_m),
+    fixed = config.threshold == "fixed"
+    rule = (
+        config.fixed_m if fixed else 0.0,
+        0.0 if fixed else math.cos(math.radians(config.grazing_deg)),
+        sensor.noise_sigmas if config.threshold == "adaptive_noise" else 0.0,
     )
+    scan = beams.ranges, beams.bearings, beams.hit, beams.count
+    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
     return Clusters(roll, first, last, kind)
-
-
-def _threshold(config: ClusteringConfig, range_sigma_m: float) -> tuple[float, float, float]:
-    """The fixed part of the threshold (m), cosine of the grazing angle (0: it does not grow with range), noise (m)."""
-    if config.threshold == "fixed":
-        return config.fixed_m, 0.0, 0.0
-    sigmas = config.noise_sigmas if config.threshold == "adaptive_noise" else 0.0
-    return 0.0, math.cos(math.radians(config.grazing_deg)), sigmas * range_sigma_m
 
 
 @compiled
 def find_clusters(
-    beams: tuple[Array, Array, Bools, Ints], rule: tuple[float, float, float], walls: tuple[int, float]
+    beams: tuple[Array, Array, Bools, Ints],
+    rule: tuple[float, float, float],
+    segments: NDArray[np.void],
+    sensor: NDArray[np.void],
 ) -> tuple[int, Ints]:
     """The beam at position 0, and first position, last position and kind (3,C) of the clusters.
 
-    Given are range, bearing, hit and count of the beams; the fixed part of the threshold (m), the cosine of the grazing
-    angle (0: no part grows with the range), the noise (m); and the fields of `Wall`.
+    `beams` are ranges, bearings, hit and count; `rule` is the fixed part of the threshold (m), the cosine of the
+    grazing angle (0: no part grows with the range), and the number of standard deviations of noise.
     """
-    ranges, bearings, hit, count = beams
-    size, (fixed, cosine, sigma) = ranges.shape[0], rule
+    ranges, bearings, hit, _ = beams
+    size, (fixed, cosine, sigmas) = ranges.shape[0], rule
     step = (bearings[size - 1] - bearings[0]) / max(size - 1, 1)
     per_metre = 2.0 * math.sin(step / 2.0) / cosine if cosine > 0.0 else 0.0  # d / cos 85, d = 2 r sin(t/2)
-    joined = join_beams(ranges, bearings, hit, count, Threshold(fixed, per_metre, sigma))
-    roll = find_gap(ranges, joined)
-    return roll, collect_runs(ranges, bearings, (hit, joined), roll, Wall(walls[0], walls[1]))
+    joined = join_beams(beams, step, Threshold(fixed, per_metre, sigmas * laser_noise(sensor).range_m))
+    roll = -1
+    for i in range(size):
+        if not joined[i]:
+            roll = (i + 1) % size  # the first beam after a gap
+            break
+    if roll < 0:  # the beams close a ring: the farthest is a corner
+        roll = int(np.argmax(ranges))
+    return roll, collect_runs(ranges, bearings, hit, joined, roll, segments[0])
 
 
 @compiled
-def join_beams(ranges: Array, bearings: Array, hit: Bools, count: Ints, threshold: Threshold) -> Bools:
+def join_beams(beams: tuple[Array, Array, Bools, Ints], step: float, threshold: Threshold) -> Bools:
     """(B,) True where the beam and the next one (the first one after the last) may lie on one line."""
-    size = ranges.shape[0]
+    ranges, bearings, hit, count = beams
+    size, widest = ranges.shape[0], WIDEST_STEP * step
     joined = np.empty(size, np.bool_)
-    widest = WIDEST_STEP * ((bearings[size - 1] - bearings[0]) / max(size - 1, 1))
     for i in range(size - 1):  # without branches: several beams at once
         turn = bearings[i + 1] - bearings[i]
         near = may_join((ranges[i], ranges[i + 1]), turn, (count[i], count[i + 1]), threshold)
@@ -101,22 +100,8 @@ def may_join(ranges: tuple[float, float], turn: float, count: tuple[int, int], t
 
 
 @compiled
-def find_gap(ranges: Array, joined: Bools) -> int:
-    """The first beam after a gap; the farthest beam (a corner) when the beams close a ring."""
-    size = ranges.shape[0]
-    farthest = 0
-    for i in range(size):
-        if not joined[i]:
-            return int((i + 1) % size)
-        if ranges[i] > ranges[farthest]:
-            farthest = i
-    return farthest
-
-
-@compiled
-def collect_runs(ranges: Array, bearings: Array, hit_and_joined: tuple[Bools, Bools], roll: int, wall: Wall) -> Ints:
+def collect_runs(ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll: int, limits: Record) -> Ints:
     """First and last positions and kinds (3,C) of the runs of joined hits, counted from beam `roll`."""
-    hit, joined = hit_and_joined
     size = ranges.shape[0]
     runs, found, start, first = np.empty((size, 3), np.int64), 0, 0, roll
     nearest, farthest = math.inf, 0.0
@@ -126,10 +111,12 @@ def collect_runs(ranges: Array, bearings: Array, hit_and_joined: tuple[Bools, Bo
         if joined[beam] and position < size - 1:
             continue
         if hit[beam]:
-            across = nearest * step_between(bearings, first, beam)
-            wide = across * across + (farthest - nearest) ** 2 >= wall.extent * wall.extent
+            turn = bearings[beam] - bearings[first]
+            across = nearest * (turn if turn >= 0.0 else turn + 2.0 * math.pi)
+            wide = across * across + (farthest - nearest) ** 2 >= limits.min_length_m * limits.min_length_m
+            wall = wide and position - start + 1 >= limits.min_beams
             runs[found, 0], runs[found, 1] = start, position
-            runs[found, 2] = LINES if wide and position - start + 1 >= wall.beams else SMALL
+            runs[found, 2] = ClusterKind.LINES if wall else ClusterKind.SMALL
             found += 1
         start, first = position + 1, beam + 1 if beam + 1 < size else 0
         nearest, farthest = math.inf, 0.0
@@ -137,10 +124,3 @@ def collect_runs(ranges: Array, bearings: Array, hit_and_joined: tuple[Bools, Bo
     for run in range(found):
         columns[0, run], columns[1, run], columns[2, run] = runs[run, 0], runs[run, 1], runs[run, 2]
     return columns
-
-
-@compiled
-def step_between(bearings: Array, beam: int, later: int) -> float:
-    """Turn (rad, >= 0) from one beam ccw to a later one."""
-    turn = bearings[later] - bearings[beam]
-    return float(turn if turn >= 0.0 else turn + 2.0 * math.pi)

@@ -1,84 +1,72 @@
-"""Kernels for door jambs: two ends of walls that face each other across a gap (III, doors)."""
+"""Compiled functions for door jambs: two ends of walls that face each other across a gap (III, doors)."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.frontend.line_intersections import Found, Sight, Walls, length_of
-from mecp_env.slam.messages import CornerKind
+from mecp_env.slam.frontend.beams import Record, Records
+from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-JAMB = int(CornerKind.JAMB)
-PARALLEL_RAD, OFFSET_M = math.radians(15.0), 0.15  # how far the two wall faces beside a door may be from one line
-OBLIQUE_RAD = math.radians(60.0)  # and one of them, where the door is in line with the other
-STUB_RAD = math.radians(20.0)  # how far the faces of a concave corner may be from the wall's and from square to it
-STUB_M, STUB_SHARE = 0.3, 0.85  # how long a wall it may stand for, and how many of the other beams pass beyond
-PLAIN_M = 1.05  # a gap between two walls in line is a door; a wider one only where the floor gets wider behind it,
-ODD_M, WALL_M = 1.3, 0.5  # and from here on only between walls as long; one beside no two walls in line, up to here
-DEPTH_M = (0.35, 0.7)  # behind the gap: deeper than a wall is thick
-PASSED_M, STOPPED_M, WITNESSES = 0.12, 0.05, 2  # outside of the gap's width; beams on one side that tell
-BEYOND_M, BEYOND_SHARE = 0.25, 0.6  # of the beams between the jambs, this share passes this far beyond their line
-DEEP_M, DEEP_SHARE = 0.7, 0.25  # what is less deep is a niche
-BEHIND_M = 0.1  # a corner this far beyond the gap's line belongs to the next room
-
-
-class DoorRules(NamedTuple):
-    """Which gaps are doors, and which of them are seen well."""
-
-    narrowest: float  # m
-    widest: float  # m
-    range: float  # m
-    cosine: float  # of the largest incidence
+Point = tuple[float, float]
 
 
 @compiled
-def find_doorways(found: Found, n: int, sight: Sight, walls: Walls, rules: DoorRules) -> tuple[Ints, Array, Bools]:
-    """Jambs (g,2), right then left, widths (g,) and whether seen well (g,)."""
+def find_doorways(
+    found: Records, p_robot: Array, scan: RolledScan, lines: Lines, limits: Record, gaps: Record
+) -> tuple[Ints, Array, Bools]:
+    """Jambs (g,2), right then left, widths (g,) and whether seen well (g,), of the corners `found` at p_robot (n,2)."""
+    n, size, directions = found.shape[0], 0, np.empty((2, 0))
     jambs, width, good = np.empty((n, 2), np.int64), np.empty(n), np.empty(n, np.bool_)
-    rights, lefts = nearest_partners(found, n, walls, rules)
-    size = 0
+    rights, lefts = nearest_partners(found, p_robot, lines, limits, gaps)
     for right in range(n):
         left = lefts[right]
-        if left < 0 or rights[left] != right or not passes_through(found, sight, walls, (right, left)):
+        if left < 0 or rights[left] != right:
+            continue
+        if directions.shape[1] == 0:  # of all beams, taken once per scan
+            directions = np.empty((2, scan.polar.shape[1]))
+            directions[0], directions[1] = np.cos(scan.polar[1]), np.sin(scan.polar[1])
+        a, b = gap_end(found, p_robot, right, left, gaps), gap_end(found, p_robot, left, right, gaps)
+        if not passes_through(found, scan, directions, lines, (right, left), (a, b), limits, gaps):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
-        (ax, ay), (bx, by) = point_of(found, right), point_of(found, left)
+        (ax, ay), (bx, by) = (p_robot[right, 0], p_robot[right, 1]), (p_robot[left, 0], p_robot[left, 1])
         width[size] = math.hypot(bx - ax, by - ay)
         mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
         distance = math.hypot(mx, my)
         across = abs(mx * (by - ay) - my * (bx - ax)) / width[size]
-        good[size] = distance <= rules.range and across >= rules.cosine * distance
-        wider = widening(sight, beside(found, right, left), beside(found, left, right))
-        plain, _, sides = widths_and_sides(found, walls, right, left)
+        steep = across >= math.cos(limits.door_incidence_rad) * distance
+        good[size] = distance <= limits.door_range_m and steep
+        wider = widening(scan, directions, a, b, limits, gaps)
+        plain, _, sides = width_limits(found, lines, right, left, gaps)
         size += wider >= sides or (wider == 0 and width[size] <= plain)
     return jambs[:size], width[:size], good[:size]
 
 
 @compiled
-def nearest_partners(found: Found, n: int, walls: Walls, rules: DoorRules) -> tuple[Ints, Ints]:
+def nearest_partners(found: Records, p_robot: Array, lines: Lines, limits: Record, gaps: Record) -> tuple[Ints, Ints]:
     """For each corner the nearest that may be the right, and the left jamb (n,) of a door with it; -1 without one."""
+    n, narrowest, widest = found.shape[0], limits.door_width_m[0], limits.door_width_m[1]
     rights, lefts = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
-    to_right, to_left = np.full(n, rules.widest), np.full(n, rules.widest)
+    to_right, to_left = np.full(n, widest), np.full(n, widest)
     for right in range(n):
         for left in range(n):
-            ended = found.border[right, 0] >= 0 or found.border[left, 1] >= 0
-            if not ended or wrap_angle(found.z[left, 1] - found.z[right, 1]) <= 0.0:
+            ended = found[right].border[0] >= 0 or found[left].border[1] >= 0
+            if not ended or wrap_angle(found[left].z[1] - found[right].z[1]) <= 0.0:
                 continue
-            (ax, ay), (bx, by) = point_of(found, right), point_of(found, left)
-            width = math.hypot(bx - ax, by - ay)
-            if not rules.narrowest <= width <= max(to_left[right], to_right[left]):
+            width = math.hypot(p_robot[left, 0] - p_robot[right, 0], p_robot[left, 1] - p_robot[right, 1])
+            if not narrowest <= width <= max(to_left[right], to_right[left]):
                 continue
-            if not face_each_other(found, walls, right, left):
+            if not face_each_other(found, p_robot, lines, right, left, gaps):
                 continue
-            if width > widths_and_sides(found, walls, right, left)[1]:
+            if width > width_limits(found, lines, right, left, gaps)[1]:
                 continue
             if width <= to_left[right]:
                 to_left[right], lefts[right] = width, left
@@ -88,80 +76,94 @@ def nearest_partners(found: Found, n: int, walls: Walls, rules: DoorRules) -> tu
 
 
 @compiled
-def face_each_other(found: Found, walls: Walls, right: int, left: int) -> bool:
+def face_each_other(found: Records, p_robot: Array, lines: Lines, right: int, left: int, gaps: Record) -> bool:
     """True when a wall ends at `right` or begins at `left`, and what is at the other is the end of a wall in its line.
 
     That wall may be at an angle to the first; and it may be too short to be one: then a concave corner is seen in its
-    place, where it joins another wall.
+    place, where it joins another wall, with one face on the line and the other turned to the gap.
     """
-    ending, beginning = found.border[right, 0], found.border[left, 1]
-    if beginning < 0:
-        return stub_in_line(found, left, right, walls.line[ending])
-    if ending < 0:
-        return stub_in_line(found, right, left, walls.line[beginning])
-    turn = abs(wrap_angle(walls.line[ending, 0] - walls.line[beginning, 0]))
-    off_ending = off_line(walls.line[ending], point_of(found, left))
-    off_beginning = off_line(walls.line[beginning], point_of(found, right))
-    if turn <= PARALLEL_RAD:
-        return max(off_ending, off_beginning) <= OFFSET_M
-    return turn <= OBLIQUE_RAD and min(off_ending, off_beginning) <= OFFSET_M
-
-
-@compiled
-def stub_in_line(found: Found, corner: int, opposite: int, line: Array) -> bool:
-    """True for a concave corner with one face on the line (alpha, rho), the other looking to the `opposite` corner."""
-    if found.convex[corner] or off_line(line, point_of(found, corner)) > OFFSET_M:
+    ending, beginning = found[right].border[0], found[left].border[1]
+    if ending >= 0 and beginning >= 0:
+        turn = abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0]))
+        off_ending, off_beginning = off_line(lines, ending, p_robot[left]), off_line(lines, beginning, p_robot[right])
+        if turn <= gaps.parallel_rad:
+            return bool(max(off_ending, off_beginning) <= gaps.offset_m)
+        return bool(turn <= gaps.oblique_rad and min(off_ending, off_beginning) <= gaps.offset_m)
+    segment, corner, opposite = (ending, left, right) if beginning < 0 else (beginning, right, left)
+    if found[corner].convex or off_line(lines, segment, p_robot[corner]) > gaps.offset_m:
         return False
-    (ax, ay), (bx, by) = point_of(found, corner), point_of(found, opposite)
-    across = math.atan2(by - ay, bx - ax)
-    stub = False
+    dx, dy = p_robot[opposite, 0] - p_robot[corner, 0], p_robot[opposite, 1] - p_robot[corner, 1]
+    across, stub, normals = math.atan2(dy, dx), False, found[corner].normals
     for face in range(2):
-        along = abs(wrap_angle(found.normals[corner, face] - line[0] - math.pi))
-        aside = abs(wrap_angle(found.normals[corner, 1 - face] - across))
-        stub = stub or (along <= STUB_RAD and aside <= STUB_RAD)
+        along = abs(wrap_angle(normals[face] - lines.line[segment, 0] - math.pi))
+        aside = abs(wrap_angle(normals[1 - face] - across))
+        stub = stub or (along <= gaps.stub_rad and aside <= gaps.stub_rad)
     return stub
 
 
 @compiled
-def point_of(found: Found, n: int) -> tuple[float, float]:
-    """x, y of corner n."""
-    return found.z[n, 0] * math.cos(found.z[n, 1]), found.z[n, 0] * math.sin(found.z[n, 1])
+def off_line(lines: Lines, segment: int, p: Array) -> float:
+    """Distance of p from the line of a segment."""
+    alpha, rho = lines.line[segment, 0], lines.line[segment, 1]
+    return float(abs(p[0] * math.cos(alpha) + p[1] * math.sin(alpha) - rho))
 
 
 @compiled
-def off_line(line: Array, p: tuple[float, float]) -> float:
-    """Distance of p from the line (alpha, rho)."""
-    return float(abs(p[0] * math.cos(line[0]) + p[1] * math.sin(line[0]) - line[1]))
+def width_limits(found: Records, lines: Lines, right: int, left: int, gaps: Record) -> tuple[float, float, int]:
+    """How wide a gap is a door without, and with the floor seen to get wider behind it, m, and on how many sides."""
+    ending, beginning = found[right].border[0], found[left].border[1]
+    if ending < 0 or beginning < 0:
+        return 0.0, gaps.odd_width_m, 1
+    if abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0])) > gaps.parallel_rad:
+        return 0.0, gaps.odd_width_m, 2
+    shorter = min(lines.length[ending], lines.length[beginning])
+    return gaps.plain_width_m, math.inf if shorter >= gaps.beside_m else gaps.odd_width_m, 1
 
 
 @compiled
-def passes_through(found: Found, sight: Sight, walls: Walls, gap: tuple[int, int]) -> bool:
-    """True when most beams between the two walls beside the gap pass well beyond the line through its jambs, some far.
+def gap_end(found: Records, p_robot: Array, corner: int, opposite: int, gaps: Record) -> Point:
+    """x, y where a gap begins: at its corner, or `stub_m` nearer to the `opposite` one where that is concave."""
+    dx, dy = p_robot[opposite, 0] - p_robot[corner, 0], p_robot[opposite, 1] - p_robot[corner, 1]
+    share = 0.0 if found[corner].convex else min(gaps.stub_m / math.hypot(dx, dy), 0.5)
+    return p_robot[corner, 0] + share * dx, p_robot[corner, 1] + share * dy
 
-    Where a concave corner stands for a jamb, almost all but those beside it: the wall there is short.
+
+@compiled
+def passes_through(
+    found: Records,
+    scan: RolledScan,
+    directions: Array,
+    lines: Lines,
+    jambs: tuple[int, int],
+    ends: tuple[Point, Point],
+    limits: Record,
+    gaps: Record,
+) -> bool:
+    """True when most beams between the two walls beside the gap pass well beyond the line through its ends, some far.
+
+    Where a concave corner is in place of a jamb, almost all but those beside it: the wall there is short.
     """
-    (right, left), size = gap, sight.polar.shape[1]
-    ending, beginning = found.border[right, 0], found.border[left, 1]
-    last = walls.last[ending] if ending >= 0 else walls.first[beginning] - size + 1
-    first = walls.first[beginning] if beginning >= 0 else last - 1
-    a, b = beside(found, right, left), beside(found, left, right)
+    (right, left), (a, b), size = jambs, ends, scan.polar.shape[1]
+    ending, beginning = found[right].border[0], found[left].border[1]
+    last = lines.last[ending] if ending >= 0 else lines.first[beginning] - size + 1
+    first = lines.first[beginning] if beginning >= 0 else last - 1
     start = math.atan2(a[1], a[0])
     turn = wrap_angle(math.atan2(b[1], b[0]) - start)
     between, beyond, deep = 0, 0, 0
     for k in range(1, (first - last) % size):
         q = (last + k) % size
-        r, bearing = sight.polar[0, q], sight.polar[1, q]
-        ahead = wrap_angle(bearing - start)
+        ahead = wrap_angle(scan.polar[1, q] - start)
         if ahead <= 0.0 or ahead >= turn:
             continue
-        depth = depth_behind(a, b, (r * math.cos(bearing), r * math.sin(bearing))) if sight.hit[q] else math.inf
-        between, beyond, deep = between + 1, beyond + (depth > BEYOND_M), deep + (depth > DEEP_M)
-    share = BEYOND_SHARE if found.convex[right] and found.convex[left] else STUB_SHARE
-    return between > 0 and beyond >= share * between and deep >= DEEP_SHARE * between
+        p = (scan.polar[0, q] * directions[0, q], scan.polar[0, q] * directions[1, q])
+        depth = depth_behind(a, b, p) if scan.hit[q] else math.inf
+        between, beyond, deep = between + 1, beyond + (depth > limits.end_jump_m), deep + (depth > gaps.depth_m[1])
+    share = gaps.through_share if found[right].convex and found[left].convex else gaps.stub_share
+    return between > 0 and beyond >= share * between and deep >= gaps.deep_share * between
 
 
 @compiled
-def widening(sight: Sight, a: tuple[float, float], b: tuple[float, float]) -> int:
+def widening(scan: RolledScan, directions: Array, a: Point, b: Point, limits: Record, gaps: Record) -> int:
     """On how many sides the floor behind the gap from a to b gets wider than the gap; -1: on none, 0: not to be seen.
 
     Looked at are beams through the gap that cross the line square to it at a jamb, as deep as no wall is thick. Behind
@@ -171,65 +173,46 @@ def widening(sight: Sight, a: tuple[float, float], b: tuple[float, float]) -> in
     ux, uy = (b[0] - a[0]) / width, (b[1] - a[1]) / width
     along, depth = -(a[0] * ux + a[1] * uy), a[1] * ux - a[0] * uy  # of the robot
     passed, stopped = np.zeros(2, np.int64), np.zeros(2, np.int64)
-    for q in range(sight.polar.shape[1]):
-        r, bearing = sight.polar[0, q], sight.polar[1, q]
-        x, y = math.cos(bearing), math.sin(bearing)
+    for q in range(scan.polar.shape[1]):
+        x, y = directions[0, q], directions[1, q]
         sideways, onward = x * ux + y * uy, x * uy - y * ux
         if onward <= 1e-6 or abs(sideways) <= 1e-6 or not 0.0 < along - depth / onward * sideways < width:
             continue
         side = 1 if sideways > 0.0 else 0
         reach = ((width if side == 1 else 0.0) - along) / sideways
-        if not DEPTH_M[0] <= depth + reach * onward <= DEPTH_M[1]:
+        if not gaps.depth_m[0] <= depth + reach * onward <= gaps.depth_m[1]:
             continue
-        outside = (r - reach) * abs(sideways)
-        passed[side] += (not sight.hit[q]) or outside > PASSED_M
-        stopped[side] += sight.hit[q] and abs(outside) <= STOPPED_M
+        outside = (scan.polar[0, q] - reach) * abs(sideways)
+        passed[side] += (not scan.hit[q]) or outside > gaps.passed_m
+        stopped[side] += scan.hit[q] and abs(outside) <= gaps.stopped_m
     wider = 0
     for side in range(2):
-        wider += passed[side] >= WITNESSES and passed[side] > stopped[side]
-    return -1 if wider == 0 and min(stopped[0], stopped[1]) >= WITNESSES else wider
+        wider += passed[side] >= limits.edge_beams and passed[side] > stopped[side]
+    return -1 if wider == 0 and min(stopped[0], stopped[1]) >= limits.edge_beams else wider
 
 
 @compiled
-def widths_and_sides(found: Found, walls: Walls, right: int, left: int) -> tuple[float, float, int]:
-    """How wide a gap is a door without, and with the floor seen to get wider behind it, m, and on how many sides."""
-    ending, beginning = found.border[right, 0], found.border[left, 1]
-    if ending < 0 or beginning < 0:
-        return 0.0, ODD_M, 1
-    if abs(wrap_angle(walls.line[ending, 0] - walls.line[beginning, 0])) > PARALLEL_RAD:
-        return 0.0, ODD_M, 2
-    shorter = min(length_of(walls.points, ending), length_of(walls.points, beginning))
-    return PLAIN_M, math.inf if shorter >= WALL_M else ODD_M, 1
-
-
-@compiled
-def beside(found: Found, corner: int, opposite: int) -> tuple[float, float]:
-    """x, y where a gap begins: at its corner, or `STUB_M` nearer to the `opposite` one where that is concave."""
-    (ax, ay), (bx, by) = point_of(found, corner), point_of(found, opposite)
-    share = 0.0 if found.convex[corner] else min(STUB_M / math.hypot(bx - ax, by - ay), 0.5)
-    return ax + share * (bx - ax), ay + share * (by - ay)
-
-
-@compiled
-def depth_behind(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float]) -> float:
-    """How far (m) p lies beyond the line through a and b, as seen from the robot."""
+def depth_behind(a: Point, b: Point, p: Point) -> float:
+    """How far (m) p is beyond the line through a and b, as seen from the robot."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     return (dy * (p[0] - a[0]) - dx * (p[1] - a[1])) / math.hypot(dx, dy)
 
 
 @compiled
-def mark_beyond(found: Found, n: int, jambs: Ints) -> Ints:
-    """(n,) the farthest gap through which each corner is seen, as index into `jambs`, or -1."""
+def mark_beyond(found: Records, p_robot: Array, jambs: Ints, least: float) -> Ints:
+    """(n,) the farthest gap behind which each corner is, by `least` metres or more, as index into `jambs`, or -1."""
+    n = found.shape[0]
     beyond = np.empty(n, np.int64)
     for c in range(n):
         beyond[c], farthest = -1, 0.0
         for g in range(jambs.shape[0]):
             right, left = jambs[g, 0], jambs[g, 1]
-            turn = wrap_angle(found.z[left, 1] - found.z[right, 1])
-            ahead = wrap_angle(found.z[c, 1] - found.z[right, 1])
-            distance = found.z[right, 0] + found.z[left, 0]
+            turn = wrap_angle(found[left].z[1] - found[right].z[1])
+            ahead = wrap_angle(found[c].z[1] - found[right].z[1])
+            distance = found[right].z[0] + found[left].z[0]
             if not 0.0 < ahead < turn or distance < farthest:
                 continue
-            if depth_behind(point_of(found, right), point_of(found, left), point_of(found, c)) > BEHIND_M:
+            a, b = (p_robot[right, 0], p_robot[right, 1]), (p_robot[left, 0], p_robot[left, 1])
+            if depth_behind(a, b, (p_robot[c, 0], p_robot[c, 1])) > least:
                 beyond[c], farthest = g, distance
     return beyond

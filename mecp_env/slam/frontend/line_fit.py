@@ -1,4 +1,4 @@
-"""Kernels for the maximum-likelihood line (alpha, rho) through averaged beams, with its covariance."""
+"""Compiled functions for the maximum-likelihood line (alpha, rho) through averaged beams, with its covariance."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.frontend.split_and_merge import scatter, stretch_cost
+from mecp_env.slam.frontend.beams import Noise, Record
+from mecp_env.slam.frontend.split_and_merge import line_cost, scatter
 
 Array = NDArray[np.float64]
 ITERATIONS = 2
-FACE_BEAMS, FACE_SAVES = 8, 6.0  # beams of an end face at most; chi-square that leaving them out must save
-OUTLIER2 = 16.0  # squared sigmas beyond which a beam loses weight
-STEEPEST = 0.035  # cosine of the largest incidence (88 degrees) for which a ray still meets its line
 
 
 @compiled
@@ -29,36 +27,30 @@ def rough_line(sums: Array, first: int, last: int) -> tuple[float, float]:
 
 
 @compiled
-def without_end_face(points: Array, sums: Array, span: tuple[int, int], min_beams: int) -> tuple[int, int]:
+def without_end_face(points: Array, sums: Array, first: int, last: int, limits: Record) -> tuple[int, int]:
     """First and last position of the wall itself, where beams of its end face, at a right angle, are taken for it.
 
-    Seen along the wall, the face at its near end lies within the noise; its few beams turn the line.
+    Seen along the wall, the face at its near end is within the noise; its few beams turn the line.
     """
-    first, last = span
-    alpha, _ = rough_line(sums, first, last)
-    begins, ends = -along_wall(points, first, alpha), along_wall(points, last, alpha)
+    alpha, _ = rough_line(sums, first, last)  # coordinates along the wall, from the foot of the perpendicular on:
+    begins = -(points[1, first] * math.cos(alpha) - points[0, first] * math.sin(alpha))
+    ends = points[1, last] * math.cos(alpha) - points[0, last] * math.sin(alpha)
     if begins >= 0.0 and ends >= 0.0:
-        return first, last  # the robot stands before the wall: its end faces are turned away
-    best, best_cost = span, stretch_cost(sums, first, last) - FACE_SAVES
-    most = min(FACE_BEAMS, last - first + 1 - min_beams)
+        return first, last  # the robot is in front of the wall: its end faces are turned away
+    best, best_cost = (first, last), line_cost(sums, first, last) - limits.face_gain
+    most = min(limits.shift_beams, last - first + 1 - limits.min_beams)
     kept = (first + most, last) if begins < 0.0 else (first, last - most)
-    if stretch_cost(sums, kept[0], kept[1]) >= best_cost:
+    if line_cost(sums, kept[0], kept[1]) >= best_cost:
         return first, last
     for dropped in range(1, most + 1):
         low, high = (first + dropped, last) if begins < 0.0 else (first, last - dropped)
         face = (first, low - 1) if begins < 0.0 else (high + 1, last)
-        cost = stretch_cost(sums, low, high)
+        cost = line_cost(sums, low, high)
         if cost < best_cost:
             cost += face_spread(points, face, rough_line(sums, low, high)[0])
         if cost < best_cost:
             best, best_cost = (low, high), cost
     return best
-
-
-@compiled
-def along_wall(points: Array, i: int, alpha: float) -> float:
-    """Coordinate (m) of point i along a wall with normal alpha, from the foot of the perpendicular on."""
-    return float(points[1, i] * math.cos(alpha) - points[0, i] * math.sin(alpha))
 
 
 @compiled
@@ -76,26 +68,37 @@ def face_spread(points: Array, span: tuple[int, int], alpha: float) -> float:
 
 @compiled
 def fit_line(
-    ranges: Array, points: Array, stretch: tuple[int, int], start: tuple[float, float], terms: Array
+    ranges: Array, points: Array, sums: Array, span: tuple[int, int], noise: Noise, terms: Array
 ) -> tuple[float, float, float, float, float, float]:
-    """alpha, rho, their variances and covariance (aa, ar, rr) and the chi-square: Gauss-Newton from `start`.
+    """alpha, rho, their variances and covariance (aa, ar, rr) and the chi-square: Gauss-Newton from the rough line.
 
     The residual r cos(theta - alpha) - rho has the variance sigma_r^2 cos^2 + (r sin sigma_theta)^2. The coordinate
     along the wall is taken from the line, not from the noisy range: with the measured one short oblique faces
-    come out centimetres too long. aa is inf when the beams do not carry a line. `terms` (3,B) is room to work in.
+    come out centimetres too long. aa is inf when the beams do not carry a line. `terms` (3,B) is work space for the
+    coordinate along the line, residual and weight of each beam; the weight is -1 where the ray does not meet the line.
     """
-    alpha, rho = start
-    haa, har, hrr, cost = 1.0, 0.0, 1.0, 0.0
+    first, last = span
+    (alpha, rho), (haa, har, hrr, cost) = rough_line(sums, first, last), (1.0, 0.0, 1.0, 0.0)
+    r, x, y = ranges[first : last + 1], points[0, first : last + 1], points[1, first : last + 1]
+    along_ray, across_ray = points[2, first : last + 1], points[3, first : last + 1]
+    along, residual, weight, outlier2 = terms[0], terms[1], terms[2], noise.outlier * noise.outlier
     for _ in range(ITERATIONS):
-        weigh_beams(ranges, points, stretch, (alpha, rho), terms)
+        ca, sa = math.cos(alpha), math.sin(alpha)
+        for i in range(r.shape[0]):  # each beam by itself: several at once
+            ahead, r2 = x[i] * ca + y[i] * sa, r[i] * r[i]
+            t = rho * (y[i] * ca - x[i] * sa) / ahead  # rho tan(theta - alpha)
+            e = ahead - rho
+            variance_r2 = along_ray[i] * ahead * ahead + across_ray[i] * t * t
+            w = r2 / max(variance_r2, r2 * e * e / outlier2)
+            along[i], residual[i], weight[i] = t, e, -1.0 if ahead < noise.least_cosine * r[i] else w
         haa, har, hrr, ga, gr, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(stretch[1] + 1 - stretch[0]):
-            along, residual, weight = terms[0, i], terms[1, i], terms[2, i]
-            if weight < 0.0:
+        for i in range(r.shape[0]):
+            t, e, w = along[i], residual[i], weight[i]
+            if w < 0.0:
                 continue
-            haa, har, hrr = haa + weight * along * along, har - weight * along, hrr + weight
-            cost += weight * residual * residual
-            ga, gr = ga + weight * along * residual, gr - weight * residual
+            haa, har, hrr = haa + w * t * t, har - w * t, hrr + w
+            cost += w * e * e
+            ga, gr = ga + w * t * e, gr - w * e
         determinant = haa * hrr - har * har
         if not determinant > 1e-9 * haa * hrr:
             return alpha, rho, math.inf, 0.0, math.inf, cost
@@ -103,25 +106,3 @@ def fit_line(
         rho -= (haa * gr - har * ga) / determinant
     determinant = haa * hrr - har * har
     return alpha, rho, hrr / determinant, -har / determinant, haa / determinant, cost
-
-
-@compiled
-def weigh_beams(
-    ranges: Array, points: Array, stretch: tuple[int, int], line: tuple[float, float], terms: Array
-) -> None:
-    """Fills `terms` (3,n): coordinate along the line, residual, and weight; -1 for a beam too steep to meet the line.
-
-    Each beam by itself, so that the compiler can take several at once.
-    """
-    (first, last), (alpha, rho) = stretch, line
-    ca, sa = math.cos(alpha), math.sin(alpha)
-    r, x, y = ranges[first : last + 1], points[0, first : last + 1], points[1, first : last + 1]
-    along_ray, across_ray = points[2, first : last + 1], points[3, first : last + 1]
-    along, residual, weight = terms[0], terms[1], terms[2]
-    for i in range(r.shape[0]):
-        ahead, r2 = x[i] * ca + y[i] * sa, r[i] * r[i]
-        t = rho * (y[i] * ca - x[i] * sa) / ahead  # rho tan(theta - alpha)
-        e = ahead - rho
-        variance_r2 = along_ray[i] * ahead * ahead + across_ray[i] * t * t
-        w = r2 / max(variance_r2, r2 * e * e / OUTLIER2)
-        along[i], residual[i], weight[i] = t, e, -1.0 if ahead < STEEPEST * r[i] else w

@@ -1,4 +1,4 @@
-"""Kernels for a corner where two consecutive lines cross (III-A.1), and the rows all corner finders write to."""
+"""Compiled functions for a corner where two consecutive lines intersect (III-A.1); the rows of all corner finders."""
 
 from __future__ import annotations
 
@@ -10,30 +10,29 @@ from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
+from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.messages import CornerKind
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-CROSSING = int(CornerKind.CROSSING)
-TURN_SIGMAS = 3.0
-NEAR_M, NEAR_SIGMAS, NEAR_BEAMS = 0.08, 3.0, 2.0  # how far a crossing may lie from the break between its segments
-MAX_REST = 4  # beams between two segments that still cross
-POST_M = 0.4  # a face shorter than this may be the end of a wall
+FOUND = np.dtype(
+    [
+        ("z", np.float64, 2),  # m, rad
+        ("own", np.float64, (2, 2)),  # covariance of z that no other corner shares
+        ("lines", np.int64, 2),  # the segments that determine the corner, or -1
+        ("jacobian", np.float64, (2, 2, 2)),  # derivative of z by alpha, rho of each of them: [slot, row, parameter]
+        ("kind", np.int64),
+        ("normals", np.float64, 2),  # rad
+        ("border", np.int64, 2),  # the segment that may end at a gap here, the one that may begin after it, or -1
+        ("convex", np.bool_),
+    ],
+    align=True,
+)  # one corner
 
 
-class Rules(NamedTuple):
-    """What makes a crossing or a free end a corner."""
-
-    min_angle: float  # rad, between two lines
-    jump: float  # m, to what lies behind a free end
-    max_variance: float  # m^2
-    floor: float  # m, least sigma
-    evidence: float  # chi-square that a face too short for a segment must save, to be believed
-
-
-class Sight(NamedTuple):
-    """The beams of a scan, rolled to a gap, and the raw beams behind them."""
+class RolledScan(NamedTuple):
+    """The beams of a scan from a gap on, and the raw beams behind them."""
 
     polar: Array  # (3,B) m, rad, number of raw beams
     hit: Bools  # (B,)
@@ -42,139 +41,102 @@ class Sight(NamedTuple):
     roll: int
 
 
-class Walls(NamedTuple):
-    """The segments, as in `Segments`."""
+class Lines(NamedTuple):
+    """The segments, as in `Segments`, and how long they are."""
 
-    points: Array
-    line: Array
-    cov: Array
-    cluster: Ints
-    first: Ints
-    last: Ints
-
-
-class Found(NamedTuple):
-    """Rows of corners, filled up to a count that is passed along."""
-
-    z: Array  # (n,2) m, rad
-    own: Array  # (n,2,2) covariance of z that no other corner shares
-    lines: Ints  # (n,2) the segments the corner hangs on, or -1
-    jacobian: Array  # (n,2,2,2) derivative of z by alpha, rho of each of them: [corner, slot, row, parameter]
-    kind: Ints  # (n,)
-    convex: Bools  # (n,)
-    normals: Array  # (n,2) rad
-    border: Ints  # (n,2) the segment that may end at a gap here, the one that may begin after a gap here, or -1
+    line: Array  # (L,2)
+    cov: Array  # (L,2,2)
+    cluster: Ints  # (L,)
+    first: Ints  # (L,)
+    last: Ints  # (L,)
+    length: Array  # (L,) m
 
 
 @compiled
-def empty_found(size: int) -> Found:
-    """Room for `size` corners."""
-    lines, border, normals = np.empty((size, 2), np.int64), np.empty((size, 2), np.int64), np.empty((size, 2))
+def empty_corners(size: int) -> Records:
+    """Rows (size,) FOUND that nothing is known of."""
+    rows = np.zeros(size, FOUND)
     for k in range(size):
-        for a in range(2):
-            lines[k, a] = border[k, a] = -1
-            normals[k, a] = np.nan
-    own, jacobian = np.zeros((size, 2, 2)), np.zeros((size, 2, 2, 2))
-    return Found(
-        np.zeros((size, 2)), own, lines, jacobian, np.zeros(size, np.int64), np.zeros(size, np.bool_), normals, border
-    )
+        for slot in range(2):
+            rows[k].lines[slot] = rows[k].border[slot] = -1
+            rows[k].normals[slot] = np.nan
+    return rows
 
 
 @compiled
-def add_crossing(found: Found, n: int, sight: Sight, walls: Walls, pair: tuple[int, int], rules: Rules) -> int:
-    """n + 1 when the lines of the consecutive segments `pair` cross at a corner, written to row n; else n."""
+def add_intersection(
+    found: Record, scan: RolledScan, lines: Lines, pair: tuple[int, int], limits: Record, noise: Noise
+) -> bool:
+    """True when the lines of the consecutive segments `pair` intersect at a corner; it is in row `found` then."""
     before, after = pair
-    turn = wrap_angle(walls.line[after, 0] - walls.line[before, 0])
-    doubt = TURN_SIGMAS * math.sqrt(walls.cov[before, 0, 0] + walls.cov[after, 0, 0])
-    if not rules.min_angle + doubt < abs(turn) < math.pi - rules.min_angle - doubt:
-        return n
-    x, y = cross_lines(walls.line, before, after)
-    if not write_crossing(found, n, walls, pair, (x, y)):
-        return n
-    variance = spread_of(found, n, walls) + rules.floor**2
-    far = max(
-        gap_to_break(sight, walls, before, walls.last[before], (x, y)),
-        gap_to_break(sight, walls, after, walls.first[after], (x, y)),
-    )
-    if variance > rules.max_variance or far > NEAR_M + NEAR_SIGMAS * math.sqrt(variance):
-        return n
-    found.kind[n] = CROSSING
-    found.convex[n] = math.sin(turn) < 0.0
-    found.normals[n, 0] = wrap_angle(walls.line[before, 0] + math.pi)
-    found.normals[n, 1] = wrap_angle(walls.line[after, 0] + math.pi)
-    if found.convex[n] and length_of(walls.points, after) < POST_M:
-        found.border[n, 0] = before
-    if found.convex[n] and length_of(walls.points, before) < POST_M:
-        found.border[n, 1] = after
-    add_floor(found, n, rules.floor)
-    return n + 1
-
-
-@compiled
-def cross_lines(line: Array, i: int, j: int) -> tuple[float, float]:
-    """x, y where lines i and j cross."""
-    ci, si, cj, sj = math.cos(line[i, 0]), math.sin(line[i, 0]), math.cos(line[j, 0]), math.sin(line[j, 0])
-    determinant = ci * sj - si * cj
-    return (line[i, 1] * sj - line[j, 1] * si) / determinant, (ci * line[j, 1] - cj * line[i, 1]) / determinant
-
-
-@compiled
-def write_crossing(found: Found, n: int, walls: Walls, pair: tuple[int, int], p: tuple[float, float]) -> bool:
-    """Writes range, bearing and their derivatives by both lines; False when the crossing is at the robot."""
-    x, y = p
-    r = math.hypot(x, y)
-    if r < 1e-3:
+    turn = wrap_angle(lines.line[after, 0] - lines.line[before, 0])
+    doubt = noise.gate * math.sqrt(lines.cov[before, 0, 0] + lines.cov[after, 0, 0])
+    if not limits.min_angle_rad + doubt < abs(turn) < math.pi - limits.min_angle_rad - doubt:
         return False
-    found.z[n, 0], found.z[n, 1] = r, math.atan2(y, x)
-    sine = math.sin(walls.line[pair[1], 0] - walls.line[pair[0], 0])
-    for slot in range(2):
-        own, other = walls.line[pair[slot], 0], walls.line[pair[1 - slot], 0]
-        sign = 1.0 if slot == 0 else -1.0
-        dx, dy = sign * math.sin(other) / sine, -sign * math.cos(other) / sine  # of the crossing by rho
-        along = y * math.cos(own) - x * math.sin(own)  # n dp = drho - along dalpha
-        by_rho_r, by_rho_b = (x * dx + y * dy) / r, (x * dy - y * dx) / (r * r)
-        found.lines[n, slot] = pair[slot]
-        found.jacobian[n, slot, 0, 0], found.jacobian[n, slot, 0, 1] = -along * by_rho_r, by_rho_r
-        found.jacobian[n, slot, 1, 0], found.jacobian[n, slot, 1, 1] = -along * by_rho_b, by_rho_b
+    x, y = write_intersection(found, lines.line, pair)
+    if found.z[0] < 1e-3:  # at the robot
+        return False
+    floor, far = limits.floor_share * noise.range_m, 0.0
+    variance = spread_of(found, lines.cov) + floor**2
+    for slot in range(2):  # along each line, from the end of its segment, less what beam spacing explains
+        alpha, rho = lines.line[pair[slot], 0], lines.line[pair[slot], 1]
+        bearing = scan.polar[1, lines.last[before] if slot == 0 else lines.first[after]] - alpha
+        along = y * math.cos(alpha) - x * math.sin(alpha)
+        spacing = rho * (2.0 * math.pi / scan.polar.shape[1]) / math.cos(bearing) ** 2
+        gap = abs(along - rho * math.tan(bearing)) - limits.edge_beams * spacing
+        far = gap if slot == 0 else max(far, gap)
+        found.normals[slot] = wrap_angle(alpha + math.pi)
+    if variance > limits.max_sigma_m**2 or far > limits.break_m + noise.gate * math.sqrt(variance):
+        return False
+    found.kind, found.convex = CornerKind.CROSSING, math.sin(turn) < 0.0
+    if found.convex and lines.length[after] < limits.post_m:
+        found.border[0] = before
+    if found.convex and lines.length[before] < limits.post_m:
+        found.border[1] = after
+    add_floor(found, floor)
     return True
 
 
 @compiled
-def gap_to_break(sight: Sight, walls: Walls, segment: int, position: int, p: tuple[float, float]) -> float:
-    """Metres along the wall from p to the segment's end at `position`, less what beam spacing explains."""
-    alpha, rho = walls.line[segment]
-    bearing = sight.polar[1, position] - alpha
-    along = p[1] * math.cos(alpha) - p[0] * math.sin(alpha)
-    step = 2.0 * math.pi / sight.polar.shape[1]
-    spacing = rho * step / math.cos(bearing) ** 2
-    return float(abs(along - rho * math.tan(bearing)) - NEAR_BEAMS * spacing)
+def write_intersection(found: Record, line: Array, pair: tuple[int, int]) -> tuple[float, float]:
+    """x, y where the lines `pair` intersect; writes range, bearing and, off the origin, their derivatives."""
+    (i, j), sine = pair, math.sin(line[pair[1], 0] - line[pair[0], 0])
+    ci, si, cj, sj = math.cos(line[i, 0]), math.sin(line[i, 0]), math.cos(line[j, 0]), math.sin(line[j, 0])
+    determinant = ci * sj - si * cj
+    x, y = (line[i, 1] * sj - line[j, 1] * si) / determinant, (ci * line[j, 1] - cj * line[i, 1]) / determinant
+    r = math.hypot(x, y)
+    found.z[0], found.z[1] = r, math.atan2(y, x)
+    for slot in range(2):
+        own, other = line[pair[slot], 0], line[pair[1 - slot], 0]
+        sign = 1.0 if slot == 0 else -1.0
+        dx, dy = sign * math.sin(other) / sine, -sign * math.cos(other) / sine  # of the point by rho
+        along = y * math.cos(own) - x * math.sin(own)  # n dp = drho - along dalpha
+        by_rho_r, by_rho_b = (x * dx + y * dy) / r, (x * dy - y * dx) / (r * r)
+        found.lines[slot] = pair[slot]
+        found.jacobian[slot, 0, 0], found.jacobian[slot, 0, 1] = -along * by_rho_r, by_rho_r
+        found.jacobian[slot, 1, 0], found.jacobian[slot, 1, 1] = -along * by_rho_b, by_rho_b
+    return x, y
 
 
 @compiled
-def spread_of(found: Found, n: int, walls: Walls) -> float:
-    """Variance (m^2, sum over both directions) of corner n."""
-    r = found.z[n, 0]
-    total = found.own[n, 0, 0] + r * r * found.own[n, 1, 1]
+def spread_of(found: Record, line_cov: Array) -> float:
+    """Variance (m^2, sum over both directions) of a corner."""
+    r = found.z[0]
+    total = found.own[0, 0] + r * r * found.own[1, 1]
     for slot in range(2):
-        segment = found.lines[n, slot]
+        segment = found.lines[slot]
         if segment < 0:
             continue
         for row in range(2):
-            a, b = found.jacobian[n, slot, row, 0], found.jacobian[n, slot, row, 1]
+            a, b = found.jacobian[slot, row, 0], found.jacobian[slot, row, 1]
             scale = 1.0 if row == 0 else r * r
-            cov = walls.cov[segment]
+            cov = line_cov[segment]
             total += scale * (a * a * cov[0, 0] + 2.0 * a * b * cov[0, 1] + b * b * cov[1, 1])
     return float(total)
 
 
 @compiled
-def add_floor(found: Found, n: int, floor: float) -> None:
-    """Adds an independent error of `floor` metres in both directions to corner n."""
-    found.own[n, 0, 0] += floor * floor
-    found.own[n, 1, 1] += (floor / found.z[n, 0]) ** 2
-
-
-@compiled
-def length_of(points: Array, segment: int) -> float:
-    """Length (m) of a segment."""
-    return math.hypot(points[segment, 1, 0] - points[segment, 0, 0], points[segment, 1, 1] - points[segment, 0, 1])
+def add_floor(found: Record, floor: float) -> None:
+    """Adds an independent error of `floor` metres in both directions to a corner."""
+    found.own[0, 0] += floor * floor
+    found.own[1, 1] += (floor / found.z[0]) ** 2

@@ -1,8 +1,8 @@
-"""Kernels that cut a cluster into straight stretches: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
+"""Compiled functions that cut a cluster into lines: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
 
-A stretch is a run of positions; `ends` holds the last position of each stretch of a cluster, in order. Prefix sums of
-moments and of the points' own covariance give the chi-square of any stretch in constant time. What is known of each
-beam stands in rows of an array, so that the compiler can take several beams at once.
+`breaks` holds the position before the first line of a cluster and the last position of each line, in order. Prefix
+sums of moments and of the points' own covariance give the chi-square of any run of positions in constant time. What is
+known of each beam is in rows of an array, so that the compiler can take several beams at once.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.frontend.noise import Noise
+from mecp_env.slam.frontend.beams import Noise
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MIN_STRETCH = 3  # positions; a break is not moved nearer to its neighbour
+FEWEST = 3  # positions of a line: two have no residual
 SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
 ROUNDING = 1 << 32  # units in the last place, 1e-6: far more than rounding errors make
-SLIVER = 8  # positions; a stretch shorter than this may be shared out between its neighbours
 
 
 @compiled
@@ -31,8 +30,16 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
     """
     size = polar.shape[1]
     points, sums = np.empty((5, size)), np.empty((size + 1, 8))
-    write_turns(polar[1], points[0], points[1])
-    write_variances(polar[0], polar[2], noise, points[2], points[3])
+    ranges, bearings, count = polar[0], polar[1], polar[2]
+    cosine, sine, along_ray, across_ray = points[0], points[1], points[2], points[3]
+    for i in range(1, size):  # of the turn from the beam before, where it is small: without trigonometry
+        turn = bearings[i] - bearings[i - 1]
+        q = turn * turn
+        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
+    for i in range(size):
+        along_ray[i] = noise.range_m**2 / count[i]
+        across_ray[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
     for k in range(8):
         sums[0, k] = 0.0
     c, s = 1.0, 0.0
@@ -53,24 +60,6 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
 
 
 @compiled
-def write_turns(bearings: Array, cosine: Array, sine: Array) -> None:
-    """Cosine and sine of the turn from the beam before, where it is small: that needs no trigonometry."""
-    for i in range(1, bearings.shape[0]):
-        turn = bearings[i] - bearings[i - 1]
-        q = turn * turn
-        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
-        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
-
-
-@compiled
-def write_variances(ranges: Array, count: Array, noise: Noise, along: Array, across: Array) -> None:
-    """Variances of each point along and across the ray."""
-    for i in range(ranges.shape[0]):
-        along[i] = noise.range_m**2 / count[i]
-        across[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
-
-
-@compiled
 def scatter(sums: Array, first: int, last: int) -> tuple[float, float, float]:
     """Central second moments sxx, sxy, syy (sums, not means) of positions first to last."""
     n = last - first + 1
@@ -82,10 +71,10 @@ def scatter(sums: Array, first: int, last: int) -> tuple[float, float, float]:
 
 
 @compiled
-def stretch_cost(sums: Array, first: int, last: int) -> float:
+def line_cost(sums: Array, first: int, last: int) -> float:
     """Chi-square of the total-least-squares line through positions first to last: n S_normal / sum of variances."""
     n = last - first + 1
-    if n < 3:
+    if n < FEWEST:
         return 0.0
     sxx, sxy, syy = scatter(sums, first, last)
     spread = math.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
@@ -99,19 +88,19 @@ def stretch_cost(sums: Array, first: int, last: int) -> float:
 
 
 @compiled
-def break_cluster(points: Array, first: int, last: int, sigmas: float, ends: Ints) -> int:
-    """Ramer-Douglas-Peucker with a tolerance of `sigmas` standard deviations: fills `ends`, returns how many."""
+def split_cluster(points: Array, first: int, last: int, sigmas: float, breaks: Ints) -> int:
+    """Ramer-Douglas-Peucker with a tolerance of `sigmas` standard deviations: fills `breaks`; the number of lines."""
     stack = np.empty((last - first + 2, 2), np.int64)
-    stack[0, 0], stack[0, 1] = first, last
+    stack[0, 0], stack[0, 1], breaks[0] = first, last, first - 1
     depth, size = 1, 0
     while depth > 0:
         depth -= 1
         low, high = stack[depth, 0], stack[depth, 1]
         split = farthest_point(points, low, high, sigmas)
         if split < 0:
-            ends[size] = high
             size += 1
-        else:  # the left half is popped first, so that ends come in order
+            breaks[size] = high
+        else:  # the left half is popped first, so that breaks come in order
             stack[depth, 0], stack[depth, 1] = split, high
             stack[depth + 1, 0], stack[depth + 1, 1] = low, split
             depth += 2
@@ -122,66 +111,47 @@ def break_cluster(points: Array, first: int, last: int, sigmas: float, ends: Int
 def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
     """The position strictly between low and high farthest off their chord in sigmas, or -1 when none is too far.
 
-    Branches that nobody can foresee cost more than arithmetic: the squared distances of all come first (row 4, several
-    at once, with as few divisions as can be), and only those that equal the largest but for rounding are looked at.
+    Mispredicted branches cost more than arithmetic: the squared distances of all come first (row 4, several at once,
+    with as few divisions as can be), and only those that equal the largest but for rounding are looked at. Where low
+    and high are one point, there is no chord, and the distance from that point counts.
     """
-    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
-    if dx * dx + dy * dy < 1e-12:
-        return farthest_on_ring(points, low, high, sigmas)
-    chord = (points[0, low], points[1, low], dx, dy)
+    x0, y0, dx, dy = points[0, low], points[1, low], points[0, high] - points[0, low], points[1, high] - points[1, low]
     x, y = points[0, low + 1 : high], points[1, low + 1 : high]
     along, across = points[2, low + 1 : high], points[3, low + 1 : high]
+    farthest, worst, length2 = -1, sigmas * sigmas, dx * dx + dy * dy
+    if length2 < 1e-12:
+        for i in range(x.shape[0]):
+            ratio = ((x[i] - x0) ** 2 + (y[i] - y0) ** 2) / (along[i] + across[i])
+            if ratio > worst:
+                farthest, worst = low + 1 + i, ratio
+        return farthest
     sigmas2 = points[4, low + 1 : high]
     for i in range(x.shape[0]):
-        cross, ahead = dx * (y[i] - chord[1]) - dy * (x[i] - chord[0]), dx * y[i] - dy * x[i]
+        cross, ahead = dx * (y[i] - y0) - dy * (x[i] - x0), dx * y[i] - dy * x[i]
         r2, steep = x[i] * x[i] + y[i] * y[i], ahead * ahead
-        sigmas2[i] = cross * cross * r2 / (along[i] * steep + across[i] * ((dx * dx + dy * dy) * r2 - steep))
+        sigmas2[i] = cross * cross * r2 / (along[i] * steep + across[i] * (length2 * r2 - steep))
     bits, largest = sigmas2.view(np.int64), 0  # numbers >= 0 are ordered as their bits are
     for i in range(x.shape[0]):
         largest = max(largest, bits[i])
-    farthest, worst = -1, sigmas * sigmas
     for i in range(x.shape[0]):
         if bits[i] < largest - ROUNDING:
             continue
-        distance2, variance = off_chord(x[i], y[i], (along[i], across[i]), chord)
+        cross, ahead = dx * (y[i] - y0) - dy * (x[i] - x0), dx * y[i] - dy * x[i]
+        steep = ahead * ahead / (x[i] * x[i] + y[i] * y[i])
+        distance2, variance = cross * cross, along[i] * steep + across[i] * (length2 - steep)
         if distance2 > worst * variance:
             farthest, worst = low + 1 + i, distance2 / variance
     return farthest
 
 
 @compiled
-def off_chord(
-    x: float, y: float, variances: tuple[float, float], chord: tuple[float, float, float, float]
-) -> tuple[float, float]:
-    """Squared distance of a point from a chord (start x, y, and vector) and its variance, times the squared length."""
-    x0, y0, dx, dy = chord
-    cross, ahead = dx * (y - y0) - dy * (x - x0), dx * y - dy * x
-    steep = ahead * ahead / (x * x + y * y)
-    return cross * cross, variances[0] * steep + variances[1] * (dx * dx + dy * dy - steep)
-
-
-@compiled
-def farthest_on_ring(points: Array, low: int, high: int, sigmas: float) -> int:
-    """The same where the stretch ends where it starts, so that there is no chord: the farthest from there."""
-    dx, dy = points[0, high] - points[0, low], points[1, high] - points[1, low]
-    farthest, worst = -1, sigmas * sigmas
-    for i in range(low + 1, high):
-        px, py = points[0, i] - points[0, low], points[1, i] - points[1, low]
-        distance2 = px * px + py * py
-        variance = points[2, i] + points[3, i] * (dx * dx + dy * dy - 1.0)
-        if distance2 > worst * variance:
-            farthest, worst = i, distance2 / variance
-    return farthest
-
-
-@compiled
-def merge_stretches(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
-    """Joins neighbouring stretches, the most alike first, while a break between them saves less than `gain`."""
+def merge_lines(sums: Array, breaks: Ints, size: int, gain: float) -> int:
+    """Joins neighbouring lines, the most alike first, while a break between them saves less than `gain`."""
     costs, saved = np.empty(size), np.empty(size)
     for k in range(size):
-        costs[k] = stretch_cost(sums, start_of(first, ends, k), ends[k])
+        costs[k] = line_cost(sums, breaks[k] + 1, breaks[k + 1])
     for k in range(size - 1):
-        saved[k] = stretch_cost(sums, start_of(first, ends, k), ends[k + 1]) - costs[k] - costs[k + 1]
+        saved[k] = line_cost(sums, breaks[k] + 1, breaks[k + 2]) - costs[k] - costs[k + 1]
     while size > 1:
         least = 0
         for k in range(1, size - 1):
@@ -191,65 +161,47 @@ def merge_stretches(sums: Array, first: int, ends: Ints, size: int, gain: float)
             break
         costs[least] += saved[least] + costs[least + 1]
         for k in range(least, size - 1):
-            ends[k] = ends[k + 1]
+            breaks[k + 1] = breaks[k + 2]
             if k > least:
                 costs[k] = costs[k + 1]
                 saved[k] = saved[k + 1]
         size -= 1
         for k in range(max(least - 1, 0), min(least + 1, size - 1)):
-            saved[k] = stretch_cost(sums, start_of(first, ends, k), ends[k + 1]) - costs[k] - costs[k + 1]
+            saved[k] = line_cost(sums, breaks[k] + 1, breaks[k + 2]) - costs[k] - costs[k + 1]
     return size
 
 
 @compiled
-def start_of(first: int, ends: Ints, k: int) -> int:
-    """First position of stretch k of a cluster that begins at `first`."""
-    return first if k == 0 else int(ends[k - 1]) + 1
-
-
-@compiled
-def refine_breaks(sums: Array, first: int, ends: Ints, size: int, window: int) -> None:
+def refine_breaks(sums: Array, breaks: Ints, size: int, window: int) -> None:
     """Moves each break, at most `window` positions, to where the two lines beside it fit best."""
-    for k in range(size - 1):
-        low, high = start_of(first, ends, k), ends[k + 1]
-        best, best_cost = ends[k], math.inf
-        start = max(low + MIN_STRETCH - 1, ends[k] - window)
-        for last in range(start, min(high - MIN_STRETCH, ends[k] + window) + 1):
-            cost = stretch_cost(sums, low, last) + stretch_cost(sums, last + 1, high)
+    for k in range(1, size):
+        low, high, best, best_cost = breaks[k - 1] + 1, breaks[k + 1], breaks[k], math.inf
+        start = max(low + FEWEST - 1, breaks[k] - window)
+        for last in range(start, min(high - FEWEST, breaks[k] + window) + 1):
+            cost = line_cost(sums, low, last) + line_cost(sums, last + 1, high)
             if cost < best_cost:
                 best, best_cost = last, cost
-        ends[k] = best
+        breaks[k] = best
 
 
 @compiled
-def absorb_slivers(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
-    """Shares the few positions between two longer stretches out between them, where that costs less than `gain`."""
+def absorb_slivers(sums: Array, breaks: Ints, size: int, gain: float, longest: int) -> int:
+    """Divides a line of at most `longest` positions between its neighbours, where that costs less than `gain`."""
     k = 1
     while k < size - 1:
-        low, start, high = start_of(first, ends, k - 1), ends[k - 1] + 1, ends[k + 1]
-        apart = stretch_cost(sums, low, start - 1) + stretch_cost(sums, start, ends[k])
-        apart += stretch_cost(sums, ends[k] + 1, high)
+        low, start, end, high = breaks[k - 1] + 1, breaks[k] + 1, breaks[k + 1], breaks[k + 2]
+        apart = line_cost(sums, low, start - 1) + line_cost(sums, start, end)
+        apart += line_cost(sums, end + 1, high)
         best, best_cost = -1, apart + gain
-        for last in range(start - 1, ends[k] + 1 if ends[k] - start < SLIVER else start - 1):
-            cost = stretch_cost(sums, low, last) + stretch_cost(sums, last + 1, high)
+        for last in range(start - 1, end + 1 if end - start < longest else start - 1):
+            cost = line_cost(sums, low, last) + line_cost(sums, last + 1, high)
             if cost < best_cost:
                 best, best_cost = last, cost
         if best < 0:
             k += 1
             continue
-        ends[k - 1] = best
-        for m in range(k, size - 1):
-            ends[m] = ends[m + 1]
+        breaks[k] = best
+        for m in range(k + 1, size):
+            breaks[m] = breaks[m + 1]
         size -= 1
-    return size
-
-
-@compiled
-def straighten(sums: Array, first: int, ends: Ints, size: int, gain: float) -> int:
-    """Merges and refines: coarse breaks first, then fine ones."""
-    size = merge_stretches(sums, first, ends, size, gain)
-    refine_breaks(sums, first, ends, size, 8)
-    size = absorb_slivers(sums, first, ends, size, gain)
-    size = merge_stretches(sums, first, ends, size, gain)
-    refine_breaks(sums, first, ends, size, 3)
     return size

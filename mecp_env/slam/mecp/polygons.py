@@ -130,8 +130,8 @@ def find_polygons(
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
     (derivations 1).
     """
-    if wall is None or not config.guard:
-        wall = np.full(len(beams.ranges), config.guard)
+    if wall is None or not config.check_walls:
+        wall = np.full(len(beams.ranges), config.check_walls)
     ids, intervals, ends = polygons_of_scan(
         (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
         (beams.ranges, beams.bearings, wall),
@@ -154,9 +154,10 @@ def _limits(config: PolygonConfig) -> tuple[float, float, int, float, float, flo
     """The fields of `Limits`."""
     return (
         config.tolerance_sigmas,
-        config.guard_m,
-        config.guard_beams,
-        config.open_depth_m,
+        config.depth_m,
+        config.crossing_beams,
+        config.depth_m,
         config.open_width_m,
-        *config.gap_width_m,
+        0.4,
+        config.widest_gap_m,
     )

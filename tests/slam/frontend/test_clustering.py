@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import ClusteringConfig
+from mecp_env.slam.config import ClusteringConfig, SegmentConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.messages import ClusterKind, MergedScan
 from tests.slam.scans import EXACT, MAX_RANGE_M, PAPER, ROOM, blank_scan, chain, nominal_bearings, ring, take_scan
 
+SEGMENTS = SegmentConfig()
 PAPER_RULE = ClusteringConfig(threshold="adaptive")
 
 
@@ -44,33 +45,33 @@ def test_threshold_of_the_paper():
     limit = d / math.cos(math.radians(85.0))
     for share, clusters in ((0.98, 1), (1.02, 2)):
         jump = math.sqrt((share * limit) ** 2 - d**2)  # the second hit is that much farther
-        assert len(cluster_beams(lone_hits([2.0, 2.0 + jump]), PAPER_RULE, EXACT).first) == clusters
+        assert len(cluster_beams(lone_hits([2.0, 2.0 + jump]), PAPER_RULE, SEGMENTS, EXACT).first) == clusters
 
 
 def test_the_threshold_grows_with_range_and_a_fixed_one_does_not():
     fixed = ClusteringConfig(threshold="fixed", fixed_m=0.3)
     for near, config, clusters in ((1.0, PAPER_RULE, 2), (5.0, PAPER_RULE, 1), (1.0, fixed, 1), (5.0, fixed, 1)):
-        assert len(cluster_beams(lone_hits([near, near + 0.25]), config, EXACT).first) == clusters
+        assert len(cluster_beams(lone_hits([near, near + 0.25]), config, SEGMENTS, EXACT).first) == clusters
 
 
 def test_a_noisy_flat_wall_is_one_cluster_only_with_the_noise_term():
     scans = [take_scan(chain((1.0, -3.0), (1.0, 3.0)), seed=seed, sweeps=1) for seed in range(20)]
     beams = [merge_sweeps(scan, PAPER) for scan in scans]
-    assert np.mean([len(cluster_beams(b, ClusteringConfig(), PAPER).first) for b in beams]) < 1.5
-    cuts = np.mean([len(cluster_beams(b, PAPER_RULE, PAPER).first) for b in beams])
+    assert np.mean([len(cluster_beams(b, ClusteringConfig(), SEGMENTS, PAPER).first) for b in beams]) < 1.5
+    cuts = np.mean([len(cluster_beams(b, PAPER_RULE, SEGMENTS, PAPER).first) for b in beams])
     assert cuts > 20  # derivations 2: a fifth of the pairs
 
 
 def test_a_wall_across_the_wrap_is_one_run():
     beams = merge_sweeps(take_scan(chain((-2.0, 3.0), (-2.0, -3.0)), EXACT), EXACT)
-    clusters = cluster_beams(beams, ClusteringConfig(), EXACT)
+    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     assert len(clusters.first) == 1
     assert spans(clusters)[0] == set(np.flatnonzero(beams.hit).tolist()) >= {0, 719}
 
 
 def test_a_closed_room_is_one_run_cut_at_its_farthest_corner():
     beams = merge_sweeps(take_scan(ROOM, EXACT), EXACT)
-    clusters = cluster_beams(beams, ClusteringConfig(), EXACT)
+    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     assert (clusters.first.tolist(), clusters.last.tolist()) == ([0], [719])
     assert beams.bearings[clusters.roll] == pytest.approx(math.atan2(2.0, 3.0), abs=0.01)
 
@@ -78,7 +79,7 @@ def test_a_closed_room_is_one_run_cut_at_its_farthest_corner():
 def test_a_jump_in_depth_ends_a_cluster():
     faces = np.concatenate([chain((2.0, -1.0), (2.0, 1.0)), ring((5.0, -5.0), (5.0, 5.0), (-5.0, 5.0), (-5.0, -5.0))])
     beams = merge_sweeps(take_scan(faces, EXACT), EXACT)
-    clusters = cluster_beams(beams, ClusteringConfig(), EXACT)
+    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     near = set(np.flatnonzero(beams.ranges < 2.5).tolist())
     assert near in spans(clusters)
     assert len(clusters.first) == 2
@@ -88,22 +89,22 @@ def test_kinds():
     post = chain((2.0, -0.05), (2.0, 0.05))
     wall = chain((2.0, 1.0), (2.0, 3.0))
     beams = merge_sweeps(take_scan(np.concatenate([post, wall]), EXACT), EXACT)
-    kinds = cluster_beams(beams, ClusteringConfig(), EXACT).kind.tolist()
+    kinds = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT).kind.tolist()
     assert kinds == [ClusterKind.SMALL, ClusterKind.LINES]
 
 
 def test_scans_with_next_to_nothing():
-    assert len(cluster_beams(merge_sweeps(blank_scan(), PAPER), ClusteringConfig(), PAPER).first) == 0
-    lone = cluster_beams(lone_hits([2.0]), ClusteringConfig(), PAPER)
+    assert len(cluster_beams(merge_sweeps(blank_scan(), PAPER), ClusteringConfig(), SEGMENTS, PAPER).first) == 0
+    lone = cluster_beams(lone_hits([2.0]), ClusteringConfig(), SEGMENTS, PAPER)
     assert (len(lone.first), lone.kind[0]) == (1, ClusterKind.SMALL)
-    assert spans(cluster_beams(lone_hits([2.0, 2.0]), ClusteringConfig(), PAPER)) == [{300, 301}]
+    assert spans(cluster_beams(lone_hits([2.0, 2.0]), ClusteringConfig(), SEGMENTS, PAPER)) == [{300, 301}]
 
 
 def test_a_laser_with_less_than_a_full_circle_has_a_gap_behind():
     bearings = np.linspace(-math.pi / 2, math.pi / 2, 361)
     ranges, ones = np.full(361, 2.0), np.ones(361, dtype=np.int64)
     beams = MergedScan(ranges, bearings, ones.astype(bool), ones, MAX_RANGE_M, ranges, bearings)
-    clusters = cluster_beams(beams, ClusteringConfig(), EXACT)
+    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     assert (clusters.roll, clusters.first.tolist(), clusters.last.tolist()) == (0, [0], [360])
 
 
@@ -123,7 +124,7 @@ def test_a_plain_twin_agrees():
     for seed in range(5):
         posts = [chain(p, p + rng.normal(0.0, 0.5, 2)) for p in rng.uniform(-5.0, 5.0, (25, 2))]
         beams = merge_sweeps(take_scan(np.concatenate(posts), seed=seed), PAPER)
-        clusters = cluster_beams(beams, ClusteringConfig(), PAPER)
+        clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, PAPER)
         together = np.zeros(720, dtype=bool)
         for span in spans(clusters):
             together[[b for b in span if (b + 1) % 720 in span]] = True

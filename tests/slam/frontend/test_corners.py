@@ -10,8 +10,8 @@ import pytest
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.line_ends import write_end
-from mecp_env.slam.frontend.line_intersections import Walls, cross_lines, empty_found, write_crossing
+from mecp_env.slam.frontend.line_ends import EndBearing, write_end
+from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
 from mecp_env.slam.messages import CornerKind
 from tests.slam.scans import (
     EXACT,
@@ -40,7 +40,7 @@ def at(points, x, y, within=0.1):
 
 @pytest.mark.parametrize("sensor", [PAPER, LMS200, EXACT])
 @pytest.mark.parametrize("sweeps", [1, 4])
-def test_a_room_has_four_concave_crossings_in_order_of_bearing(sensor, sweeps):
+def test_a_room_has_four_concave_intersections_in_order_of_bearing(sensor, sweeps):
     corners, points = corners_of(ROOM, sensor, sweeps=sweeps)
     expected = [(-2.0, -1.5), (3.0, -1.5), (3.0, 2.0), (-2.0, 2.0)]
     np.testing.assert_allclose(points, expected, atol=0.05)
@@ -61,7 +61,7 @@ def test_turning_the_robot_turns_the_corners_also_over_the_wrap(angle):
         at(points, *p, within=0.01)
 
 
-def test_a_box_shows_a_convex_crossing_and_free_ends():
+def test_a_box_shows_a_convex_intersection_and_line_ends():
     box = turned(ring((-0.3, -0.3), (-0.3, 0.3), (0.3, 0.3), (0.3, -0.3)), 45 * DEG) + np.array([2.0, 0.0])
     half = 0.3 * math.sqrt(2.0)
     for seed in range(10):
@@ -96,7 +96,7 @@ def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
 @pytest.mark.parametrize("sensor", [PAPER, LMS200])
 @pytest.mark.parametrize("sweeps", [1, 4])
 @pytest.mark.parametrize("end", [(2.0, 1.0), (1.2, 1.5), (3.0, -0.4)])
-def test_a_free_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
+def test_a_line_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
     """A wall 0.15 m thick; from the third end its end face is seen, hardly longer than the noise."""
     solid = chain((end[0], -3.0), end, (end[0] + 0.15, end[1]), (end[0] + 0.15, -3.0))
     faces = np.concatenate([solid, FAR_ROOM])
@@ -317,45 +317,45 @@ def test_joint_covariance_is_symmetric_and_positive():
         assert np.linalg.eigvalsh(corners.cov).min() > 0.0
 
 
-def lone_walls(line):
-    """Walls that only have lines."""
-    n = len(line)
-    none = np.zeros(n, np.int64)
-    return Walls(np.zeros((n, 2, 2)), np.array(line), np.tile(np.eye(2), (n, 1, 1)), none, none, none)
+def plain_intersection(line):
+    """Range and bearing of the point on both lines (2,2) of x cos(alpha) + y sin(alpha) = rho."""
+    x, y = np.linalg.solve(np.column_stack([np.cos(line[:, 0]), np.sin(line[:, 0])]), line[:, 1])
+    return math.hypot(x, y), math.atan2(y, x)
 
 
-def test_derivatives_of_a_crossing_against_finite_differences():
+def test_derivatives_of_an_intersection_against_finite_differences():
     base = np.array([[0.3, 2.0], [1.7, 1.5]])
-    found = empty_found(1)
-    assert write_crossing(found, 0, lone_walls(base), (0, 1), cross_lines(base, 0, 1))
+    found = empty_corners(1)[0]
+    x, y = write_intersection(found, base, (0, 1))
+    np.testing.assert_allclose(found["z"], plain_intersection(base))
+    np.testing.assert_allclose(found["z"], (math.hypot(x, y), math.atan2(y, x)))
     for slot in range(2):
         for parameter in range(2):
             ends = []
             for sign in (1.0, -1.0):
                 line = base.copy()
                 line[slot, parameter] += sign * 1e-6
-                x, y = cross_lines(line, 0, 1)
-                ends.append((math.hypot(x, y), math.atan2(y, x)))
+                ends.append(plain_intersection(line))
             slope = (np.array(ends[0]) - np.array(ends[1])) / 2e-6
-            np.testing.assert_allclose(found.jacobian[0, slot, :, parameter], slope, rtol=1e-6, atol=1e-8)
+            np.testing.assert_allclose(found["jacobian"][slot, :, parameter], slope, rtol=1e-6, atol=1e-8)
 
 
 def test_derivatives_of_an_end_against_finite_differences():
-    found, line, bearing = empty_found(1), (0.4, 2.0), 0.9
-    write_end(found, 0, 0, line, (bearing, 1e-4))
+    found, line, bearing = empty_corners(1)[0], (0.4, 2.0), 0.9
+    write_end(found, 0, line, EndBearing(bearing, 1e-4, 0.0))
     for parameter in range(2):
         ends = []
         for sign in (1.0, -1.0):
             moved = list(line)
             moved[parameter] += sign * 1e-6
             ends.append(moved[1] / math.cos(bearing - moved[0]))
-        assert found.jacobian[0, 0, 0, parameter] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
+        assert found["jacobian"][0, 0, parameter] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
     by_bearing = (line[1] / math.cos(bearing + 1e-6 - line[0]) - line[1] / math.cos(bearing - 1e-6 - line[0])) / 2e-6
-    assert found.own[0, 0, 0] == pytest.approx(by_bearing**2 * 1e-4, rel=1e-6)
-    assert found.own[0, 0, 1] == pytest.approx(by_bearing * 1e-4, rel=1e-6)
+    assert found["own"][0, 0] == pytest.approx(by_bearing**2 * 1e-4, rel=1e-6)
+    assert found["own"][0, 1] == pytest.approx(by_bearing * 1e-4, rel=1e-6)
 
 
-def test_the_smallest_angle_of_a_crossing_is_a_setting():
+def test_the_smallest_angle_of_an_intersection_is_a_setting():
     obtuse = ring((3.0, -2.0), (3.0, 0.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0))  # a bend of 27 degrees at (3, 0)
     scan = take_scan(obtuse, LMS200)
     beams, _, segments, corners = front_end(scan, LMS200)

@@ -7,14 +7,22 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.slam.config import SegmentConfig, SensorModel
+from mecp_env.slam.frontend.beams import Noise, laser_noise
 from mecp_env.slam.frontend.circles import circle_cost
-from mecp_env.slam.frontend.noise import Noise
-from mecp_env.slam.frontend.split_and_merge import beam_points, break_cluster, stretch_cost
+from mecp_env.slam.frontend.split_and_merge import beam_points, line_cost, split_cluster
 from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
+
+CIRCLE = SegmentConfig().pillar_radius_m, SensorModel().outlier_sigmas
 
 
 def segments_of(faces, sensor=PAPER, seed=0, sweeps=4):
     return front_end(take_scan(faces, sensor, seed, sweeps), sensor)[2]
+
+
+def noise_of(range_m, bearing):
+    """The noise of a laser with these standard deviations (m, rad), its gates as by default."""
+    return Noise(range_m, bearing, *laser_noise(SensorModel().record)[2:])
 
 
 def lengths(segments):
@@ -114,7 +122,7 @@ def random_beams(seed):
     rng = np.random.default_rng(seed)
     bearing = np.linspace(-1.0, 1.0, 80)
     polar = np.column_stack([3.0 + np.cumsum(rng.normal(0.0, 0.05, 80)), bearing, rng.integers(1, 5, 80)])
-    noise = Noise(0.05, 0.005)
+    noise = noise_of(0.05, 0.005)
     cov = []
     for r, theta, count in polar:
         u, v = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
@@ -123,15 +131,15 @@ def random_beams(seed):
     return points, sums, np.array(cov)
 
 
-def test_chi_square_of_a_stretch_against_a_plain_twin():
+def test_chi_square_of_a_line_against_a_plain_twin():
     points, sums, cov = random_beams(0)
     for first, last in ((0, 79), (3, 10), (40, 42), (20, 60)):
-        assert stretch_cost(sums, first, last) == pytest.approx(plain_cost(points.T, cov, first, last))
-    assert stretch_cost(sums, 5, 6) == 0.0
+        assert line_cost(sums, first, last) == pytest.approx(plain_cost(points.T, cov, first, last))
+    assert line_cost(sums, 5, 6) == 0.0
 
 
 def plain_breaks(points, cov, low, high, sigmas):
-    """Ramer-Douglas-Peucker by recursion: the last positions of the stretches."""
+    """Ramer-Douglas-Peucker by recursion: the last positions of the lines."""
     chord = points[high, :2] - points[low, :2]
     normal = np.array([-chord[1], chord[0]]) / np.hypot(*chord)
     off = [abs(normal @ (points[i, :2] - points[low, :2])) for i in range(low + 1, high)]
@@ -145,22 +153,22 @@ def plain_breaks(points, cov, low, high, sigmas):
 @pytest.mark.parametrize("seed", range(5))
 def test_ramer_douglas_peucker_against_a_plain_twin(seed):
     points, _, cov = random_beams(seed)
-    ends = np.empty(80, np.int64)
-    size = break_cluster(points, 0, 79, 3.0, ends)
-    assert ends[:size].tolist() == plain_breaks(points.T, cov, 0, 79, 3.0)
+    breaks = np.empty(81, np.int64)
+    size = split_cluster(points, 0, 79, 3.0, breaks)
+    assert breaks[: size + 1].tolist() == [-1, *plain_breaks(points.T, cov, 0, 79, 3.0)]
 
 
 def test_a_ring_of_points_has_no_chord_and_is_broken_all_the_same():
     bearing = np.linspace(0.0, 2.0 * math.pi, 60)
-    points, _ = beam_points(np.stack([np.full(60, 2.0), bearing, np.ones(60)]), Noise(0.01, 0.0))
+    points, _ = beam_points(np.stack([np.full(60, 2.0), bearing, np.ones(60)]), noise_of(0.01, 0.0))
     points[:, 59] = points[:, 0]
-    assert break_cluster(points, 0, 59, 3.0, np.empty(60, np.int64)) > 4
+    assert split_cluster(points, 0, 59, 3.0, np.empty(61, np.int64)) > 4
 
 
 def test_circle_through_points_of_a_circle_costs_nothing():
     bearing = np.linspace(-0.09, 0.09, 20)
     r = 2.0 * np.cos(bearing) - np.sqrt(0.2**2 - (2.0 * np.sin(bearing)) ** 2)
-    points, _ = beam_points(np.stack([r, bearing, np.ones(20)]), Noise(0.01, 0.001))
-    assert circle_cost(points, 0, 19) < 0.1
-    straight, _ = beam_points(np.stack([2.0 / np.cos(bearing), bearing, np.ones(20)]), Noise(0.01, 0.001))
-    assert circle_cost(straight, 0, 19) == math.inf
+    points, _ = beam_points(np.stack([r, bearing, np.ones(20)]), noise_of(0.01, 0.001))
+    assert circle_cost(points, 0, 19, *CIRCLE) < 0.1
+    straight, _ = beam_points(np.stack([2.0 / np.cos(bearing), bearing, np.ones(20)]), noise_of(0.01, 0.001))
+    assert circle_cost(straight, 0, 19, *CIRCLE) == math.inf

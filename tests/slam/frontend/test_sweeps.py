@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.messages import Scan
-from mecp_env.slam.frontend.dense_scan import SPLIT_SIGMAS, SPLIT_SLOPE, merge_sweeps
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from tests.slam.scans import LMS200, MAX_RANGE_M, PAPER, ROOM, blank_scan, chain, nominal_bearings, take_scan
 
 
@@ -97,17 +97,17 @@ def plain_merge(scan, sensor):
     """The same by sorting: split at the widest gap until none is left; keep the larger group, the nearer of equals."""
     sweeps, size = scan.ranges.shape
     ranges, bearings = scan.ranges.T.reshape(size, sweeps), scan.bearings.T.reshape(size, sweeps)
-    slope = SPLIT_SLOPE * (np.ptp(bearings) / (size * sweeps - 1) + sensor.bearing_sigma_rad)
+    slope = sensor.merge_slope * (np.ptp(bearings) / (size * sweeps - 1) + sensor.bearing_sigma_rad)
     merged = []
     for beam in range(size):
         order = np.argsort(ranges[beam], kind="stable")
         r, b = ranges[beam, order], bearings[beam, order]
-        excess = np.diff(r) - slope * r[:-1] - SPLIT_SIGMAS * sensor.range_sigma_m
+        excess = np.diff(r) - slope * r[:-1] - sensor.noise_sigmas * sensor.range_sigma_m
         while len(r) > 1 and excess.max() > 0.0:
             k = int(np.argmax(excess)) + 1
             keep = slice(0, k) if k >= len(r) - k else slice(k, None)
             r, b = r[keep], b[keep]
-            excess = np.diff(r) - slope * r[:-1] - SPLIT_SIGMAS * sensor.range_sigma_m
+            excess = np.diff(r) - slope * r[:-1] - sensor.noise_sigmas * sensor.range_sigma_m
         merged.append((r.mean(), b.mean(), len(r)))
     return np.array(merged).T
 

@@ -21,7 +21,7 @@ from tests.slam.mecp.polygon_rooms import (
 )
 
 CONFIG = PolygonConfig()
-UNGUARDED = PolygonConfig(guard=False)
+UNGUARDED = PolygonConfig(check_walls=False)
 RECTANGLE = np.array(ROOMS["rectangle"], float)
 
 
