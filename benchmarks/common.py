@@ -207,7 +207,7 @@ def markdown(content: Figures, report: str | None) -> str:
     return (
         f"# Benchmark: {content['benchmark']}\n\n"
         f"{content['date']}, `{content['command']}`; {where}; "
-        f"calibration kernel {content['calibration_ms']:.2f} ms.\n\n{body}\n"
+        f"calibration workload {content['calibration_ms']:.2f} ms.\n\n{body}\n"
     )
 
 

@@ -176,16 +176,16 @@ def report(figures: Figures) -> str:
     layouts = [(name, values["sites"], round(values["stage_us"], 1)) for name, values in scans.items()]
     return "\n\n".join(
         [
-            f"Times of the processor. {__doc__.splitlines()[0] if __doc__ else ''}",
+            f"CPU times. {__doc__.splitlines()[0] if __doc__ else ''}",
             "## Steps per second (layout `paper`, 720 beams, one core)",
             table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
-            "## Where a step goes, us",
+            "## Time per stage, us",
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
-            f"## A larger building, and people\n\n{crowd_speed.__doc__}",
+            f"## A larger building, and pedestrians\n\n{crowd_speed.__doc__}",
             crowd_speed.report(figures["crowd"]),
             "## 720 rays, us (median over poses)",
             table(["what", "value"], figures["rays"].items()),
-            "## Maximum Empty Convex Polygon, search and guard, us (median)",
+            "## Maximum Empty Convex Polygon, search and wall-crossing check, us (median)",
             table(["sites", "uniform", "convex position"], sites),
             "## The polygon stage on scans, edge intervals included (median)",
             table(["layout", "sites", "us"], layouts),
