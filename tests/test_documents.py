@@ -43,7 +43,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_decisions_have_their_parts_and_a_row_in_the_index() -> None:
     index = (ROOT / "docs/decisions/README.md").read_text()
     records = sorted((ROOT / "docs/decisions").glob("0*.md"))
-    assert [int(path.name[:4]) for path in records] == list(range(1, len(records) + 1))
+    assert len({path.name[:4] for path in records}) == len(records)
     for path in records:
         text = path.read_text()
         title, date = re.match(r"# (.+)\n\nDate: (\d{4}-\d{2}-\d{2})", text).groups()
