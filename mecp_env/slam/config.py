@@ -202,7 +202,10 @@ class GridConfig(Settings):
     paint_range_m: float = Field(8.0, gt=0.0, le=100.0)
     occupied_ratio: float = Field(0.34, gt=0.0, le=1.0)  # a cell is a wall when this share of the votes says so
     anchors: int = Field(4, ge=2, le=16)  # landmarks that carry a key scan along when the map moves
-    doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # nearer to a door a scan says nothing about rooms
+    doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # a scan taken nearer to a door than this has no room
+    lever_m: float = Field(3.0, ge=0.0, le=100.0)  # a turn of a scan counts as the shift it causes at this distance
+    wall_m: float = Field(0.15, gt=0.0, le=2.0)  # depth of a wall of which one face is known
+    margin_m: float = Field(0.05, ge=0.0, le=1.0)  # between a hit on no line and free space; a door is longer by it
 
 
 class SlamConfig(Settings):

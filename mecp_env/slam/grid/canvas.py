@@ -1,4 +1,4 @@
-"""The canvas of the semantic grid: layers of votes that grow with the map, and what is published of them."""
+"""The canvas of the semantic grid: layers of votes that grow with the map, and the grid published of them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from mecp_env.slam.grid import cells as kernels
+from mecp_env.slam.grid import cells
 from mecp_env.slam.messages import UNKNOWN_ROOM, Array, Bools, Ints, SemanticGrid
 
-GROWTH_CELLS = 20  # the grid grows in steps of so many cells
-MAP_FRAME = np.zeros(3)  # the pose of what is in the map frame already
+GROWTH_CELLS = 20  # the grid grows by multiples of this
+MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
 NOTHING = (2**40, -1, 2**40, -1)  # an empty window
+SEVERAL = -2  # more than one room, or a door
 
 
 def empty_grid(resolution_m: float) -> SemanticGrid:
@@ -25,7 +27,7 @@ def empty_grid(resolution_m: float) -> SemanticGrid:
 
 @dataclass(slots=True, eq=False)
 class Canvas:
-    """Votes per cell, one layer a kind (`grid_kernels`), and the grid published last."""
+    """Votes per cell in one layer per kind (`mecp_env.slam.grid.cells`), and the grid published last."""
 
     resolution_m: float
     grid: SemanticGrid
@@ -34,20 +36,38 @@ class Canvas:
     mask: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1), np.uint8))  # (H,W+1) scratch, all zero
     dirty: Ints = field(default_factory=lambda: np.array(NOTHING, np.int64))  # (4,) window to publish
 
-    def brush(self) -> kernels.Brush:
-        """What the painting kernels need."""
-        return kernels.Brush(self.mask, self.lattice, self.dirty, np.empty(4, np.int64))
+    @property
+    def raster(self) -> cells.Raster:
+        """What the compiled functions need of it."""
+        return cells.Raster(self.mask, self.lattice, self.dirty, self.resolution_m)
 
-    def cells(self, points: Array, T_map_points: Array = MAP_FRAME) -> Array:
+    def to_cells(self, points: Array, T_map_points: Array = MAP_FRAME) -> Array:
         """Points (..., 2) of a frame on the lattice, column and row."""
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-        return kernels.to_cells(flat, T_map_points, self.resolution_m).reshape(points.shape)
+        return cells.to_cells(flat, T_map_points, self.resolution_m).reshape(points.shape)
 
-    def contain(self, cells: Array) -> None:
+    def vote(self, outline: Array, strips: Array, T_map_robot: Array, delta: int) -> None:
+        """Cast the votes of a scan, free inside (m,2) and hit in (s,4,2) m (`delta` 1), or take them back (-1)."""
+        if not cells.vote_scan(self.layers, outline, strips, T_map_robot, delta, self.raster):
+            self.contain(self.to_cells(outline, T_map_robot))
+            self.contain(self.to_cells(strips, T_map_robot).reshape(-1, 2))
+            cells.vote_scan(self.layers, outline, strips, T_map_robot, delta, self.raster)
+
+    def stamp(self, rings: Array, layer: int, delta: int, room: int = UNKNOWN_ROOM) -> None:
+        """Paint rings (n,k,2) m, map frame, on a layer (`delta` 1), or take them off (-1), but those with nan."""
+        if not cells.stamp(self.layers, rings, layer, delta, room, self.raster):
+            for ring in self.to_cells(rings[np.isfinite(rings).all(axis=(1, 2))]):
+                self.contain(ring)
+            cells.stamp(self.layers, rings, layer, delta, room, self.raster)
+
+    def set_room(self, ring: Array, room: int) -> None:
+        """Give the cells under a painted polygon (k,2) m its room."""
+        cells.fill_polygon(self.layers[cells.COVER_ROOM], self.to_cells(ring), cells.SET, room, self.raster)
+
+    def contain(self, points: Array) -> None:
         """Grow until the points (n,2) of the lattice and a border of one cell lie on the grid."""
-        height, width = self.layers.shape[1:]
-        if not kernels.on_grid(cells, self.lattice, height, width):
-            self._stretch(cells.min(axis=0), cells.max(axis=0))
+        if not cells.on_grid(points, self.raster):
+            self._stretch(points.min(axis=0), points.max(axis=0))
 
     def _stretch(self, low: Array, high: Array) -> None:
         """Grow until the points `low` and `high` (2,) of the lattice and a border of one cell lie on the grid."""
@@ -66,7 +86,7 @@ class Canvas:
         window = np.s_[..., before[1] : height - after[1], before[0] : width - after[0]]
         shape, grid = (int(height), int(width)), self.grid
         layers = np.zeros((len(self.layers), *shape), np.int16)
-        layers[[kernels.ROOM, kernels.COVER_ROOM]] = UNKNOWN_ROOM
+        layers[[cells.ROOM, cells.COVER_ROOM]] = UNKNOWN_ROOM
         layers[window] = self.layers
         label, polygon, room = np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.full(shape, -1, np.int16)
         label[window], polygon[window], room[window] = grid.label, grid.polygon, grid.room
@@ -77,25 +97,50 @@ class Canvas:
         self.grid = SemanticGrid(label, polygon, room, origin, self.resolution_m, grid.version + 1)
 
     def everything_dirty(self) -> None:
-        """Publish every cell anew."""
+        """Publish every cell again."""
         self.dirty[:] = 0, self.layers.shape[1], 0, self.layers.shape[2]
 
     def publish(self, occupied_ratio: float) -> SemanticGrid:
-        """The grid of the votes as they are; the same object as before when no cell changed."""
+        """The grid of the current votes; the same object as before when no cell changed."""
         if self.dirty[0] >= self.dirty[1]:
             return self.grid
         label, polygon, room = self.grid.label.copy(), self.grid.polygon.copy(), self.grid.room.copy()
-        changed = kernels.compose(self.layers, occupied_ratio, label, polygon, room, self.dirty)
+        changed = cells.compose(self.layers, occupied_ratio, label, polygon, room, self.dirty)
         self.dirty[:] = NOTHING
         if changed:
             version = self.grid.version + 1
             self.grid = SemanticGrid(label, polygon, room, self.grid.origin, self.resolution_m, version)
         return self.grid
 
-    def find_pockets(self, complete: Bools, occupied_ratio: float) -> None:
+    def fill_pockets(self, complete: Bools, occupied_ratio: float) -> None:
         """Turn the unknown pockets of completed rooms, flags (r,) by room id, into walls."""
-        self.layers[kernels.POCKET] = 0
+        self.layers[cells.POCKET] = 0
         self.everything_dirty()
-        bare = self.publish(occupied_ratio)
-        kernels.find_pockets(bare.label, bare.room, complete, self.layers[kernels.POCKET])
+        grid = self.publish(occupied_ratio)
+        self.layers[cells.POCKET] = find_pockets(grid.label, grid.room, complete)
         self.everything_dirty()
+
+
+def find_pockets(label: NDArray[np.uint8], room: NDArray[np.int16], complete: Bools) -> Bools:
+    """(H,W) the unknown cells that only the walls and the floor of one completed room surround.
+
+    Such a component of unknown cells (4 neighbours) does not reach the border of the grid, touches no door and touches
+    cells of one room only, and that room is complete (`complete` (r,) by room id).
+    """
+    part, count = ndimage.label(label == cells.UNKNOWN_CELL)
+    inner = np.ones(count + 1, np.bool_)  # components that do not reach the border
+    for edge in (part[0], part[-1], part[:, 0], part[:, -1]):
+        inner[edge] = False
+    inner[0] = False
+    at = np.flatnonzero(inner.take(part))
+    around = (at + np.array([[-1], [1], [-label.shape[1]], [label.shape[1]]])).ravel()
+    owner = np.where(label.take(around) == cells.DOOR_CELL, SEVERAL, room.take(around))
+    beside = (part.take(around) == 0) & (owner != UNKNOWN_ROOM)
+    parts, owner = np.tile(part.take(at), 4)[beside], owner[beside]
+    least, most = np.full(count + 1, len(complete)), np.full(count + 1, UNKNOWN_ROOM)  # rooms beside each component
+    np.minimum.at(least, parts, owner)
+    np.maximum.at(most, parts, owner)
+    pocket = inner & (least == most) & (least >= 0)
+    pocket[pocket] = np.append(complete, False)[np.minimum(least[pocket], len(complete))]
+    pockets: Bools = pocket.take(part)
+    return pockets

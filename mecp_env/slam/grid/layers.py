@@ -1,4 +1,4 @@
-"""What is painted on the canvas: key scans, known polygons, doors. Each knows where it stands, and moves on demand."""
+"""What is painted on the canvas: key scans, known polygons, doors. Each can be moved to where its landmarks are."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.slam.config import GridConfig
-from mecp_env.slam.grid import cells as kernels
-from mecp_env.slam.grid import key_scans as scans
+from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
 from mecp_env.slam.messages import (
     NO_ID,
@@ -18,16 +17,9 @@ from mecp_env.slam.messages import (
     Bools,
     Ints,
     MapPolygon,
-    MergedScan,
     RoomGraph,
-    Segments,
 )
 
-LEVER_M = 3.0  # a turn of a scan counts as the shift it causes at this distance
-LOOSE_MARGIN_M = 0.05  # free space ends this far before a hit that lies on no line
-WALL_M = 0.15  # depth of a door of which only one face is known
-RIM_M = 0.05  # and is so much deeper on both sides, to join it to the floor
-SIDE_M = 0.1  # a door cuts the sight a little beyond its jambs
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
 
@@ -35,6 +27,7 @@ DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 class ScanLayer:
     """The key scans: row = scan, in order of time."""
 
+    config: GridConfig
     T_map_robot: Array = field(default_factory=lambda: np.empty((0, 3)))  # (n,3) pose each is painted at
     room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) UNKNOWN_ROOM when taken in a doorway
     step: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) when each was taken
@@ -44,53 +37,42 @@ class ScanLayer:
     strips: list[Array] = field(default_factory=list)  # (s,4,2) m, walls, robot frame
     has_room: Bools = field(default_factory=lambda: np.empty(0, np.bool_))  # (n,) its room is on the canvas
 
-    def wants(self, T_map_robot: Array, room: int, config: GridConfig) -> bool:
+    def wants(self, T_map_robot: Array, room: int) -> bool:
         """True when no key scan of this room lies near."""
-        near = scans.nearest_of_room(self.T_map_robot, self.room, T_map_robot[0], T_map_robot[1], room)
-        return bool(near > config.key_scan_m)
+        x, y, _ = T_map_robot.tolist()
+        near = key_scans.nearest_of_group(self.T_map_robot, self.room, room, x, y)
+        return bool(near > self.config.key_scan_m)
 
-    def add(
-        self,
-        canvas: Canvas,
-        T_map_robot: Array,
-        taken: tuple[int, int],
-        outline: Array,
-        strips: Array,
-        anchors: int,
-    ) -> None:
-        """Paint a scan; `taken` in which room, in which step. It hangs on nothing yet."""
-        n, (room, step) = len(self.room), taken
+    def add(self, canvas: Canvas, T_map_robot: Array, taken: tuple[int, int], seen: tuple[Array, Array]) -> None:
+        """Paint a scan, `taken` in which room, in which step, of which outline and strips were `seen`.
+
+        It hangs on nothing yet.
+        """
+        n, k, (room, step) = len(self.room), self.config.anchors, taken
         self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
         self.room, self.step = np.append(self.room, room), np.append(self.step, step)
         self.has_room = np.append(self.has_room, room == UNKNOWN_ROOM)
-        self.anchor = np.concatenate([self.anchor.reshape(n, anchors), np.full((1, anchors), NO_ID)])
-        self.p_robot = np.concatenate([self.p_robot.reshape(n, anchors, 2), np.zeros((1, anchors, 2))])
-        self.outline.append(outline)
-        self.strips.append(strips)
+        self.anchor = np.concatenate([self.anchor.reshape(n, k), np.full((1, k), NO_ID)])
+        self.p_robot = np.concatenate([self.p_robot.reshape(n, k, 2), np.zeros((1, k, 2))])
+        self.outline.append(seen[0])
+        self.strips.append(seen[1])
         self._vote(canvas, n, 1)
 
     def _vote(self, canvas: Canvas, row: int, delta: int) -> None:
         """Cast the votes of a scan (`delta` 1) or take them back (-1)."""
-        scan = self._scan(row)
-        if not kernels.vote_scan(canvas.layers, scan, canvas.resolution_m, delta, canvas.brush()):
-            for cells in kernels.scan_cells(scan, canvas.resolution_m):
-                canvas.contain(cells.reshape(-1, 2))
-            kernels.vote_scan(canvas.layers, scan, canvas.resolution_m, delta, canvas.brush())
-
-    def _scan(self, row: int) -> kernels.Scan:
-        """What the kernels need of a scan."""
-        return self.outline[row], self.strips[row], self.T_map_robot[row]
+        canvas.vote(self.outline[row], self.strips[row], self.T_map_robot[row], delta)
 
     def hang_up(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
         """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
-        scans.hang_up((self.anchor, self.p_robot, self.T_map_robot), p_landmark, matched_ids, (belief.ids, belief.covs))
+        scans = self.anchor, self.p_robot, self.T_map_robot
+        key_scans.hang_up(*scans, p_landmark, matched_ids, belief.ids, belief.covs)
 
     def follow(self, canvas: Canvas, p_landmark: Array) -> None:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
-        poses, present = scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
+        poses, present = key_scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
         step = poses - self.T_map_robot
         turn = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
-        moved = np.hypot(step[:, 0], step[:, 1]) + LEVER_M * turn > 0.5 * canvas.resolution_m
+        moved = np.hypot(step[:, 0], step[:, 1]) + self.config.lever_m * turn > 0.5 * canvas.resolution_m
         lost = (self.anchor[:, :1] != NO_ID).any(axis=1) & (present == 0)
         for row in np.flatnonzero(moved | lost).tolist():
             self._vote(canvas, row, -1)
@@ -109,7 +91,7 @@ class ScanLayer:
         self.strips = [self.strips[row] for row in np.flatnonzero(rows)]
 
     def part_rooms(self, parted: dict[int, tuple[int, int]]) -> None:
-        """Give the scans that were taken in rooms entered unnoticed to those rooms, to be painted anew."""
+        """Give the scans that were taken in rooms entered unnoticed to those rooms, to be painted again."""
         for room, (taken_for, since) in parted.items():
             strays = (self.room == taken_for) & (self.step >= since)
             self.room[strays], self.has_room[strays] = room, False
@@ -117,34 +99,20 @@ class ScanLayer:
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
         """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""
         rows = np.flatnonzero(~self.has_room).tolist()
-        lines, layer = canvas.cells(cuts) if rows else cuts, canvas.layers[kernels.ROOM]
+        lines, layer = canvas.to_cells(cuts) if rows else cuts, canvas.layers[cells.ROOM]
         for row in rows:
-            room = int(self.room[row])
-            kernels.paint_room(layer, room, self._scan(row), lines, canvas.resolution_m, canvas.brush())
+            scan = self.outline[row], self.strips[row], self.T_map_robot[row]
+            cells.paint_room(layer, int(self.room[row]), *scan, lines, canvas.raster)
         self.has_room[:] = True
 
-    def forget_behind(self, canvas: Canvas, cuts: Array, reach_m: float) -> None:
-        """Take the room off what was seen, within `reach_m`, through doors (d,2,2) m that were not known then."""
-        lines, offset = canvas.cells(cuts), self.T_map_robot[:, None, :2] - cuts.mean(axis=1)
-        near = (np.hypot(offset[:, :, 0], offset[:, :, 1]) < reach_m).any(axis=1)
-        layer, brush = canvas.layers[kernels.ROOM], canvas.brush()
+    def forget_behind(self, canvas: Canvas, cuts: Array) -> None:
+        """Take the room off what was seen, as far as is painted, through doors (d,2,2) m that were not known then."""
+        lines, offset = canvas.to_cells(cuts), self.T_map_robot[:, None, :2] - cuts.mean(axis=1)
+        near = (np.hypot(offset[:, :, 0], offset[:, :, 1]) < self.config.paint_range_m).any(axis=1)
+        layer = canvas.layers[cells.ROOM]
         for row in np.flatnonzero(near & self.has_room & (self.room != UNKNOWN_ROOM)).tolist():
-            kernels.forget_room(layer, int(self.room[row]), self._scan(row), lines, canvas.resolution_m, brush)
-
-
-def free_and_walls(beams: MergedScan, segments: Segments, config: GridConfig) -> tuple[Array, Array]:
-    """Outline (m,2) of the free space and strips (s,4,2) of wall of a scan, m, robot frame.
-
-    Free space ends, and walls begin, at the fitted lines, not at the noisy ranges; a strip is one cell deep.
-    """
-    outline, strips = scans.free_and_walls(
-        (beams.ranges, beams.bearings, beams.hit),
-        (segments.points, segments.line, segments.first, segments.last, segments.roll),
-        LOOSE_MARGIN_M,
-        config.paint_range_m,
-        config.resolution_m,
-    )
-    return outline, strips
+            room, outline, T_map_robot = int(self.room[row]), self.outline[row], self.T_map_robot[row]
+            cells.forget_room(layer, room, outline, T_map_robot, lines, canvas.raster)
 
 
 @dataclass(slots=True, eq=False)
@@ -191,7 +159,8 @@ class PolygonLayer:
         first = np.cumsum([0, *map(len, keys[:-1])])
         ids = np.array([i for key in keys for i in key], np.int64)
         rings = np.concatenate([polygon.ring for polygon in self.painted.values()])
-        shifts = scans.ring_shifts(p_landmark, ids, rings, first)
+        moves = p_landmark[ids] - rings
+        shifts = np.fmax.reduceat(np.hypot(moves[:, 0], moves[:, 1]), first)
         for row in np.flatnonzero(shifts > 0.5 * canvas.resolution_m):
             polygon = self.painted[keys[row]]
             self._stamp(canvas, polygon, -1)
@@ -199,93 +168,79 @@ class PolygonLayer:
             self._stamp(canvas, polygon, 1)
 
     def rename_rooms(self, canvas: Canvas, graph: RoomGraph) -> None:
-        """Write the rooms anew after a merge."""
+        """Write the rooms again after a merge."""
         for polygon in self.painted.values():
             polygon.room = graph.resolve(polygon.room)
-            self._write_room(canvas, polygon)
+            canvas.set_room(polygon.ring, polygon.room)
 
     def _stamp(self, canvas: Canvas, polygon: PaintedPolygon, delta: int) -> None:
         """Paint a polygon (`delta` 1) or take it off (-1)."""
-        cell, ring, room = canvas.resolution_m, polygon.ring, polygon.room
-        if not kernels.stamp_polygon(canvas.layers, ring, room, delta, cell, canvas.brush()):
-            canvas.contain(canvas.cells(ring))
-            kernels.stamp_polygon(canvas.layers, ring, room, delta, cell, canvas.brush())
-
-    def _write_room(self, canvas: Canvas, polygon: PaintedPolygon) -> None:
-        """Give the cells of a polygon its room."""
-        layer = canvas.layers[kernels.COVER_ROOM]
-        kernels.set_polygon(layer, canvas.cells(polygon.ring), polygon.room, canvas.brush())
+        canvas.stamp(polygon.ring[None], cells.COVER, delta, polygon.room)
 
 
 @dataclass(slots=True, eq=False)
 class DoorLayer:
     """The cells between the jambs of the doors, and the lines that part the rooms."""
 
-    shift_m: float  # a door that moved by more is painted anew
+    config: GridConfig
     key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
     quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
     middles: Array = field(default_factory=lambda: np.empty((0, 2)))  # (d,2) m, of the quads
     lines: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (c,2,2) m, across the known quads
 
-    def near(self, T_map_robot: Array, distance_m: float) -> bool:
-        """True when the robot stands within a distance of the middle of a door."""
-        return bool(scans.any_near(self.middles, T_map_robot[0], T_map_robot[1], distance_m))
+    def near(self, T_map_robot: Array) -> bool:
+        """True when the robot stands within `doorway_m` of the middle of a door."""
+        (x, y, _), group = T_map_robot.tolist(), np.zeros(len(self.middles), np.int64)
+        return bool(key_scans.nearest_of_group(self.middles, group, 0, x, y) < self.config.doorway_m)
 
     def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> Array:
         """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed."""
         key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
         if key == self.key and not moved:
             return np.empty((0, 2, 2))
-        quads = door_quads(p_landmark, key)
+        quads = self._quads_of(p_landmark, key)
         still = self._standing(key, quads)
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
-        self._stamp(canvas, -1)
-        self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), cut_lines(quads)
-        self._stamp(canvas, 1)
-        return cut_lines(quads[~still])
+        canvas.stamp(self.quads, cells.DOOR, -1)
+        self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), self._cut_lines(quads)
+        canvas.stamp(self.quads, cells.DOOR, 1)
+        return self._cut_lines(quads[~still])
 
     def _standing(self, key: tuple[DoorKey, ...], quads: Array) -> Bools:
         """(d,) True for each door that was painted before where it is now (d,4,2), within half a cell."""
         row = {door: i for i, door in enumerate(self.key)}
         rows = np.array([row.get(door, -1) for door in key], np.int64)
         still = rows >= 0
-        still[still] = ~(np.abs(self.quads[rows[still]] - quads[still]) > self.shift_m).any(axis=(1, 2))
+        still[still] = ~(np.abs(self.quads[rows[still]] - quads[still]) > 0.5 * self.config.resolution_m).any(
+            axis=(1, 2)
+        )
         return still
 
-    def _stamp(self, canvas: Canvas, delta: int) -> None:
-        """Paint the doors (`delta` 1) or take them off (-1)."""
-        if not kernels.stamp_doors(canvas.layers, self.quads, delta, canvas.resolution_m, canvas.brush()):
-            for cells in canvas.cells(self.quads[np.isfinite(self.quads).all(axis=(1, 2))]):
-                canvas.contain(cells)
-            kernels.stamp_doors(canvas.layers, self.quads, delta, canvas.resolution_m, canvas.brush())
+    def _quads_of(self, p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
+        """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.
+
+        With one face known the door is as deep as a thin wall. It is deeper by `margin_m` on both sides, to join the
+        floor.
+        """
+        jambs = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
+        depth = np.array([0.0 if other else self.config.wall_m for _, _, other in doors], np.float64)
+        quads: Array = key_scans.door_quads(p_landmark, jambs, depth, self.config.margin_m)
+        return quads
 
     def cuts(self, graph: RoomGraph) -> Array:
         """(d,2,2) m, the lines that part the rooms: through the middle of each door, and across each candidate."""
         if not graph.candidates:
             return self.lines
-        return np.concatenate([self.lines, widened(np.array([candidate.ends for candidate in graph.candidates]))])
+        return np.concatenate([self.lines, self._widened(np.array([candidate.ends for candidate in graph.candidates]))])
 
+    def _cut_lines(self, quads: Array) -> Array:
+        """(d,2,2) m: the line through the middle of each door (d,4,2) whose jambs are in the map, a little widened."""
+        known = quads[np.isfinite(quads).all(axis=(1, 2))]
+        return self._widened(0.5 * (known[:, :2] + known[:, 3:1:-1]))
 
-def cut_lines(quads: Array) -> Array:
-    """(d,2,2) m: the line through the middle of each door (d,4,2) whose jambs are in the map, a little widened."""
-    known = quads[np.isfinite(quads).all(axis=(1, 2))]
-    return widened(0.5 * (known[:, :2] + known[:, 3:1:-1]))
-
-
-def widened(lines: Array) -> Array:
-    """Lines (d,2,2) m, longer by `SIDE_M` at both ends."""
-    along = lines[:, 1] - lines[:, 0]
-    side = SIDE_M * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
-    return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
-
-
-def door_quads(p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
-    """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.
-
-    With one face known the door is as deep as a thin wall.
-    """
-    jambs = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
-    depth = np.array([0.0 if other else WALL_M for _, _, other in doors], np.float64)
-    quads: Array = scans.door_quads(p_landmark, jambs, depth, RIM_M)
-    return quads
+    def _widened(self, lines: Array) -> Array:
+        """Lines (d,2,2) m, longer at both ends: a door cuts the sight a little beyond its jambs."""
+        along = lines[:, 1] - lines[:, 0]
+        side = 2.0 * self.config.margin_m * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
+        return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)

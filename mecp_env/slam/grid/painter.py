@@ -1,7 +1,7 @@
 """The semantic grid: cells with a label, a room and the paper's polygon layer, painted from the belief.
 
-Nothing is painted in ink: a key scan hangs on landmarks, a polygon on its vertices, a door on its jambs. When one of
-them moves by more than half a cell, its votes are taken off the grid and cast again where it is now.
+Everything can be rendered again: a key scan hangs on landmarks, a polygon on its vertices, a door on its jambs. When
+one of them moves by more than half a cell, its votes are taken off the grid and cast again at the new place.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from operator import attrgetter, is_not
 import numpy as np
 
 from mecp_env.slam.config import GridConfig
-from mecp_env.slam.grid import cells as kernels
-from mecp_env.slam.grid import key_scans as scans
+from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas, empty_grid
-from mecp_env.slam.grid.layers import DoorLayer, PolygonLayer, ScanLayer, free_and_walls
+from mecp_env.slam.grid.layers import DoorLayer, PolygonLayer, ScanLayer
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Array,
@@ -42,9 +41,9 @@ class GridPainter:
     def __init__(self, config: GridConfig) -> None:
         self.config = config
         self.canvas = Canvas(config.resolution_m, empty_grid(config.resolution_m))
-        self.scans = ScanLayer()
+        self.scans = ScanLayer(config)
         self.polygons = PolygonLayer()
-        self.doors = DoorLayer(0.5 * config.resolution_m)
+        self.doors = DoorLayer(config)
         self.p_landmark = np.empty((0, 2))  # (F,2) m by id, nan: none; where they were at the last look
         self.merges = 0
         self.partings = 0
@@ -75,25 +74,25 @@ class GridPainter:
         return self.canvas.publish(self.config.occupied_ratio)
 
     def complete(self, rooms: Collection[int]) -> None:
-        """Say which rooms hold nothing left to see: from the next step on their unknown pockets are walls."""
+        """Mark the rooms with nothing left to see: from the next step on their unknown pockets are walls."""
         self.completed = tuple(sorted(rooms))
 
     def finish(self, graph: RoomGraph) -> SemanticGrid:
-        """The grid of this step with the pockets of what was just said to be complete: there may be no next one."""
+        """The grid of this step with the pockets of rooms just marked as complete: there may be no next step."""
         self._update_pockets(graph)
         return self.canvas.publish(self.config.occupied_ratio)
 
     def look_again(self) -> None:
-        """Paint the next scan though others were taken near it: what stood there may have gone."""
+        """Paint the next scan though others were taken near it: dynamic objects there may have gone."""
         self.again = True
 
     def _look(self, belief: Belief) -> tuple[Array, int]:
-        """Where the landmarks are (F,2), and what happened to them since the last look (`scans.MOVED`, ...)."""
+        """Where the landmarks are (F,2), and what happened to them since the last look (`key_scans.MOVED`, ...)."""
         limit = 0.25 * self.config.resolution_m
-        p_landmark, change = scans.look(belief.ids, belief.p_map, self.p_landmark, limit)
-        if change & (scans.MOVED | scans.WENT):
+        p_landmark, change = key_scans.compare_landmarks(belief.ids, belief.p_map, self.p_landmark, limit)
+        if change & (key_scans.MOVED | key_scans.WENT):
             self.p_landmark = p_landmark
-        elif change & scans.CAME:
+        elif change & key_scans.CAME:
             before = np.full_like(p_landmark, np.nan)
             before[: len(self.p_landmark)] = self.p_landmark
             self.p_landmark = np.where(np.isnan(before), p_landmark, before)
@@ -103,15 +102,15 @@ class GridPainter:
         """Bring the polygons on the grid in line with the known ones."""
         old = self.polygons.known  # a polygon seen again is a new one with the ids of the old
         differs = len(known) != len(old) or any(map(is_not, map(IDS, known), map(IDS, old)))
-        differs |= bool(change & scans.WENT)
+        differs |= bool(change & key_scans.WENT)
         if differs:
             self.polygons.compare(self.canvas, known)
-        if differs or change & scans.CAME:
+        if differs or change & key_scans.CAME:
             self.polygons.paint_waiting(self.canvas, p_landmark)
 
     def _follow(self, p_landmark: Array, graph: RoomGraph, change: int) -> None:
-        """Paint anew what moved, what merged or was parted, and what lies behind a new door."""
-        moved = bool(change & (scans.MOVED | scans.WENT))
+        """Paint again what moved, what merged or was parted, and what lies behind a new door."""
+        moved = bool(change & (key_scans.MOVED | key_scans.WENT))
         if moved:
             self.scans.follow(self.canvas, p_landmark)
             self.polygons.follow(self.canvas, p_landmark)
@@ -120,14 +119,14 @@ class GridPainter:
             self.scans.part_rooms(graph.parted)
         new_doors = self.doors.update(self.canvas, graph, p_landmark, moved)
         if len(new_doors):
-            self.scans.forget_behind(self.canvas, new_doors, self.config.paint_range_m)
+            self.scans.forget_behind(self.canvas, new_doors)
         if len(graph.merged) != self.merges:
             self._rename_rooms(graph)
 
     def _rename_rooms(self, graph: RoomGraph) -> None:
         """Give merged rooms their new name everywhere."""
         self.merges = len(graph.merged)
-        rooms = self.canvas.layers[kernels.ROOM]
+        rooms = self.canvas.layers[cells.ROOM]
         for room in graph.merged:
             rooms[rooms == room] = graph.resolve(room)
         self.scans.room = np.array([graph.resolve(int(room)) for room in self.scans.room], np.int64)
@@ -137,12 +136,12 @@ class GridPainter:
     def _add_key_scan(self, belief: Belief, beams: MergedScan, segments: Segments, graph: RoomGraph) -> None:
         """Paint this scan when no key scan of the room lies near."""
         pose = belief.T_map_robot
-        says_nothing = graph.in_doorway or self.doors.near(pose, self.config.doorway_m)
+        says_nothing = graph.in_doorway or self.doors.near(pose)
         room = UNKNOWN_ROOM if says_nothing else graph.resolve(graph.current)
-        if self.again or self.scans.wants(pose, room, self.config):
+        if self.again or self.scans.wants(pose, room):
             self.again = False
-            outline, strips = free_and_walls(beams, segments, self.config)
-            self.scans.add(self.canvas, pose.copy(), (room, self.step), outline, strips, self.config.anchors)
+            seen = key_scans.free_and_walls(beams, segments, self.config)
+            self.scans.add(self.canvas, pose.copy(), (room, self.step), seen)
 
     def _update_pockets(self, graph: RoomGraph) -> None:
         """Turn unknown pockets of completed rooms into walls, when other rooms are complete than before."""
@@ -153,5 +152,5 @@ class GridPainter:
             return
         flags = np.zeros(max(completed, default=-1) + 1, np.bool_)
         flags[list(completed)] = True
-        self.canvas.find_pockets(flags, self.config.occupied_ratio)
+        self.canvas.fill_pockets(flags, self.config.occupied_ratio)
         self.filled = completed

@@ -1,0 +1,73 @@
+"""Filling and flooding of the grid against brute force: cell centres in polygons, pockets of unknown cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from mecp_env.slam.grid import cells
+from mecp_env.slam.grid.canvas import NOTHING, find_pockets
+from mecp_env.slam.messages import Cell
+
+FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width, lattice = 30, 41, np.array([-7, 12])
+    angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(3, 12)))
+    reach = rng.uniform(1.0, 25.0, len(angle))  # partly outside of the grid
+    ring = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1) + lattice + rng.uniform(5.0, 25.0, 2)
+    columns, rows = np.meshgrid(np.arange(width) + 0.5 + lattice[0], np.arange(height) + 0.5 + lattice[1])
+    inside = np.array(shapely.contains_xy(shapely.Polygon(ring).buffer(0.0), columns, rows))
+    raster = cells.Raster(np.zeros((height, width + 1), np.uint8), lattice, np.array(NOTHING), 0.1)
+    layer = np.full((height, width), 5, np.int16)
+    cells.fill_polygon(layer, ring, cells.ADD, 2, raster)
+    assert (layer == np.where(inside, 7, 5)).all()
+    assert not raster.mask.any()
+    touched = np.argwhere(inside)
+    if len(touched):
+        assert (raster.dirty[[0, 2]] <= touched.min(axis=0)).all()
+        assert (raster.dirty[[1, 3]] > touched.max(axis=0)).all()
+    cells.fill_polygon(layer, ring, cells.CLEAR, 7, raster)
+    assert (layer == np.where(inside, -1, 5)).all()
+    cells.fill_polygon(layer, ring, cells.SET, 3, raster)
+    assert (layer == np.where(inside, 3, 5)).all()
+
+
+def flooded(label: np.ndarray, room: np.ndarray, complete: np.ndarray) -> np.ndarray:
+    """(H,W) the pockets, by a flood fill cell by cell."""
+    pockets, seen = np.zeros(label.shape, np.bool_), np.zeros(label.shape, np.bool_)
+    for first in map(tuple, np.argwhere(label == 0)):
+        if seen[first]:
+            continue
+        seen[first], part, rooms, closed = True, [first], set(), True
+        for row, column in part:
+            for at in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+                if not (0 <= at[0] < label.shape[0] and 0 <= at[1] < label.shape[1]) or label[at] == DOOR:
+                    closed = False
+                elif label[at]:
+                    rooms |= {int(room[at])} - {-1}
+                elif not seen[at]:
+                    seen[at] = True
+                    part.append(at)
+        if closed and len(rooms) == 1 and min(rooms) < len(complete) and complete[min(rooms)]:
+            pockets[tuple(np.array(part).T)] = True
+    return pockets
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pockets_are_unknown_cells_within_one_complete_room(seed: int) -> None:
+    rng, found = np.random.default_rng(seed), 0
+    for _ in range(40):
+        label = rng.choice(
+            np.array([0, FREE, OCCUPIED, DOOR], np.uint8), rng.integers(3, 25, 2), p=[0.3, 0.3, 0.37, 0.03]
+        )
+        room = np.where(label > 0, rng.choice([-1, 0, 1], label.shape, p=[0.2, 0.75, 0.05]), -1).astype(np.int16)
+        complete = rng.random(rng.integers(0, 3)) < 0.8
+        expected = flooded(label, room, complete)
+        assert (find_pockets(label, room, complete) == expected).all()
+        found += int(expected.any())
+    assert found > 5
