@@ -210,6 +210,22 @@ class FeatureState(IntEnum):
     DEAD = 2
 
 
+FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estimate
+    [
+        ("state", np.int64),  # FeatureState
+        ("room", np.int64),  # before merges are resolved
+        ("kind", np.int64),  # CornerKind
+        ("seen", np.int64),  # number of sightings
+        ("last_step", np.int64),  # of the last sighting
+        ("doubts", np.int64),  # scans since then that showed that it is not there
+        ("normals", np.float64, (2,)),  # rad, map frame, of the faces before and after; nan: unseen
+        ("p_map", np.float64, (2,)),  # m, where it was last seen (tracks only)
+        ("convex", np.bool_),
+    ],
+    align=True,
+)
+
+
 @dataclass(slots=True, eq=False)
 class FeatureTable:
     """What is remembered of every feature id beside the filter's estimate. Row = id; ids are never used twice."""
@@ -223,6 +239,14 @@ class FeatureTable:
     last_step: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) step of the last sighting
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) m: last seen here (tracks only)
     doubts: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) scans that refuted it since it was seen
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """(F,) one record per feature."""
+        rows = np.empty(len(self.state), FEATURE)
+        for name in FEATURE.names or ():
+            rows[name] = getattr(self, name)
+        return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

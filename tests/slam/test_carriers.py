@@ -8,9 +8,8 @@ import pytest
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import downdate
 from mecp_env.core.se2 import polar_to_map, polar_to_points, to_map, wrap_angle
-from mecp_env.slam.association.mecp import accept
 from mecp_env.slam.landmark_map.map_polygons import find_whole, is_whole, link
-from mecp_env.slam.messages import Corners, Decision, Doorways, Match, Reason
+from mecp_env.slam.messages import Corners, Decision, Doorways, Match
 
 
 def corners_of(rng, n):
@@ -110,19 +109,3 @@ def test_whole_polygons_are_found_as_one_by_one():
     find_whole(np.concatenate(rings), np.cumsum([len(ring) for ring in rings]), state, room, rooms, whole)
     assert whole.tolist() == [is_whole(ring, state, room, int(now)) for ring, now in zip(rings, rooms, strict=True)]
     assert 10 < whole.sum() < 290
-
-
-def test_pairs_of_a_polygon_are_accepted_first_and_bear_its_name():
-    corner, row = np.array([0, 0, 1]), np.array([0, 1, 1])
-    nu, S, costs = np.array([1.0, 0.0, 0.1, 0.0, 0.1, 0.0]), np.eye(6), np.array([[1.0, 0.01], [9.0, 0.01]])
-    n = 2
-
-    def accepted(fixed):
-        ids, decision, reason = np.full(n, -1), np.full(n, int(Decision.NEW)), np.full(n, int(Reason.UNSEEN))
-        known = np.array([70, 71, 71])
-        accept(nu, S, corner, row, known, np.array(fixed), costs, 0, 13.8, 0.0, ids, decision, reason, np.zeros(n))
-        return ids.tolist(), reason.tolist()
-
-    polygon, joint = int(Reason.POLYGON), int(Reason.JOINT)
-    assert accepted([0, -1]) == ([70, 71], [polygon, joint])
-    assert accepted([-1, -1])[0] == [70, 71]

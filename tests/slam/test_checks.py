@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.messages import Scan
-from mecp_env.slam.association.base import undecided
+from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.checks import (
     NOT_FINITE,
     OUT_OF_ORDER,
@@ -22,7 +22,7 @@ from mecp_env.slam.checks import (
     find_fault,
     look_over,
 )
-from mecp_env.slam.messages import Decision
+from mecp_env.slam.messages import Decision, Reason
 
 MAX_RANGE_M = 30.0
 DAMAGE = (math.nan, math.inf, -math.inf, -1e-9, 0.0, MAX_RANGE_M, 30.1, -math.pi, math.pi, 3.2, -3.2)
@@ -86,14 +86,19 @@ def test_a_scan_of_another_type_is_refused(field, change, told):
         check_scan(replace(scan, **{field: change(getattr(scan, field))}))
 
 
-def with_decision(match, decision, id_):
-    """The match with these values for its last corner; in place."""
-    match.decision[-1], match.ids[-1] = decision, id_
-    return match
+def unmatched(n):
+    return MatchBuilder(n).match()
+
+
+def with_decision(n, decision, id_):
+    """A match of n corners with these values for the last."""
+    builder = MatchBuilder(n)
+    builder.assign(-1, decision, Reason.UNSEEN, id_)
+    return builder.match()
 
 
 def test_a_sound_match_is_given_back():
-    for match in (undecided(0), undecided(3), with_decision(undecided(3), Decision.LANDMARK, 4)):
+    for match in (unmatched(0), unmatched(3), with_decision(3, Decision.LANDMARK, 4)):
         assert check_match(match, len(match.ids), 5) is match
 
 
@@ -101,15 +106,15 @@ def test_a_sound_match_is_given_back():
     ("match", "told"),
     [
         (None, "match: NoneType, a Match"),
-        (undecided(2), r"match.ids: shape \(2,\), one of each corner expected, \(3,\)"),
-        (undecided(4), r"match.ids: shape \(4,\)"),
-        (replace(undecided(3), nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
-        (replace(undecided(3), ids=[0, 1, 2]), "match.ids: list, an array of int64"),
-        (replace(undecided(3), reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
-        (with_decision(undecided(3), 4, 0), r"match.decision\[2\]: 4 is no Decision, 0 to 3"),
-        (with_decision(undecided(3), Decision.LANDMARK, 5), r"match.ids\[2\]: 5, one of the 5 ids"),
-        (with_decision(undecided(3), Decision.LANDMARK, -1), r"match.ids\[2\]: -1"),
-        (with_decision(undecided(3), Decision.PROVISIONAL, 10**12), r"match.ids\[2\]: 10{12},"),
+        (unmatched(2), r"match.ids: shape \(2,\), one of each corner expected, \(3,\)"),
+        (unmatched(4), r"match.ids: shape \(4,\)"),
+        (replace(unmatched(3), nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
+        (replace(unmatched(3), ids=[0, 1, 2]), "match.ids: list, an array of int64"),
+        (replace(unmatched(3), reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
+        (with_decision(3, 4, 0), r"match.decision\[2\]: 4 is no Decision, 0 to 3"),
+        (with_decision(3, Decision.LANDMARK, 5), r"match.ids\[2\]: 5, one of the 5 ids"),
+        (with_decision(3, Decision.LANDMARK, -1), r"match.ids\[2\]: -1"),
+        (with_decision(3, Decision.PROVISIONAL, 10**12), r"match.ids\[2\]: 10{12},"),
     ],
 )
 def test_a_match_of_an_unsound_associator_is_refused(match, told):

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.slam.association import ASSOCIATORS, make_associator
-from mecp_env.slam.association.base import undecided
+from mecp_env.slam.association import ASSOCIATORS, MatchBuilder, make_associator
 from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
@@ -255,10 +254,10 @@ class Foreign(Associator):
 
 def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
     pipeline = SlamPipeline(SlamConfig())
-    pipeline.associator = Foreign(undecided)
+    pipeline.associator = Foreign(lambda n: MatchBuilder(n).match())
     for scan in drive.scans[:3]:
         output = pipeline.start(scan)
     assert len(output.belief.ids)
-    pipeline.associator = Foreign(lambda n: undecided(n + 1))
+    pipeline.associator = Foreign(lambda n: MatchBuilder(n + 1).match())
     with pytest.raises(MatchError, match="one of each corner"):
         pipeline.start(drive.scans[3])

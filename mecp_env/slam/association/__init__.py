@@ -3,12 +3,11 @@
 from collections.abc import Callable
 
 from mecp_env.core.registry import register
-from mecp_env.slam.association.base import ignored, undecided
+from mecp_env.slam.association.match_builder import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.association.oracle import OracleAssociator
-from mecp_env.slam.association.single_corners import settle
 from mecp_env.slam.config import METHODS, AssociationConfig
 from mecp_env.slam.protocols import Associator
 
@@ -38,6 +37,7 @@ def make_associator(config: AssociationConfig) -> Associator:
 __all__ = [
     "ASSOCIATORS",
     "Associator",
+    "MatchBuilder",
     "MecpAssociator",
     "MecpPaperAssociator",
     "NearestAssociator",
@@ -45,6 +45,4 @@ __all__ = [
     "ignored",
     "make_associator",
     "register_associator",
-    "settle",
-    "undecided",
 ]

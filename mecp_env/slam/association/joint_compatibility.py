@@ -1,14 +1,15 @@
-"""Joint compatibility of many pairings, selected one by one in innovation space.
+"""Greedy joint compatibility: pairings are accepted one by one in innovation space.
 
 Each pairing that is accepted conditions all others (a Schur complement), so that after two or three of them the common
 error of the pose is gone and what is left must fit as a rigid whole. Several first pairings are tried where the choice
 is not clear. This is the greedy relative of JCBB (Neira, Tardos 2001), with the full cross-covariance.
+
+Pairings (P,) have a row of the corner and a landmark; nu (2P,) and S (2P,2P) are their joint innovation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +20,11 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """Pairings that are possible one by one, with their joint innovation."""
-
-    corner: Ints  # (P,) row of the corner
-    landmark: Ints  # (P,) row of the landmark
-    nu: Array  # (2P,) m, rad
-    S: Array  # (2P,2P) joint innovation covariance
+CHOICE_GAP = 9.21  # NIS that every further choice of a corner counts for: 99 % of chi-square with 2
 
 
 @compiled
-def _nis_2(nu: Array, S: Array, p: int) -> float:
+def pair_nis(nu: Array, S: Array, p: int) -> float:
     """NIS of pairing p alone, from its 2x2 block of S."""
     a, b, c = S[2 * p, 2 * p], S[2 * p, 2 * p + 1], S[2 * p + 1, 2 * p + 1]
     determinant = a * c - b * b
@@ -42,7 +35,7 @@ def _nis_2(nu: Array, S: Array, p: int) -> float:
 
 
 @compiled
-def _condition(nu: Array, S: Array, p: int, alive: Bools) -> None:
+def condition(nu: Array, S: Array, p: int, alive: Bools) -> None:
     """nu and S of the pairings still alive, given that pairing p is true; in place."""
     a, b, c = S[2 * p, 2 * p], S[2 * p, 2 * p + 1], S[2 * p + 1, 2 * p + 1]
     determinant = a * c - b * b
@@ -61,44 +54,34 @@ def _condition(nu: Array, S: Array, p: int, alive: Bools) -> None:
 
 
 @compiled
-def _select(p: int, corner: Ints, landmark: Ints, alive: Bools) -> None:
-    """Strike out every pairing that shares the corner or the landmark of p."""
-    for q in range(alive.shape[0]):
-        if corner[q] == corner[p] or landmark[q] == landmark[p]:
-            alive[q] = False
+def next_pairing(nis: Array, corner: Ints, alive: Bools) -> tuple[int, float]:
+    """The pairing to accept next, and by how much NIS the second choice of its corner is worse; -1: none is left.
 
-
-@compiled
-def _next(nis: Array, corner: Ints, alive: Bools) -> int:
-    """The pairing to accept next: of a corner with few choices first, then the smallest NIS; -1 when none is left."""
-    best, chosen = math.inf, -1
+    A corner with few choices comes first, then the smallest NIS.
+    """
+    best, chosen, gap = math.inf, -1, math.inf
     for p in range(alive.shape[0]):
         if alive[p]:
             rivals = 0
             for q in range(alive.shape[0]):
                 rivals += alive[q] and corner[q] == corner[p]
-            key = nis[p] + 9.21 * (rivals - 1)
+            key = nis[p] + CHOICE_GAP * (rivals - 1)
             if key < best:
                 best, chosen = key, p
-    return chosen
-
-
-@compiled
-def _rival_gap(p: int, nis: Array, corner: Ints, alive: Bools) -> float:
-    """How much worse the second choice of p's corner is."""
-    gap = math.inf
     for q in range(alive.shape[0]):
-        if alive[q] and q != p and corner[q] == corner[p]:
-            gap = min(gap, nis[q] - nis[p])
-    return gap
+        if alive[q] and q != chosen and corner[q] == corner[chosen]:
+            gap = min(gap, nis[q] - nis[chosen])
+    return chosen, gap
 
 
 @compiled
-def grow(nu: Array, S: Array, corner: Ints, landmark: Ints, seed: Ints, gate: float, gap: float) -> tuple[Array, Bools]:
+def greedy_joint_compatibility(
+    nu: Array, S: Array, corner: Ints, landmark: Ints, first: Ints, gate: float, rival_gap: float
+) -> tuple[Array, Bools]:
     """NIS (P,) of each accepted pairing given those before it, nan where not accepted, and (P,) ambiguous ones.
 
-    `seed` (s,) are accepted first, in order, if they pass. A corner whose two best choices differ by less than `gap`
-    when its turn comes is ambiguous: neither is accepted.
+    `first` (s,) are accepted first, in order, if they pass. A corner whose two best choices differ by less than
+    `rival_gap` when its turn comes is ambiguous: neither is accepted.
     """
     count = corner.shape[0]
     nu, S = nu.copy(), S.copy()
@@ -108,55 +91,55 @@ def grow(nu: Array, S: Array, corner: Ints, landmark: Ints, seed: Ints, gate: fl
     while True:
         for p in range(count):
             if alive[p]:
-                nis[p] = _nis_2(nu, S, p)
+                nis[p] = pair_nis(nu, S, p)
                 alive[p] = nis[p] <= gate
-        p = seed[turn] if turn < seed.shape[0] else _next(nis, corner, alive)
+        gap = math.inf
+        if turn < first.shape[0]:
+            p = first[turn]
+        else:
+            p, gap = next_pairing(nis, corner, alive)
         turn += 1
         if p < 0:
             break
         if not alive[p]:
             continue
-        if turn > seed.shape[0] and _rival_gap(p, nis, corner, alive) < gap:
+        if gap < rival_gap:
             ambiguous[p] = True
             for q in range(count):
                 alive[q] = alive[q] and corner[q] != corner[p]
             continue
         accepted[p] = nis[p]
-        _select(p, corner, landmark, alive)
-        _condition(nu, S, p, alive)
+        for q in range(count):
+            alive[q] = alive[q] and corner[q] != corner[p] and landmark[q] != landmark[p]
+        condition(nu, S, p, alive)
     return accepted, ambiguous
 
 
 @compiled
-def likeliest(costs: Array, corner: Ints, landmark: Ints, most: int) -> Ints:
-    """The first pairings to try: -1 for a free choice, then the `most` pairings that cost least; `costs` (n,N)."""
-    count = corner.shape[0]
-    tried, seeds = np.zeros(count, np.bool_), np.empty(1 + min(most, count), np.int64)
-    seeds[0] = -1
-    for s in range(1, seeds.shape[0]):
-        best, seeds[s] = math.inf, -1
-        for p in range(count):
-            if not tried[p] and costs[corner[p], landmark[p]] < best:
-                best, seeds[s] = costs[corner[p], landmark[p]], p
-        tried[seeds[s]] = True
-    return seeds
-
-
-@compiled
-def best_growth(
-    nu: Array, S: Array, corner: Ints, landmark: Ints, seeds: Ints, gate: float, gap: float
+def best_of_seeds(
+    nu: Array, S: Array, corner: Ints, landmark: Ints, cost: Array, seeds: int, gate: float, rival_gap: float
 ) -> tuple[Array, Bools]:
-    """The growth with most pairings, then least total NIS, over the first pairings `seeds` (s,) (-1: free choice)."""
-    best_count, best_total = -1, math.inf
-    best_accepted, best_ambiguous = np.full(corner.shape[0], math.nan), np.zeros(corner.shape[0], np.bool_)
-    for s in range(seeds.shape[0]):
-        first = seeds[s : s + 1] if seeds[s] >= 0 else seeds[:0]
-        accepted, ambiguous = grow(nu, S, corner, landmark, first, gate, gap)
-        count, total = 0, 0.0
-        for p in range(accepted.shape[0]):
+    """The greedy result with most pairings, then least total NIS, over several first pairings.
+
+    Those are a free choice, then one by one the `seeds` pairings that cost (P,) least.
+    """
+    count = corner.shape[0]
+    tried, best_count, best_total = np.zeros(count, np.bool_), -1, math.inf
+    best_accepted, best_ambiguous = np.full(count, math.nan), np.zeros(count, np.bool_)
+    first = np.empty(1, np.int64)
+    for s in range(1 + min(seeds, count)):
+        least = math.inf
+        for p in range(count if s > 0 else 0):
+            if not tried[p] and cost[p] < least:
+                least, first[0] = cost[p], p
+        if s > 0:
+            tried[first[0]] = True
+        seed = first[: min(s, 1)]
+        accepted, ambiguous = greedy_joint_compatibility(nu, S, corner, landmark, seed, gate, rival_gap)
+        pairs, total = 0, 0.0
+        for p in range(count):
             if not math.isnan(accepted[p]):
-                count += 1
-                total += accepted[p]
-        if count > best_count or (count == best_count and total < best_total):
-            best_count, best_total, best_accepted, best_ambiguous = count, total, accepted, ambiguous
+                pairs, total = pairs + 1, total + accepted[p]
+        if pairs > best_count or (pairs == best_count and total < best_total):
+            best_count, best_total, best_accepted, best_ambiguous = pairs, total, accepted, ambiguous
     return best_accepted, best_ambiguous

@@ -9,21 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.association.base import chi2_gate, undecided
-from mecp_env.slam.association.joint_compatibility import best_growth, grow, likeliest
-from mecp_env.slam.association.polygon_matching import RingMatch, match_rings
-from mecp_env.slam.association.single_corners import pairing_table, pairs_beside_ring, settle
+from mecp_env.slam.association.gating import chi2_gate, pairing_table, possible_pairs
+from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
+from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.polygon_matching import PolygonMatcher
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+Rows = NDArray[np.void]
 
-NONE = np.empty(0, np.int64)
-LANDMARK, IGNORED = int(Decision.LANDMARK), int(Decision.IGNORED)
-POLYGON, JOINT, AMBIGUOUS = int(Reason.POLYGON), int(Reason.JOINT), int(Reason.AMBIGUOUS)
+FIXED = -1.0  # cost of a pair that a polygon match has fixed: below every NIS
 
 
 @dataclass(slots=True, eq=False)
@@ -37,43 +35,33 @@ class MecpAssociator(Associator):
         self.gate = chi2_gate(2, self.config.gate_probability)
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision a corner (III-B.2)."""
-        match = undecided(len(corners))
-        if not len(view.belief.ids) or not len(corners):
-            settle(match, corners, view, np.full(len(corners), np.inf), self.config.ignore_gate)
-            return match
-        table = pairing_table(corners, view, belief, self.config, self.gate)
-        ring = self._recognise(corners, polygons, view, table.nis, belief)
-        match = self._pair(match, corners, table.costs, ring, view, belief)
-        settle(match, corners, view, table.nearest, self.config.ignore_gate)
-        return match
-
-    def _recognise(
-        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, nis: Array, belief: Filter
-    ) -> RingMatch | None:
-        if not self.config.use_polygons:
-            return None
-        return match_rings(corners, polygons, view, nis, belief, self.config)
+        """One decision per corner (III-B.2)."""
+        builder, landmarks = MatchBuilder(len(corners)), view.belief.ids
+        nis = np.empty((len(corners), 0))
+        if len(landmarks) and len(corners):
+            table = pairing_table(corners, view, belief, self.config, self.gate)
+            nis, costs = table.nis, table.costs
+            matcher = PolygonMatcher(self.config, corners, view, belief, nis)
+            found = matcher.first_match(polygons) if self.config.use_polygons else None
+            seeds = 0 if found is not None or self._is_sharp(view.belief) else self.config.most_seeds
+            if found is not None:
+                costs[found.corners] = np.inf
+                costs[found.corners, view.belief.rows(found.ids)] = FIXED
+                builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
+            self._pair(builder, corners, costs, landmarks, seeds, belief)
+        return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
 
     def _pair(
-        self, match: Match, corners: Corners, costs: Array, ring: RingMatch | None, view: MapView, belief: Filter
-    ) -> Match:
-        landmarks, gate = view.belief.ids, self.gate
-        fixed = np.empty(len(corners), np.int64)
-        corner, row = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64)
-        by_polygon = (NONE, NONE) if ring is None else (ring.corners, ring.ids)
-        most = self.config.most_pairs
-        count = pairs_beside_ring(costs, gate, most, landmarks, *by_polygon, fixed, corner, row)
-        if not count:
-            return match
-        corner, row = corner[:count], row[:count]
-        z, R = corners.measurements(corner)
-        ids = landmarks[row]
-        nu, S = belief.innovation(z, R, ids)
-        seeds = 0 if ring is not None or self._is_sharp(view.belief) else self.config.most_seeds
-        columns = match.ids, match.decision, match.reason, match.nis
-        accept(nu, S, corner, row, ids, fixed, costs, seeds, gate, self.config.rival_gap, *columns)
-        return match if ring is None else Match(*columns, ring.polygon, ring.known, match.closure)
+        self, builder: MatchBuilder, corners: Corners, costs: Array, landmarks: Ints, seeds: int, belief: Filter
+    ) -> None:
+        """Accept pairings by joint compatibility, those that a polygon has fixed first."""
+        config = self.config
+        corner, ids, cost = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64), np.empty(costs.size)
+        count = possible_pairs(costs, landmarks, self.gate, config.most_pairs, corner, ids, cost)
+        if count:
+            corner, ids, cost = corner[:count], ids[:count], cost[:count]
+            innovation = belief.innovation(*corners.measurements(corner), ids)
+            accept(innovation, corner, ids, cost, seeds, self.gate, config.rival_gap, builder.rows)
 
     def _is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that a free choice is enough to start from."""
@@ -84,63 +72,29 @@ class MecpAssociator(Associator):
 
 @compiled
 def accept(
-    nu: Array,
-    S: Array,
+    innovation: tuple[Array, Array],
     corner: Ints,
-    row: Ints,
     ids: Ints,
-    fixed: Ints,
-    costs: Array,
-    most_seeds: int,
+    cost: Array,
+    seeds: int,
     gate: float,
-    gap: float,
-    match_ids: Ints,
-    decision: Ints,
-    reason: Ints,
-    match_nis: Array,
+    rival_gap: float,
+    rows: Rows,
 ) -> None:
-    """Select pairings (P,) that are jointly compatible and enter them into the columns of a match; in place.
+    """Select pairings (P,) that are jointly compatible and enter them into the rows of a match; in place.
 
-    Those that a polygon has `fixed` come first; without any, the best of several growths counts.
+    `innovation`: nu (2P,) and S (2P,2P). The fixed ones come first; without any, several `seeds` are tried.
     """
-    seed = fixed_pairs(corner, row, fixed)
-    if seed.shape[0] > 0:
-        nis, ambiguous = grow(nu, S, corner, row, seed, gate, gap)
+    nu, S = innovation
+    fixed = np.flatnonzero(cost == FIXED)
+    if fixed.shape[0] > 0:
+        nis, ambiguous = greedy_joint_compatibility(nu, S, corner, ids, fixed, gate, rival_gap)
     else:
-        seeds = likeliest(costs, corner, row, most_seeds)
-        nis, ambiguous = best_growth(nu, S, corner, row, seeds, gate, gap)
-    write_pairs(match_ids, decision, reason, match_nis, corner, ids, nis, ambiguous, fixed)
-
-
-@compiled
-def fixed_pairs(corner: Ints, row: Ints, fixed: Ints) -> Ints:
-    """The pairings (of P) that the polygon has `fixed` (n,)."""
-    pairs = np.empty(corner.shape[0], np.int64)
-    count = 0
+        nis, ambiguous = best_of_seeds(nu, S, corner, ids, cost, seeds, gate, rival_gap)
     for p in range(corner.shape[0]):
-        if fixed[corner[p]] == row[p]:
-            pairs[count] = p
-            count += 1
-    return pairs[:count]
-
-
-@compiled
-def write_pairs(
-    match_ids: Ints,
-    decision: Ints,
-    reason: Ints,
-    match_nis: Array,
-    corner: Ints,
-    ids: Ints,
-    nis: Array,
-    ambiguous: Bools,
-    fixed: Ints,
-) -> None:
-    """Enter the accepted pairs (nis not nan) and the ambiguous corners into the columns of a match; in place."""
-    for p in range(corner.shape[0]):
-        c = corner[p]
+        row = rows[corner[p]]
         if ambiguous[p]:
-            decision[c], reason[c] = IGNORED, AMBIGUOUS
+            row.decision, row.reason = Decision.IGNORED, Reason.AMBIGUOUS
         if not math.isnan(nis[p]):
-            match_ids[c], match_nis[c], decision[c] = ids[p], nis[p], LANDMARK
-            reason[c] = POLYGON if fixed[c] >= 0 else JOINT
+            row.id, row.nis, row.decision = ids[p], nis[p], Decision.LANDMARK
+            row.reason = Reason.POLYGON if cost[p] == FIXED else Reason.JOINT

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mecp_env.slam.association.base import undecided
+from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, Ints, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
@@ -43,19 +43,17 @@ class OracleAssociator(Associator):
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner: its landmark or track if the true corner has one, new otherwise."""
-        match = undecided(len(corners))
+        builder, state = MatchBuilder(len(corners)), view.features.state
         self.true_corner = self.correspondences(corners)
         for i, true_corner in enumerate(self.true_corner.tolist()):
             feature = self.feature_of.get(true_corner, NO_ID)
             if true_corner < 0 or (corners.beyond[i] >= 0 and feature == NO_ID):
-                match.decision[i], match.reason[i] = int(Decision.IGNORED), int(Reason.IDENTITY)
-            elif feature != NO_ID and view.features.state[feature] != int(FeatureState.DEAD):
-                state = view.features.state[feature]
-                landmark = state == int(FeatureState.LANDMARK)
-                match.ids[i] = feature
-                match.decision[i] = int(Decision.LANDMARK if landmark else Decision.PROVISIONAL)
-                match.reason[i] = int(Reason.IDENTITY)
-        return match
+                builder.assign(i, Decision.IGNORED, Reason.IDENTITY)
+            elif feature != NO_ID and state[feature] != int(FeatureState.DEAD):
+                landmark = state[feature] == int(FeatureState.LANDMARK)
+                decision = Decision.LANDMARK if landmark else Decision.PROVISIONAL
+                builder.assign(i, decision, Reason.IDENTITY, feature)
+        return builder.match()
 
     def remember(self, match: Match) -> None:
         """Note which new feature was initialised from which true corner."""

@@ -1,0 +1,162 @@
+"""Gating: which corner may be which landmark, by NIS, corner descriptor and room (III-B.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import wrap_angle
+from mecp_env.slam.config import AssociationConfig
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, MapView
+from mecp_env.slam.protocols import Filter
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.void]
+
+HERE = -2  # not seen through a door
+NOWHERE = np.empty(0, np.int64)
+
+
+@lru_cache
+def chi2_gate(dof: int, probability: float) -> float:
+    """The value that a chi-square variable of `dof` degrees of freedom stays under with `probability`."""
+    return float(chdtri(dof, 1.0 - probability))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairingTable:
+    """Every corner of the scan against every landmark."""
+
+    nis: Array  # (n,N) inf where the descriptors differ
+    costs: Array  # (n,N) the same, inf where the rooms differ as well
+
+
+def pairing_table(
+    corners: Corners, view: MapView, belief: Filter, config: AssociationConfig, home_gate: float
+) -> PairingTable:
+    """NIS of each pair, inf where descriptor or room differ.
+
+    A corner that has no landmark of its room inside `home_gate` may be one of any room; inf: of its own room only.
+    """
+    ids, features, graph = view.belief.ids, view.features.rows, view.graph
+    nis = belief.individual_nis(corners.z, corners.R, ids)
+    if config.use_signature:
+        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.signature_deg)
+        mask_by_descriptor(nis, corners.convex, corners.normals, heading, ids, features, tolerance)
+    home = UNKNOWN_ROOM if graph.in_doorway or not config.use_rooms else graph.current
+    behind = _rooms_behind(view) if config.use_rooms else NOWHERE
+    costs = np.empty(nis.shape)
+    mask_by_room(nis, costs, home, corners.beyond, behind, ids, features, home_gate)
+    return PairingTable(nis, costs)
+
+
+def _rooms_behind(view: MapView) -> Ints:
+    """(n,) the room behind the door that each corner is seen through, HERE without one; empty when there are none."""
+    through = view.through.tolist()
+    if max(through) < 0:
+        return NOWHERE
+    here = view.graph.current
+    behind = {
+        door.id: door.rooms[1] if door.rooms[0] == here else door.rooms[0]
+        for door in view.graph.doors
+        if door.id in through
+    }
+    return np.array([behind.get(door, HERE) for door in through])
+
+
+@compiled
+def mask_by_descriptor(
+    nis: Array, convex: Bools, normals: Array, heading: float, ids: Ints, features: Rows, tolerance: float
+) -> None:
+    """Set nis (n,N) to inf where corner and landmark cannot be one; in place.
+
+    Both are outer or both inner corners, at least one face is seen in both, and none is turned by more than
+    `tolerance`. `normals` (n,2) are in the robot frame, those of `features` (F,) FEATURE in the map frame; `ids` (N,)
+    are the rows of the landmarks among the features.
+    """
+    for i in range(nis.shape[0]):
+        for j in range(nis.shape[1]):
+            if nis[i, j] == math.inf:
+                continue
+            feature, shared, turned = features[ids[j]], False, False
+            for side in range(2):
+                difference = wrap_angle(normals[i, side] + heading - feature.normals[side])
+                shared |= not math.isnan(difference)
+                turned |= abs(difference) > tolerance
+            if convex[i] != feature.convex or turned or not shared:
+                nis[i, j] = math.inf
+
+
+@compiled
+def mask_by_room(
+    nis: Array, costs: Array, home: int, beyond: Ints, behind: Ints, ids: Ints, features: Rows, home_gate: float
+) -> None:
+    """Write nis (n,N) to `costs` (n,N), inf where the rooms differ, unless one of the two rooms is unknown.
+
+    A corner is in `home`, in an unknown room when it is `beyond` (n,) a gap that is no door yet, or in the room
+    `behind` (n,) a door. Jambs belong to both rooms. The row of a corner that has nothing inside `home_gate` in its
+    room stays as it was. `features` and `ids` are as in `mask_by_descriptor`.
+    """
+    room = np.empty(ids.shape[0], np.int64)
+    for j in range(ids.shape[0]):
+        feature = features[ids[j]]
+        room[j] = UNKNOWN_ROOM if feature.kind == CornerKind.JAMB else feature.room
+    for i in range(nis.shape[0]):
+        seen, at_home = home if beyond[i] < 0 else UNKNOWN_ROOM, False
+        if behind.shape[0] > 0 and behind[i] != HERE:
+            seen = behind[i]
+        for j in range(nis.shape[1]):
+            costs[i, j] = math.inf if seen >= 0 and room[j] >= 0 and seen != room[j] else nis[i, j]
+            at_home |= costs[i, j] <= home_gate
+        for j in range(0 if at_home else nis.shape[1]):
+            costs[i, j] = nis[i, j]
+
+
+@compiled
+def one_to_one(cost: Array, gate: float) -> Ints:
+    """(n,) column paired with each row, or -1: smallest cost (n,N) first, each column once, none above `gate`."""
+    n, m = cost.shape
+    paired = np.full(n, -1)
+    taken = np.zeros(m, np.bool_)
+    for _ in range(min(n, m)):
+        best, row, column = gate, -1, -1
+        for pair in range(n * m):
+            i, j = pair // m, pair % m
+            if paired[i] < 0 and not taken[j] and cost[i, j] < best:
+                best, row, column = cost[i, j], i, j
+        if row < 0:
+            break
+        paired[row] = column
+        taken[column] = True
+    return paired
+
+
+@compiled
+def possible_pairs(costs: Array, landmarks: Ints, gate: float, most: int, corner: Ints, ids: Ints, cost: Array) -> int:
+    """Write corner, landmark id and cost (P,) of each pair inside the gate; of too many, the `most` that cost least.
+
+    Of pairs that cost the same, the last go first. Returns P.
+    """
+    count = 0
+    for i in range(costs.shape[0]):
+        for j in range(costs.shape[1]):
+            if costs[i, j] <= gate:
+                corner[count], ids[count], cost[count] = i, landmarks[j], costs[i, j]
+                count += 1
+    while count > most:
+        dearest = 0
+        for p in range(1, count):
+            if cost[p] >= cost[dearest]:
+                dearest = p
+        for p in range(dearest, count - 1):
+            corner[p], ids[p], cost[p] = corner[p + 1], ids[p + 1], cost[p + 1]
+        count -= 1
+    return count

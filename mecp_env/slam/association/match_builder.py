@@ -1,0 +1,80 @@
+"""A match while it is made: every corner starts as new, an associator pairs corners and classifies the others."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import NO_ID, Corners, Decision, MapView, Match, Reason
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Rows = NDArray[np.void]
+
+ROW = np.dtype([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)], align=True)
+INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)  # copied, faster than filled
+
+
+class MatchBuilder:
+    """The rows (n,) of a match: id, `Decision`, `Reason` and NIS of each corner; at first every corner is new."""
+
+    def __init__(self, n: int) -> None:
+        self.rows: Rows = INITIAL[:n].copy() if n <= len(INITIAL) else np.repeat(INITIAL[:1], n)
+        self.polygon = -1  # index of the matched polygon of the scan
+        self.map_polygon = -1  # index of the map polygon matched
+
+    def assign(
+        self,
+        corners: Ints | slice | int,
+        decision: Decision,
+        reason: Reason,
+        ids: Ints | int = NO_ID,
+        nis: Array | float = np.nan,
+    ) -> None:
+        """Decide for some corners (c,), or one; ids and NIS are (c,) or one value."""
+        for name, values in (("id", ids), ("decision", decision), ("reason", reason), ("nis", nis)):
+            self.rows[name][corners] = values
+
+    def classify_unmatched(self, corners: Corners, view: MapView, nis: Array, ignore_gate: float) -> Self:
+        """Decide which of the corners that are not paired may be new; the others are ignored.
+
+        `nis` (n,N) is that of every corner against every landmark of the same descriptor. A corner neither clearly old
+        nor clearly new is ignored, so is one beyond a door, and every one while the robot is in a doorway.
+        """
+        classify_unmatched(self.rows, nis, ignore_gate, view.graph.in_doorway, corners.beyond, view.through)
+        return self
+
+    def match(self) -> Match:
+        """The match, as it is now."""
+        rows = self.rows
+        columns = rows["id"].copy(), rows["decision"].copy(), rows["reason"].copy(), rows["nis"].copy()
+        return Match(*columns, self.polygon, self.map_polygon, False)
+
+
+def ignored(n: int) -> Match:
+    """A match in which each of n corners is ignored: nothing is known about them."""
+    builder = MatchBuilder(n)
+    builder.assign(slice(None), Decision.IGNORED, Reason.AMBIGUOUS)
+    return builder.match()
+
+
+@compiled
+def classify_unmatched(
+    rows: Rows, nis: Array, ignore_gate: float, in_doorway: bool, beyond: Ints, through: Ints
+) -> None:
+    """The decision of each corner that is still new; in place. Shapes as in `MatchBuilder`."""
+    for i in range(rows.shape[0]):
+        if rows[i].decision != Decision.NEW:
+            continue
+        near = False
+        for j in range(nis.shape[1]):
+            near |= nis[i, j] <= ignore_gate
+        if near:
+            rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.AMBIGUOUS
+        elif in_doorway:
+            rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.IN_DOORWAY
+        elif beyond[i] >= 0 or through[i] >= 0:
+            rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.BEYOND_DOOR

@@ -1,0 +1,207 @@
+"""Greedy joint compatibility against plain linear algebra and exhaustive search."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.association.gating import (
+    HERE,
+    chi2_gate,
+    mask_by_descriptor,
+    mask_by_room,
+    one_to_one,
+    possible_pairs,
+)
+from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
+from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.mecp import FIXED, accept
+from mecp_env.slam.association.polygon_matching import polygon_hypotheses
+from mecp_env.slam.messages import FEATURE, UNKNOWN_ROOM, Belief, CornerKind, FeatureState, Reason
+
+NONE = np.empty(0, np.int64)
+
+
+def features_of(n, **columns):
+    """(n,) features with these columns, otherwise zero."""
+    features = np.zeros(n, FEATURE)
+    for name, column in columns.items():
+        features[name] = column
+    return features
+
+
+def common_error_case(rng, wrong):
+    """Four pairings that share a large common error; `wrong` of them have an individual error as well."""
+    count = 4
+    common = rng.normal(0.0, 1.0, 2)
+    nu = np.tile(common, count) + rng.normal(0.0, 0.01, 2 * count)
+    for p in wrong:
+        nu[2 * p : 2 * p + 2] += (0.5, -0.5)
+    S = np.kron(np.ones((count, count)), np.eye(2)) + 1e-4 * np.eye(2 * count)
+    return nu, S
+
+
+def test_chi2_gates_are_those_of_the_tables():
+    assert np.allclose([chi2_gate(2, 0.99), chi2_gate(4, 0.95), chi2_gate(12, 0.999)], [9.21, 9.49, 32.91], atol=0.005)
+
+
+def test_common_error_is_taken_out_and_the_odd_one_left():
+    rng = np.random.default_rng(0)
+    nu, S = common_error_case(rng, wrong=(2,))
+    corner = landmark = np.arange(4)
+    nis, ambiguous = best_of_seeds(nu, S, corner, landmark, np.arange(4.0), 4, 13.8, 6.0)
+    assert np.isnan(nis).tolist() == [False, False, True, False]
+    assert not ambiguous.any()
+
+
+def test_accepted_nis_add_up_to_the_joint_nis():
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(8, 8))
+    S = A @ A.T + np.eye(8)
+    nu = 0.5 * rng.normal(size=8)
+    nis, _ = greedy_joint_compatibility(nu, S, np.arange(4), np.arange(4), NONE, 1e9, 0.0)
+    assert np.isclose(nis.sum(), nu @ np.linalg.solve(S, nu))
+
+
+def test_a_corner_with_two_equal_choices_is_ambiguous_and_paired_with_neither():
+    nu = np.array([0.1, 0.0, 0.1, 0.0])
+    S = np.eye(4)
+    nis, ambiguous = greedy_joint_compatibility(nu, S, np.array([0, 0]), np.array([0, 1]), NONE, 13.8, 6.0)
+    assert np.isnan(nis).all()
+    assert ambiguous.any()
+
+
+def test_no_corner_and_no_landmark_is_used_twice():
+    rng = np.random.default_rng(2)
+    corner, landmark = np.array(list(itertools.product(range(4), range(5)))).T
+    corner, landmark = np.ascontiguousarray(corner), np.ascontiguousarray(landmark)
+    A = rng.normal(size=(40, 40))
+    S = A @ A.T + np.eye(40)
+    nis, _ = greedy_joint_compatibility(rng.normal(size=40), S, corner, landmark, NONE, 13.8, 0.0)
+    kept = ~np.isnan(nis)
+    assert len(set(corner[kept])) == kept.sum() == len(set(landmark[kept]))
+
+
+def test_one_to_one_takes_the_smallest_first():
+    cost = np.array([[1.0, 2.0], [0.5, 9.0], [20.0, 20.0]])
+    assert one_to_one(cost, 13.8).tolist() == [1, 0, -1]
+
+
+def compatible(heading, convex, seen, features, tolerance):
+    nis = np.zeros((len(seen), len(features)))
+    mask_by_descriptor(nis, convex, seen, heading, np.arange(len(features)), features, tolerance)
+    return (nis == 0.0).tolist()
+
+
+def test_the_descriptor_separates_the_two_faces_of_a_wall():
+    heading = 0.3
+    north, south, east = np.pi / 2, -np.pi / 2, 0.0
+    features = features_of(3, normals=[[north, east], [south, east], [np.nan, north]])
+    seen = np.array([[north - heading, east - heading], [np.nan, south - heading]])
+    inner = np.zeros(2, np.bool_)
+    expected = [[True, False, False], [False, False, False]]
+    assert compatible(heading, inner, seen, features, np.deg2rad(40)) == expected
+    assert not np.any(compatible(heading, ~inner, seen, features, np.deg2rad(40)))
+
+
+def test_the_descriptor_wraps_at_pi():
+    seen, features = np.array([[np.pi - 0.01, np.nan]]), features_of(1, normals=[[-np.pi + 0.01, 0.0]], convex=True)
+    assert compatible(0.0, np.array([True]), seen, features, 0.1) == [[True]]
+
+
+def masked(nis, features, home_gate, home=0, beyond=None, behind=NONE):
+    beyond, costs = np.full(len(nis), -1) if beyond is None else np.array(beyond), np.empty(nis.shape)
+    mask_by_room(nis, costs, home, beyond, behind, np.arange(len(features)), features, home_gate)
+    return costs.tolist()
+
+
+def test_rooms_keep_corners_apart_but_not_those_unknown_at_home():
+    nis = np.array([[1.0, 2.0], [50.0, 2.0], [1.0, 2.0]])
+    features, beyond, inf = features_of(2, room=[0, 1]), [-1, -1, 0], np.inf
+    assert masked(nis, features, inf, beyond=beyond) == [[1.0, inf], [50.0, inf], [1.0, 2.0]]
+    assert masked(nis, features, 13.8, beyond=beyond) == [[1.0, inf], [50.0, 2.0], [1.0, 2.0]]
+
+
+def test_a_corner_is_here_beyond_a_gap_or_behind_a_door():
+    nis, features = np.ones((4, 3)), features_of(3, room=[3, 5, 7])
+    gap, behind = [-1, 0, -1, 0], np.array([HERE, HERE, 5, UNKNOWN_ROOM])
+
+    def rooms(*corners, **where):
+        costs = np.array(masked(nis, features, np.inf, beyond=gap, **where))
+        return [features["room"][costs[i] < np.inf].tolist() for i in range(4)]
+
+    assert rooms(home=3, behind=behind) == [[3], [3, 5, 7], [5], [3, 5, 7]]
+    assert rooms(home=UNKNOWN_ROOM, behind=behind) == [[3, 5, 7], [3, 5, 7], [5], [3, 5, 7]]
+    assert rooms(home=3) == [[3], [3, 5, 7], [3], [3, 5, 7]]
+
+
+def test_jambs_belong_to_both_rooms():
+    features = features_of(2, kind=[int(CornerKind.CROSSING), int(CornerKind.JAMB)])
+    assert masked(np.array([[1.0, 2.0]]), features, np.inf, home=1) == [[np.inf, 2.0]]
+
+
+def test_possible_pairs_are_those_inside_the_gate_and_of_too_many_the_cheapest():
+    costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
+
+    def pairs(costs, most):
+        corner, ids, cost = np.empty(6, np.int64), np.empty(6, np.int64), np.empty(6)
+        count = possible_pairs(costs, np.array([70, 71, 72]), 13.8, most, corner, ids, cost)
+        assert cost[:count].tolist() == [costs[i, j - 70] for i, j in zip(corner[:count], ids[:count], strict=True)]
+        return np.stack((corner, ids), axis=1)[:count].tolist()
+
+    assert pairs(costs, 9) == [[0, 70], [0, 71], [1, 71], [1, 72]]
+    assert pairs(costs, 2) == [[0, 70], [1, 71]]
+    fixed = np.array([[np.inf, np.inf, FIXED], [99.0, 2.0, 4.0]])
+    assert pairs(fixed, 2) == [[0, 72], [1, 71]]
+
+
+def test_several_seeds_find_what_a_free_choice_misses():
+    """A wrong pair with the smallest NIS of all spoils the free choice; started from the next, three pairs fit."""
+    nu, S = common_error_case(np.random.default_rng(0), wrong=())
+    nu[:2] = 0.01
+    corner = landmark = np.arange(4)
+    cost = np.array([0.1, 1.0, 1.1, 1.2])
+    for seeds, kept in ((0, 1), (1, 1), (2, 3), (99, 3)):
+        nis, _ = best_of_seeds(nu, S, corner, landmark, cost, seeds, 13.8, 6.0)
+        assert (~np.isnan(nis)).sum() == kept, seeds
+
+
+def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
+    corner, ids = np.array([0, 0, 1]), np.array([70, 71, 71])
+    innovation = np.array([1.0, 0.0, 0.1, 0.0, 0.1, 0.0]), np.eye(6)
+
+    def accepted(cost):
+        builder = MatchBuilder(2)
+        accept(innovation, corner, ids, np.array(cost), 0, 13.8, 0.0, builder.rows)
+        match = builder.match()
+        return match.ids.tolist(), match.reason.tolist()
+
+    polygon, joint = int(Reason.POLYGON), int(Reason.JOINT)
+    assert accepted([FIXED, np.inf, 0.01]) == ([70, 71], [polygon, joint])
+    assert accepted([1.0, 0.01, 0.01])[0] == [70, 71]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
+    rng = np.random.default_rng(seed)
+    landmarks = rng.permutation(8)
+    state = np.full(8, int(FeatureState.LANDMARK))
+    state[landmarks[7]] = int(FeatureState.TRACK)
+    rings = np.array([rng.permutation(8)[:4] for _ in range(5)])
+    nis, corners, gate = rng.uniform(0.0, 2.0, (6, 8)), rng.permutation(6)[:4], 1.5
+    column = {landmark: j for j, landmark in enumerate(landmarks.tolist())}
+    expected = [
+        (c, np.roll(ring, -shift).tolist())
+        for c, ring in enumerate(rings)
+        for shift in range(4)
+        if (state[ring] == int(FeatureState.LANDMARK)).all()
+        and all(nis[corner, column[i]] <= gate for corner, i in zip(corners, np.roll(ring, -shift), strict=True))
+    ]
+    found, which = np.empty((21, 4), np.int64), np.empty(21, np.int64)
+    h = polygon_hypotheses(nis, corners, landmarks, features_of(8, state=state), rings, gate, found, which)
+    assert list(zip(which[:h].tolist(), found[:h].tolist(), strict=True)) == expected
+
+
+def test_rows_of_finds_ids_in_any_order():
+    belief = Belief(np.zeros(3), np.eye(3), np.array([7, 2, 9]), np.zeros((3, 2)), np.zeros((3, 2, 2)))
+    assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
