@@ -11,25 +11,10 @@ from mecp_env.core.jit import compiled
 from mecp_env.planning.config import ControlConfig, PathsConfig
 from mecp_env.slam.messages import Array, MergedScan
 
-NEAR_M = 2.0  # objects farther away do not slow the robot
+Record = NDArray[np.void]  # of a configuration section
+
 SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # shares of the desired speed, fastest first
 BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the desired curvature where the path is blocked
-STEP_M = 0.05
-
-Limits = tuple[float, float, float, float, float, float, float]  # as from `limits_of`
-
-
-def limits_of(control: ControlConfig, body: PathsConfig) -> Limits:
-    """The parameters of the compiled functions of the controller."""
-    return (
-        control.lookahead_m,
-        math.radians(control.turn_first_deg),
-        control.speed_m_s,
-        control.acceleration_m_s2,
-        control.period_s,
-        control.turn_rad_s,
-        body.radius_m + control.guard_m,
-    )
 
 
 def follow(
@@ -39,26 +24,8 @@ def follow(
 
     (0, w) turns in place; (0, 0) means that every arc is blocked.
     """
-    seen = (beams.ranges, beams.bearings, beams.hit)
-    v, w = follow_path(path, T_map_robot, seen, limits_of(control, body))
+    v, w = follow_path(path, T_map_robot, (beams.ranges, beams.bearings, beams.hit), control.record, body.record)
     return v, w
-
-
-@compiled
-def follow_path(
-    path: Array, T_map_robot: Array, beams: tuple[Array, Array, NDArray[np.bool_]], limits: Limits
-) -> tuple[float, float]:
-    """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
-    lookahead, turn_first, top_speed, acceleration, step, top_turn, _ = limits
-    x, y, left = look_ahead(path, T_map_robot, lookahead)
-    bearing = math.atan2(y, x)
-    if abs(bearing) > turn_first:
-        return 0.0, turn_rate(bearing, step, top_turn)
-    speed = min(top_speed, math.sqrt(acceleration * left), max(left, 0.05) / step)
-    curvature = 2.0 * y / max(x * x + y * y, 0.01)
-    speed = min(speed * math.cos(bearing), 0.8 * top_turn / max(abs(curvature), 1e-6))
-    ranges, bearings, hit = beams
-    return safe_command(speed, curvature, near_points(ranges, bearings, hit, NEAR_M), limits)
 
 
 def coast(
@@ -75,40 +42,50 @@ def coast(
     v, w = before
     if command[0] > 0.0 or v <= 0.05:
         return command
-    keep_off, roll = body.radius_m + control.guard_m, v * v / (2.0 * control.acceleration_m_s2)
-    safe = is_safe(seen_points(beams), v, command[1] / v, keep_off, roll)
+    safe = can_stop(seen_points(beams, control), v, command[1] / v, 0.0, control.record, body.record)
     return command if safe else (0.0, 0.5 * w)
 
 
 @compiled
-def turn_rate(bearing: float, step: float, top_turn: float) -> float:
-    """Turn rate that turns the robot to a bearing within about a step."""
-    return min(max(bearing / step, -top_turn), top_turn)
+def follow_path(
+    path: Array,
+    T_map_robot: Array,
+    beams: tuple[Array, Array, NDArray[np.bool_]],
+    control_record: Record,
+    body_record: Record,
+) -> tuple[float, float]:
+    """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
+    control, top_turn = control_record[0], control_record[0].turn_rad_s
+    x, y, left = look_ahead(path, T_map_robot, control.lookahead_m)
+    bearing = math.atan2(y, x)
+    if abs(bearing) > control.turn_first_rad:
+        return 0.0, min(max(bearing / control.period_s, -top_turn), top_turn)
+    speed = min(control.speed_m_s, math.sqrt(control.acceleration_m_s2 * left), max(left, 0.05) / control.period_s)
+    curvature = 2.0 * y / max(x * x + y * y, 0.01)
+    speed = min(speed * math.cos(bearing), 0.8 * top_turn / max(abs(curvature), 1e-6))
+    p_robot = near_points(beams[0], beams[1], beams[2], control.near_m)
+    return safe_command(speed, curvature, p_robot, control_record, body_record)
 
 
 @compiled
-def safe_command(speed: float, curvature: float, p_robot: Array, limits: Limits) -> tuple[float, float]:
+def safe_command(
+    speed: float, curvature: float, p_robot: Array, control_record: Record, body_record: Record
+) -> tuple[float, float]:
     """The fastest command near the desired one that can stop before the points (n,2) m; (0, 0) without one."""
-    _, _, _, acceleration, step, top_turn, keep_off = limits
+    control = control_record[0]
     for i in range(len(SHARES)):
         v = SHARES[i] * speed
         for k in range(len(BENDS)):
             bent = curvature + BENDS[k]
-            length = stop_path(v, step, acceleration)
-            if abs(v * bent) <= top_turn and is_safe(p_robot, v, bent, keep_off, length):
+            turns = abs(v * bent) <= control.turn_rad_s
+            if turns and can_stop(p_robot, v, bent, control.period_s, control_record, body_record):
                 return v, v * bent
     return 0.0, 0.0
 
 
-@compiled
-def stop_path(v: float, step: float, acceleration: float) -> float:
-    """Length of the path driven in a step at speed v, and to stop after it, m."""
-    return abs(v) * step + v * v / (2.0 * acceleration)
-
-
-def seen_points(beams: MergedScan) -> Array:
-    """Hits (n,2) m, robot frame, within `NEAR_M`; each the median of five neighbouring beams, against noise."""
-    return near_points(beams.ranges, beams.bearings, beams.hit, NEAR_M)
+def seen_points(beams: MergedScan, control: ControlConfig) -> Array:
+    """Hits (n,2) m, robot frame, within `near_m`; each the median of five neighbouring beams, against noise."""
+    return near_points(beams.ranges, beams.bearings, beams.hit, control.near_m)
 
 
 @compiled
@@ -143,10 +120,17 @@ def nearest_point(p_robot: Array, x: float, y: float) -> float:
 
 
 @compiled
-def is_safe(p_robot: Array, v: float, curvature: float, keep_off: float, length: float) -> bool:
-    """True when an arc of some length stays `keep_off` from the points (n,2), or, begun nearer, leads no nearer."""
+def can_stop(
+    p_robot: Array, v: float, curvature: float, delay_s: float, control_record: Record, body_record: Record
+) -> bool:
+    """True when the robot can brake, after a delay on its arc, without coming too near to the points (n,2) m.
+
+    That is radius + guard, or the present distance where it is less: then the arc must lead no nearer.
+    """
+    keep_off = body_record[0].radius_m + control_record[0].guard_m
+    length = abs(v) * delay_s + v * v / (2.0 * control_record[0].acceleration_m_s2)
     least = min(keep_off, nearest_point(p_robot, 0.0, 0.0) - 1e-3)
-    steps = int(length / STEP_M) + 1
+    steps = int(length / control_record[0].arc_step_m) + 1
     for i in range(1, steps + 1):
         s = math.copysign(length * i / steps, v)
         turn = s * curvature

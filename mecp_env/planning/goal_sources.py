@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from mecp_env.slam.messages import (
     Door,
     EdgeLabel,
     Ints,
-    MapPolygon,
     SlamOutput,
 )
 
@@ -31,11 +29,6 @@ OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward
 Places = dict[int, list[float]]  # id -> x, y in m, map frame
 
 OPEN_EDGE, GAP_EDGE = int(EdgeLabel.OPEN), int(EdgeLabel.GAP)
-GAP_BEYOND_M = 0.4  # another polygon is searched this far beyond a gap
-WALL_BEHIND_M = 0.5  # an edge across a corner has a wall this close behind it
-SAME_GAP_M = 0.8  # a gap in an edge this close to a door is that door, seen at a grazing angle
-BARRIER_CELLS = 1.5  # floor is not joined this close to the line of a door
-NOWHERE = [math.nan, math.nan]
 
 
 class DoorPlace(NamedTuple):
@@ -71,7 +64,7 @@ def landmark_places(belief: Belief) -> Places:
 def door_place(door: Door, places: Places) -> DoorPlace:
     """Where a door is: the middle of its jambs, its width and direction from those of its first face."""
     jambs = door.jambs + (door.other_face or door.jambs)
-    (ax, ay), (bx, by), (cx, cy), (dx, dy) = (places.get(i, NOWHERE) for i in jambs)
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = (places.get(i, goal_search.NOWHERE) for i in jambs)
     width = max(length_of(bx - ax, by - ay), 1e-9)
     return DoorPlace((ax + bx + cx + dx) / 4.0, (ay + by + cy + dy) / 4.0, (by - ay) / width, -(bx - ax) / width, width)
 
@@ -106,7 +99,7 @@ def open_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     it; the paper asks for rooms divided into polygons, so that only a polygon does.
     Of those as near to each other as `apart_m` the widest.
     """
-    found = uncovered_intervals(context, (OPEN_EDGE, config.open_width_m, config.open_beyond_m))
+    found = uncovered_edges(context, (OPEN_EDGE, config.open_width_m, config.open_beyond_m))
     beyond = config.open_beyond_m
     goals = [Goal(OPEN, x + beyond * nx, y + beyond * ny, width, room) for x, y, nx, ny, width, room in found]
     return widest(goals, config.apart_m)
@@ -121,34 +114,18 @@ def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
     return kept
 
 
-def uncovered_intervals(context: GoalContext, limits: tuple[int, float, float]) -> list[OpenEdge]:
+def uncovered_edges(context: GoalContext, wanted: tuple[int, float, float]) -> list[OpenEdge]:
     """Intervals of known polygons beyond which none lies, however near: middle, outward normal, width, room.
 
-    `limits`: their EdgeLabel, the least width and how far beyond the edge is looked, m.
+    `wanted`: the EdgeLabel, the least width and the distance from the edge at which is looked, m.
     """
-    output, grid = context.slam_output, context.slam_output.grid
+    output = context.slam_output
     polygons = [polygon for polygon in output.map_polygons if len(polygon.intervals)]
     if not polygons:
         return []
-    edges = goal_search.uncovered_intervals(
-        rings_of(polygons, context.places),
-        (np.concatenate([polygon.intervals for polygon in polygons]), starts([len(p.intervals) for p in polygons])),
-        limits,
-        (grid.polygon, grid.origin, grid.resolution_m),
-    )
+    edges = goal_search.uncovered_edges(polygons, context.places, output.grid, wanted)
     rooms = [output.graph.resolve(polygon.room) for polygon in polygons]
     return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in edges.tolist()]
-
-
-def rings_of(polygons: list[MapPolygon], places: Places) -> tuple[Array, Ints]:
-    """The vertices (V,2) m, map frame, of all polygons, and where those of each begin (P+1,)."""
-    p_map = [places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
-    return np.array(p_map, np.float64), starts([len(polygon.ids) for polygon in polygons])
-
-
-def starts(lengths: list[int]) -> Ints:
-    """(n+1,) where each of some stretches begins that lie one after the other, and the end of the last."""
-    return np.array([0, *accumulate(lengths)], np.int64)
 
 
 def floor_goals(context: GoalContext, config: GoalsConfig) -> tuple[list[Goal], list[Goal]]:
@@ -158,12 +135,7 @@ def floor_goals(context: GoalContext, config: GoalsConfig) -> tuple[list[Goal], 
     polygon yet, and none with an open edge. Frontiers lie between the floor of a room and unknown cells, away from
     doors and candidates.
     """
-    grid = context.slam_output.grid
-    span = max(round(config.uncovered_m / 2 / grid.resolution_m), 1)
-    sizes = (span, config.uncovered_cells, config.frontier_cells)
-    clear = (BARRIER_CELLS, config.door_clear_m / grid.resolution_m)
-    layers = (grid.label, grid.polygon, grid.room)
-    uncovered, frontiers = goal_search.floor_clusters(layers, barriers(context), clear, sizes)
+    uncovered, frontiers = goal_search.floor_clusters(context.slam_output.grid, barriers(context), config)
     return cluster_goals(OPEN, context, uncovered), cluster_goals(FRONTIER, context, frontiers)
 
 
@@ -227,30 +199,28 @@ def gap_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     A door seen at a grazing angle shows one jamb or none, but the laser looks through it.
     """
     away = -config.candidate_m
-    gaps = unexplained_gaps(context)
+    gaps = unexplained_gaps(context, config)
     return widest(
         [Goal(CANDIDATE, x + away * nx, y + away * ny, w, room) for x, y, nx, ny, w, room in gaps], config.apart_m
     )
 
 
-def unexplained_gaps(context: GoalContext) -> list[OpenEdge]:
+def unexplained_gaps(context: GoalContext, config: GoalsConfig) -> list[OpenEdge]:
     """The gaps in edges of known polygons where a door is missing: none is known, nor a candidate, polygon or wall."""
-    gaps = [
-        gap
-        for gap in uncovered_intervals(context, (GAP_EDGE, 0.0, GAP_BEYOND_M))
-        if not is_explained(context, *gap[:2])
-    ]
-    grid = context.slam_output.grid
-    layer = (grid.label, grid.origin, grid.resolution_m)
-    walled = goal_search.before_wall(layer, np.array(gaps, np.float64).reshape(-1, 6), WALL_BEHIND_M) if gaps else ()
+    edges = uncovered_edges(context, (GAP_EDGE, 0.0, config.open_beyond_m))
+    gaps = [gap for gap in edges if not is_explained(context, gap, config.same_gap_m)]
+    if not gaps:
+        return []
+    grid, middles = context.slam_output.grid, np.array(gaps, np.float64)
+    walled = goal_search.before_wall(grid.label, grid.origin, grid.resolution_m, middles, config.wall_behind_m)
     return [gap for gap, wall in zip(gaps, walled, strict=True) if not wall]
 
 
-def is_explained(context: GoalContext, x: float, y: float) -> bool:
-    """True when a door or a candidate is known near (x, y) m."""
+def is_explained(context: GoalContext, gap: OpenEdge, near_m: float) -> bool:
+    """True when a door or a candidate is known near a gap."""
     doors = [(door.x, door.y) for door in context.doors]
     gaps = [candidate.ends.mean(axis=0).tolist() for candidate in context.slam_output.graph.candidates]
-    return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in [*doors, *gaps])
+    return any(math.hypot(gap[0] - x, gap[1] - y) < near_m for x, y in [*doors, *gaps])
 
 
 def door_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:

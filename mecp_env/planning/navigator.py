@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core import grid_paths
-from mecp_env.planning.config import PlanningConfig
-from mecp_env.planning.controller import coast, follow, is_safe, look_ahead, off_path, seen_points, stop_path
+from mecp_env.planning.config import GoalsConfig, PlanningConfig
+from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, landmark_places, unexplained_gaps
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
@@ -18,10 +18,6 @@ from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamO
 OFF_PATH_M = 0.4  # the robot plans again when it is farther from its path
 BACK_M_S = 0.2
 BACK_STEPS = 4
-APPROACH_M = 0.6  # distance from which a door is entered along its normal
-GAP_NEAR_M = 3.0  # distance between a candidate and its viewing position
-ASIDE_M = 0.5  # a gap is viewed from in front of it
-TRIES = 3  # plans without a path before the goal is refused
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
 
@@ -83,7 +79,7 @@ class Navigator:
     def _judge(self, target: Target, output: SlamOutput) -> Outcome:
         """State of the drive before this step."""
         limits = self.config.navigator
-        if settled(target, output):
+        if settled(target, output, self.config.goals):
             far = target.kind == FRONTIER and not self._there(target, output)
             return Outcome.SETTLED if far else Outcome.REACHED
         if self.dwelt >= limits.dwell_steps:
@@ -99,7 +95,7 @@ class Navigator:
     def _must_plan(self, output: SlamOutput) -> bool:
         """True without a path, off it, when it is old, or when a wall appeared on it."""
         pose = output.belief.T_map_robot
-        if not len(self.path) or off_path(self.path, pose[0], pose[1]) > OFF_PATH_M:
+        if not len(self.path) or off_path(self.path, pose[0], pose[1]) > self.config.navigator.off_path_m:
             return True
         if output.grid.version == self.planned_version:
             return False
@@ -114,7 +110,7 @@ class Navigator:
         self.tries = 0 if len(self.path) else self.tries + 1
         if not before or self.tries:
             self.best_left_m, self.best_step = math.inf, self.steps
-        if self.tries >= TRIES:
+        if self.tries >= self.config.navigator.tries:
             self.outcome = Outcome.REFUSED
 
     def _drive(self, target: Target, output: SlamOutput) -> tuple[float, float]:
@@ -140,45 +136,44 @@ class Navigator:
         if self.recoveries > self.config.navigator.recoveries:
             self.outcome = Outcome.REFUSED
             return STOP
-        self.backing = BACK_STEPS
+        self.backing = self.config.navigator.back_steps
         return self._back_off(output)
 
     def _back_off(self, output: SlamOutput) -> tuple[float, float]:
         """One step backwards, bending to one side and the other in turn; in place where that is blocked."""
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
-        keep_off = self.config.paths.radius_m + self.config.control.guard_m
-        control = self.config.control
-        length = stop_path(BACK_M_S, control.period_s, control.acceleration_m_s2)
-        safe = is_safe(seen_points(output.beams), -BACK_M_S, side, keep_off, length)
-        return (-BACK_M_S, -side * BACK_M_S) if safe else (0.0, side * self.config.control.turn_rad_s / 2)
+        control, body = self.config.control, self.config.paths
+        back_m_s, points = self.config.navigator.back_m_s, seen_points(output.beams, control)
+        safe = can_stop(points, -back_m_s, side, control.period_s, control.record, body.record)
+        return (-back_m_s, -side * back_m_s) if safe else (0.0, side * control.turn_rad_s / 2)
 
 
-def settled(target: Target, output: SlamOutput) -> bool:
+def settled(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:
     """True when a goal has nothing more to show: covered, confirmed, known, or gone."""
     if target.kind == OPEN:
         return covered(target, output)
     if target.kind == FRONTIER:
         return not unknown_near(target.p_map, output)
     if target.kind == CANDIDATE:
-        return not gap_left(target, output)
+        return not gap_left(target, output, config)
     return door_of(target, output) is None
 
 
-def gap_left(target: Target, output: SlamOutput) -> bool:
+def gap_left(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:
     """True while there is a candidate near the target, or the gap in an edge that is looked at from there."""
     goal = target.p_map.tolist()
     gaps = (candidate.ends.mean(axis=0).tolist() for candidate in output.graph.candidates)
-    if any(math.dist(gap, goal) < GAP_NEAR_M for gap in gaps):
+    if any(math.dist(gap, goal) < 2.0 * config.candidate_m for gap in gaps):
         return True
-    return any(faces(goal, gap) for gap in unexplained_gaps(GoalContext.of(output)))
+    return any(faces(goal, gap, config) for gap in unexplained_gaps(GoalContext.of(output), config))
 
 
-def faces(place: list[float], gap: OpenEdge) -> bool:
+def faces(place: list[float], gap: OpenEdge, config: GoalsConfig) -> bool:
     """True when a place (x, y) m lies in front of a gap, as near as from where a candidate is looked at."""
     x, y, nx, ny, *_ = gap
     ahead, aside = (x - place[0]) * nx + (y - place[1]) * ny, (x - place[0]) * ny - (y - place[1]) * nx
-    return 0.0 < ahead < GAP_NEAR_M and abs(aside) < ASIDE_M
+    return 0.0 < ahead < 2.0 * config.candidate_m and abs(aside) < config.apart_m
 
 
 def covered(target: Target, output: SlamOutput) -> bool:
@@ -245,7 +240,7 @@ def plan_through(door: Door, output: SlamOutput, costs: CostToGoField, config: P
     robot = output.belief.T_map_robot[:2]
     offset = robot - middle
     along, aside = float(offset @ onward), abs(float(offset[0] * onward[1] - offset[1] * onward[0]))
-    if -APPROACH_M - 0.1 < along < config.goals.door_beyond_m and aside < 0.2:
+    if -config.navigator.approach_m - 0.1 < along < config.goals.door_beyond_m and aside < 0.2:
         return np.array([robot, middle, beyond] if along < 0.0 else [robot, beyond])
-    cell = costs.nearest(middle - APPROACH_M * onward, config.goals.reach_m)
+    cell = costs.nearest(middle - config.navigator.approach_m * onward, config.goals.reach_m)
     return np.empty((0, 2)) if cell is None else np.concatenate([costs.path(cell), [middle, beyond]])

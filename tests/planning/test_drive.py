@@ -13,15 +13,13 @@ import pytest
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import (
+    can_stop,
     coast,
     follow,
-    is_safe,
-    limits_of,
     look_ahead,
     near_points,
     safe_command,
     seen_points,
-    stop_path,
 )
 from mecp_env.planning.goal_sources import door_place, landmark_places
 from mecp_env.planning.goals import GoalHistory, GoalKind, find_goals
@@ -182,8 +180,8 @@ def test_speed_falls_towards_the_end_of_the_path() -> None:
 def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
     y = np.linspace(-1.0, 1.0, 201)
     wall = np.stack([np.full_like(y, distance), y], axis=1)
-    v, w = safe_command(0.75, 0.0, wall, limits_of(CONTROL, BODY))
-    reach = stop_path(v, CONTROL.period_s, CONTROL.acceleration_m_s2)
+    v, w = safe_command(0.75, 0.0, wall, CONTROL.record, BODY.record)
+    reach = v * CONTROL.period_s + v * v / (2.0 * CONTROL.acceleration_m_s2)
     end = reach if w == 0.0 else math.sin(reach * w / v) * v / w
     assert end <= max(distance - BODY.radius_m - CONTROL.guard_m, 0.0) + 1e-9
     assert v > 0.0 or distance < 0.5
@@ -200,9 +198,8 @@ def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
 def test_a_robot_that_is_too_near_may_move_away_only() -> None:
     y = np.linspace(-1.0, 1.0, 201)
     wall = np.stack([np.full_like(y, 0.25), y], axis=1)
-    keep_off = BODY.radius_m + CONTROL.guard_m
-    assert not is_safe(wall, 0.2, 0.0, keep_off, 0.1)
-    assert is_safe(wall, -0.2, 0.0, keep_off, 0.1)
+    assert not can_stop(wall, 0.2, 0.0, 0.4, CONTROL.record, BODY.record)
+    assert can_stop(wall, -0.2, 0.0, 0.4, CONTROL.record, BODY.record)
 
 
 def test_one_wild_beam_does_not_stop_the_robot() -> None:
@@ -215,7 +212,7 @@ def test_one_wild_beam_does_not_stop_the_robot() -> None:
 
 def test_points_seen_are_those_near() -> None:
     beams, _ = look(np.array([1.0, 2.0, 0.0]))
-    points = seen_points(beams)
+    points = seen_points(beams, CONTROL)
     assert np.hypot(*points.T).max() <= 2.1
     assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
 

@@ -7,9 +7,8 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import adopt_rooms
+from mecp_env.planning.goal_search import BARRIER_CELLS, adopt_rooms
 from mecp_env.planning.goal_sources import (
-    BARRIER_CELLS,
     GoalContext,
     barriers,
     candidate_goals,
@@ -70,12 +69,12 @@ def test_only_a_polygon_closes_an_open_edge(toy: Toy) -> None:
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
     output = toy.output()
     target = Target.of(open_edges(output, GoalsConfig()), 0)
-    assert not settled(target, output)  # though the floor there is seen
+    assert not settled(target, output, CONFIG.goals)  # though the floor there is seen
     toy.p_map[8] = to_map(toy.T_map_world, np.array([[5.9, 2.0]]))[0]
     toy.add_polygon([1, 8, 2], 0)
     output = toy.output()
     assert len(open_edges(output, GoalsConfig())) == 0
-    assert settled(target, output)
+    assert settled(target, output, CONFIG.goals)
 
 
 def test_near_open_edges_are_one_goal_and_narrow_ones_none(toy: Toy) -> None:
@@ -92,9 +91,9 @@ def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     goals = candidates(output)
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 1.95]]))
     target = Target.of(goals, 0)
-    assert not settled(target, output)
+    assert not settled(target, output, CONFIG.goals)
     toy.confirmed = True
-    assert settled(target, toy.output())
+    assert settled(target, toy.output(), CONFIG.goals)
 
 
 def with_gap(toy: Toy, edge: int) -> SlamOutput:
@@ -117,7 +116,7 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     assert goals.kind.tolist() == [GoalKind.CANDIDATE]
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 2.0]]), abs=0.01)
     target, history = Target.of(goals, 0), GoalHistory()
-    assert not settled(target, output)
+    assert not settled(target, output, CONFIG.goals)
     history.record(goals, 0, Outcome.REFUSED, CONFIG.goals)
     assert len(find_goals(output, history, CONFIG)) == 1
     history.record(goals, 0, Outcome.REACHED, CONFIG.goals)
@@ -125,7 +124,7 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     known = toy.output()  # of the door
     assert gap_goals(GoalContext.of(known), CONFIG.goals) == []
     assert find_goals(known, GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
-    assert settled(target, known)
+    assert settled(target, known, CONFIG.goals)
 
 
 def test_a_gap_before_a_wall_is_none(toy: Toy) -> None:
@@ -219,9 +218,9 @@ def test_a_known_room_entered_by_another_door_is_a_goal_until_a_polygon_tells(to
     row = goals.room.tolist().index(1)
     assert goals.kind[row] == GoalKind.OPEN
     assert in_world(toy, goals.p_map)[row] == pytest.approx([7.6, 1.95])
-    assert not settled(Target.of(goals, row), output)
+    assert not settled(Target.of(goals, row), output, CONFIG.goals)
     object.__setattr__(output, "graph", RoomGraph(3, False, (0, 3), output.graph.doors, (), {1: 3}))
-    assert settled(Target.of(goals, row), output)
+    assert settled(Target.of(goals, row), output, CONFIG.goals)
     assert GoalKind.OPEN not in find_goals(output, history, CONFIG).kind
 
 
