@@ -29,6 +29,7 @@ from mecp_env.episode.episode import (
     nearest_goal,
 )
 from mecp_env.episode.observations import Observer
+from mecp_env.episode.oracle import ORACLES
 from mecp_env.episode.rewards import TERMS, RewardInputs, apply_weights, events, measured_terms, remember
 from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
@@ -36,9 +37,7 @@ from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.render.view import SceneView
-from mecp_env.slam.association import OracleAssociator
 from mecp_env.slam.messages import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 
@@ -137,6 +136,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self.action_space = self._actions.space
         self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
+        self._oracle = ORACLES[self.config.estimator]
         self._episode: EpisodeState | None = None
         self._screen: Any = None
         self._window: Any = None
@@ -225,7 +225,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         building = self._true_world.building_of(state)
         generator = make_generator(state["random"])
         body, moving, episode = (decode(state[part]) for part in PARTS)
-        check_parts(state["seed"], body, moving, episode, SlamPipeline(self._slam))
+        check_parts(state["seed"], body, moving, episode, self._oracle.make_pipeline(self._slam))
         self._true_world.restore(building, moving, body)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
@@ -322,12 +322,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
         pose = self._true_world.T_world_robot
-        pipeline, metrics = (
-            SlamPipeline(self._slam),
-            EpisodeMetrics.begin(self._true_world.truth, pose, self._true_world.obstacles()),
-        )
+        pipeline = self._oracle.make_pipeline(self._slam)
+        metrics = EpisodeMetrics.begin(self._true_world.truth, pose, self._true_world.obstacles())
         for _ in range(SCANS_AT_REST):
-            self._inject_truth(pipeline, pose)
+            self._oracle.inform(pipeline, self._true_world, metrics)
             output = pipeline.start(self._look(pose))
             metrics.look(self._true_world.truth, pose, output, self._true_world.obstacles())
         self._episode = episode = EpisodeState(pipeline, output, metrics)
@@ -339,9 +337,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
         """The SLAM output of this step; only "known" and "truth" use ground truth."""
         odometry, scan = self._sense(motion, T_world_robot)
-        exact = episode.metrics.in_map(T_world_robot) if self.config.estimator == "truth" else None
-        self._inject_truth(episode.pipeline, T_world_robot)
-        return episode.pipeline.step(odometry, scan, T_map_robot=exact)
+        self._oracle.inform(episode.pipeline, self._true_world, episode.metrics)
+        return episode.pipeline.step(odometry, scan)
 
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
@@ -351,13 +348,6 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The measurements of odometry and laser for a step."""
         odometry = measure(motion, self.config.odometry, self.np_random)
         return odometry, self._look(T_world_robot)
-
-    def _inject_truth(self, pipeline: SlamPipeline, T_world_robot: Array) -> None:
-        """With the estimator "known", give the associator the true correspondences of the next scan."""
-        if self.config.estimator == "known":
-            assert isinstance(pipeline.associator, OracleAssociator)
-            source = self._true_world.truth.correspondences(T_world_robot, self._true_world.obstacles())
-            pipeline.associator.correspondences = source
 
     def _find_goals(self, episode: EpisodeState) -> None:
         """Search for goals when the map changed, at most every few steps, and at once when none is left."""
@@ -425,7 +415,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return RewardInputs(output.belief, output.grid, output.diverged, true_area)
 
     def _observe(self, episode: EpisodeState) -> Observation:
-        features = episode.pipeline.features
+        features = episode.pipeline.map.features
         observation, episode.saturated = self._observer.observe(
             episode.slam_output, features, episode.goals, episode.path_map
         )

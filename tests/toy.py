@@ -165,7 +165,7 @@ class Toy:
         self.painter.complete(completed)
         grid = self.painter.paint(belief, beams, segments, ids, known, graph)
         none = cast("Any", None)
-        return SlamOutput(self.step, beams, segments, none, (), none, belief, graph, known, grid, False)
+        return SlamOutput(self.step, beams, segments, none, (), none, none, belief, graph, known, grid, False)
 
     def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
         """A step of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""

@@ -44,7 +44,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("association", OracleAssociator, "associate"),
     ("filter predict", LandmarkFilter, "predict"),
     ("filter update", LandmarkFilter, "update"),
-    ("map growth", SlamPipeline, "_grow_map"),
+    ("map growth", SlamPipeline, "_extend_map"),
     ("grid", GridPainter, "paint"),
     ("goals", env, "find_goals"),
     ("truth metrics", EpisodeMetrics, "look"),

@@ -21,8 +21,10 @@ def examples_of(value: Any) -> Examples:
     """Of every object in `value` whose class declares no fields: the class, and its fields with their types."""
     found: dict[type, Mapping[str, Any]] = {}
     for item in fields_of(value).values():
-        if is_object(item) and not is_dataclass(item):
-            found[type(item)] = {name: type(part) for name, part in fields_of(item).items()}
+        if is_object(item):
+            found.update(examples_of(item))
+            if not is_dataclass(item):
+                found[type(item)] = {name: type(part) for name, part in fields_of(item).items()}
     return found
 
 

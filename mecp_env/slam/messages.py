@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,33 +221,39 @@ FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estim
         ("doubts", np.int64),  # scans since then that showed that it is not there
         ("normals", np.float64, (2,)),  # rad, map frame, of the faces before and after; nan: unseen
         ("p_map", np.float64, (2,)),  # m, where it was last seen (tracks only)
-        ("convex", np.bool_),
+        ("convex", np.int64),  # 1 or 0, as in Corners; 8 bytes wide, so that no byte of a row is padding
     ],
-    align=True,
 )
 
 
 @dataclass(slots=True, eq=False)
 class FeatureTable:
-    """What is remembered of every feature id beside the filter's estimate. Row = id; ids are never used twice."""
+    """All features, one row per id; ids are never used twice. The properties are columns, to read and to write."""
 
-    state: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) FeatureState
-    room: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) room, before merges are resolved
-    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) CornerKind
-    convex: Bools = field(default_factory=lambda: np.empty(0, np.bool_))  # (F,)
-    normals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) rad, map frame, nan: unseen
-    seen: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) sightings
-    last_step: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) step of the last sighting
-    p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (F,2) m: last seen here (tracks only)
-    doubts: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (F,) scans that refuted it since it was seen
+    rows: NDArray[np.void] = field(default_factory=lambda: np.empty(0, FEATURE))  # (F,) FEATURE
 
     @property
-    def rows(self) -> NDArray[np.void]:
-        """(F,) one record per feature."""
-        rows = np.empty(len(self.state), FEATURE)
-        for name in FEATURE.names or ():
-            rows[name] = getattr(self, name)
-        return rows
+    def state(self) -> Ints:
+        return self.rows["state"]
+
+    @property
+    def room(self) -> Ints:
+        return self.rows["room"]
+
+    @property
+    def kind(self) -> Ints:
+        return self.rows["kind"]
+
+    @property
+    def convex(self) -> Ints:
+        return self.rows["convex"]
+
+    @property
+    def normals(self) -> Array:
+        return self.rows["normals"]
+
+    def __len__(self) -> int:
+        return len(self.rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,6 +267,13 @@ class Match:
     polygon: int  # index of the matched polygon of the scan, or -1
     known: int  # index of the MapPolygon matched (in the store at the time), or -1
     closure: bool  # a place not updated for a while was recognised: the update is iterated
+
+    def assign(self, corners: Any, ids: Any, decision: Any, reason: Any) -> Match:
+        """A new match with these columns (c,), or one value, for some `corners` (c,)."""
+        columns = self.ids.copy(), self.decision.copy(), self.reason.copy()
+        for column, values in zip(columns, (ids, decision, reason), strict=True):
+            column[corners] = values
+        return Match(*columns, self.nis, self.polygon, self.known, self.closure)
 
     def recognised(self) -> Ints:
         """The corners (c,) that are landmarks."""
@@ -371,7 +385,8 @@ class SlamOutput:
     segments: Segments
     corners: Corners
     polygons: tuple[Polygon, ...]
-    match: Match
+    associated: Match  # as the associator decided
+    match: Match  # after dynamic objects were left out, tracks were followed and landmarks merged
     belief: Belief
     graph: RoomGraph
     map_polygons: tuple[MapPolygon, ...]

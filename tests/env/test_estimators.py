@@ -39,7 +39,7 @@ def test_the_paper_runs_to_the_letter():
 def test_a_filter_that_diverged_cuts_the_episode_short():
     env = make()
     env.reset(seed=1)
-    env.unwrapped._episode.pipeline.diverged = True
+    env.unwrapped._episode.pipeline.divergence.found = True
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated, info["diverged"]) == (False, True, True)
     assert observation in env.observation_space

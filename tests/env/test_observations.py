@@ -18,6 +18,7 @@ from mecp_env.episode.observations import (
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
 from tests.env.helpers import drive, make
+from tests.slam.tables import table_of
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
 
@@ -108,7 +109,7 @@ def belief_of(n: int, rng) -> Belief:
 
 
 def features_of(n: int) -> FeatureTable:
-    return FeatureTable(room=np.arange(n) % 4, kind=np.arange(n) % 3)
+    return table_of(n, room=np.arange(n) % 4, kind=np.arange(n) % 3)
 
 
 GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
@@ -165,7 +166,7 @@ def test_left_out_and_cut_values_are_counted_in_info():
     far.p_map[:] = 2.0 * EXTENT_M
     far.covs[:, 0, 0] = 2.0 * COV_MAX
     object.__setattr__(output, "belief", far)
-    episode.pipeline.features = features_of(LANDMARKS + 5)
+    episode.pipeline.map.features = features_of(LANDMARKS + 5)
     observation = env.observation()
     assert observation in env.observation_space
     assert episode.saturated >= 5 + 2 * LANDMARKS

@@ -213,7 +213,7 @@ def test_a_contact_costs():
 def test_a_filter_that_diverged_completes_nothing():
     env = make(end={"coverage": 0.1}).unwrapped
     env.reset(seed=1)
-    env._episode.pipeline.diverged = True
+    env._episode.pipeline.divergence.found = True
     _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (False, True)
     assert info["reward_divergence"] == -20.0

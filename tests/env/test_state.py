@@ -265,7 +265,7 @@ def damaged_inside(data, cls, name, value):
     ("cls", "name", "value"),
     [
         ("GridPainter", "merges", "none"),
-        ("RightInvariantEkf", "mean", None),
+        ("RightInvariantEkf", "state", None),
         ("RightInvariantEkf", "gone", 1),
         ("Belief", "pose_cov", {"@list": []}),
         ("MapPolygon", "ids", {"@array": [np.zeros(3), True]}),

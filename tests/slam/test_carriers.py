@@ -8,8 +8,9 @@ import pytest
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import downdate
 from mecp_env.core.se2 import polar_to_map, polar_to_points, to_map, wrap_angle
-from mecp_env.slam.landmark_map.map_polygons import find_whole, is_whole, link
+from mecp_env.slam.landmark_map.map_polygons import find_whole, link
 from mecp_env.slam.messages import Corners, Decision, Doorways, Match
+from tests.slam.tables import table_of
 
 
 def corners_of(rng, n):
@@ -79,12 +80,12 @@ def test_downdate_with_and_without_a_margin(n, rows):
 
 
 def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
-    ids, room = np.array([8, 3, 5, -1, 3]), np.array([0, 0, 0, 1, 0, 1, 0, 0, 1])
+    ids, rows = np.array([8, 3, 5, -1, 3]), table_of(9, room=[0, 0, 0, 1, 0, 1, 0, 0, 1]).rows
     intervals = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.5, 0.0], [1.0, 0.5, 1.0, 2.0], [2.0, 0.0, 1.0, 1.0]])
 
     def linked(corners, current):
         ring, rolled = np.empty(len(corners), np.int64), np.empty_like(intervals)
-        sound = link(np.array(corners), ids, room, current, ring, intervals, rolled)
+        sound = link(np.array(corners), ids, rows, current, ring, intervals, rolled)
         return (ring.tolist(), rolled[:, 0].tolist()) if sound else None
 
     assert linked([0, 1, 2], 1) == ([3, 5, 8], [0.0, 0.0, 1.0, 2.0])
@@ -93,19 +94,23 @@ def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
     assert linked([1, 2, 4], 1) is None  # one feature twice
 
 
+def are_whole(rings, rooms, rows):
+    whole = np.empty(len(rings), np.bool_)
+    find_whole(np.concatenate(rings), np.cumsum([len(ring) for ring in rings]), rows, np.array(rooms), whole)
+    return whole.tolist()
+
+
 def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
-    state, room = np.array([1, 1, 1, 2]), np.array([0, 0, 1, 0])
-    assert is_whole(np.array([0, 1]), state, room, 0)
-    assert not is_whole(np.array([0, 2]), state, room, 0)
-    assert not is_whole(np.array([0, 3]), state, room, 0)
-    assert not is_whole(np.array([1, 1]), state, room, 0)
+    rows = table_of(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0]).rows
+    rings = [np.array(ring) for ring in ([0, 1], [0, 2], [0, 3], [1, 1])]
+    assert are_whole(rings, [0] * 4, rows) == [True, False, False, False]
 
 
 def test_whole_polygons_are_found_as_one_by_one():
     rng = np.random.default_rng(3)
-    state, room = rng.integers(1, 4, 40), rng.integers(0, 2, 40)
+    rows = table_of(40, state=rng.integers(1, 4, 40), room=rng.integers(0, 2, 40)).rows
     rings = [rng.choice(40, rng.integers(1, 5)) for _ in range(300)]
-    rooms, whole = rng.integers(0, 2, len(rings)), np.empty(len(rings), np.bool_)
-    find_whole(np.concatenate(rings), np.cumsum([len(ring) for ring in rings]), state, room, rooms, whole)
-    assert whole.tolist() == [is_whole(ring, state, room, int(now)) for ring, now in zip(rings, rooms, strict=True)]
-    assert 10 < whole.sum() < 290
+    rooms = rng.integers(0, 2, len(rings))
+    whole = are_whole(rings, rooms, rows)
+    assert whole == [are_whole([ring], [now], rows)[0] for ring, now in zip(rings, rooms, strict=True)]
+    assert 10 < sum(whole) < 290

@@ -60,12 +60,10 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     assert all(np.array_equal(first[key], second[key]) for key in first)
 
 
-def test_a_pipeline_that_forgets_everything_makes_them_anew(own: dict[str, ModuleType]) -> None:
-    pipeline = SlamPipeline(OWN)
-    before = pipeline.associator
-    pipeline.reset()
-    assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
-    assert pipeline.associator is not before
+def test_each_pipeline_makes_its_own(own: dict[str, ModuleType]) -> None:
+    first, second = SlamPipeline(OWN), SlamPipeline(OWN)
+    assert type(first.associator) is type(second.associator) is own["global_nearest"].GlobalNearest
+    assert first.associator is not second.associator
 
 
 def test_batches_of_environments_know_them(own: dict[str, ModuleType]) -> None:

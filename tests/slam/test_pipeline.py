@@ -10,6 +10,8 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, MatchBuilder, make_associator
 from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
@@ -95,16 +97,16 @@ def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
     identity = majority_identity(steps)
     pipeline = steps[-1][0]
     for landmark in steps[-1][1].belief.ids.tolist():
-        if pipeline.features.kind[landmark] != int(CornerKind.JAMB):
+        if pipeline.map.features.kind[landmark] != int(CornerKind.JAMB):
             west = drive.outline.corners.p_world[identity[landmark], 0] < 5.0
-            assert pipeline.rooms.resolve(int(pipeline.features.room[landmark])) == (0 if west else 1)
+            assert pipeline.rooms.resolve(int(pipeline.map.features.room[landmark])) == (0 if west else 1)
 
 
 def test_visible_landmarks_are_the_vertices_of_the_polygons_around_a_point(steps):
     pipeline, output, _, _ = steps[-1]
     here = pipeline.visible_landmarks(output.belief.T_map_robot[:2])
     assert len(here) >= 4
-    assert (pipeline.features.state[here] == int(FeatureState.LANDMARK)).all()
+    assert (pipeline.map.features.state[here] == int(FeatureState.LANDMARK)).all()
     assert len(pipeline.visible_landmarks(np.array([100.0, 100.0]))) == 0
 
 
@@ -126,13 +128,10 @@ def test_the_same_drive_gives_the_same_bits(drive, steps):
     assert np.array_equal(again[-1][1].grid.label, steps[-1][1].grid.label)
 
 
-def test_reset_forgets_everything(drive):
-    pipeline = SlamPipeline(SlamConfig())
-    first = pipeline.start(drive.scans[0])
-    pipeline.reset()
-    second = pipeline.start(drive.scans[0])
+def test_a_new_pipeline_starts_with_an_empty_map(drive):
+    first, second = (SlamPipeline(SlamConfig()).start(drive.scans[0]) for _ in range(2))
     assert np.array_equal(first.match.ids, second.match.ids)
-    assert second.step == 1
+    assert first.step == second.step == 1
 
 
 @pytest.mark.parametrize("method", [m for m in ASSOCIATORS if m != "known"])
@@ -170,18 +169,19 @@ def test_true_identities_are_the_upper_bound(drive):
     assert len(owners) >= 10
 
 
-def test_the_true_pose_can_be_given(drive):
+def test_the_true_pose_can_be_injected(drive):
     from mecp_env.core.se2 import compose, inverse
 
-    pipeline = SlamPipeline(SlamConfig())
+    oracle = OraclePoseFilter(make_filter(FilterConfig()))
+    pipeline = SlamPipeline(SlamConfig(), filter=oracle)
     T_map_world = inverse(drive.T_world_robot[0])
     for odometry, scan, pose in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
         if odometry is None:
             pipeline.start(scan)
             continue
-        exact = compose(T_map_world, pose)
-        output = pipeline.step(odometry, scan, T_map_robot=exact)
-        assert np.allclose(output.belief.T_map_robot, exact, atol=1e-3)
+        oracle.T_map_robot = compose(T_map_world, pose)
+        output = pipeline.step(odometry, scan)
+        assert np.allclose(output.belief.T_map_robot, oracle.T_map_robot, atol=1e-3)
 
 
 def test_the_floor_adds_the_same_position_error_to_every_corner(steps):
@@ -253,8 +253,7 @@ class Foreign(Associator):
 
 
 def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
-    pipeline = SlamPipeline(SlamConfig())
-    pipeline.associator = Foreign(lambda n: MatchBuilder(n).match())
+    pipeline = SlamPipeline(SlamConfig(), associator=Foreign(lambda n: MatchBuilder(n).match()))
     for scan in drive.scans[:3]:
         output = pipeline.start(scan)
     assert len(output.belief.ids)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -54,8 +55,9 @@ class MatchBuilder:
         return Match(*columns, self.polygon, self.map_polygon, False)
 
 
+@lru_cache(64)
 def ignored(n: int) -> Match:
-    """A match in which each of n corners is ignored: nothing is known about them."""
+    """The match in which each of n corners is ignored: nothing is known about them."""
     builder = MatchBuilder(n)
     builder.assign(slice(None), Decision.IGNORED, Reason.AMBIGUOUS)
     return builder.match()

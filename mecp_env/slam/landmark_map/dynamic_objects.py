@@ -1,170 +1,195 @@
-"""What stands where the map has seen free floor: somebody walks there, and no corner of his is a landmark.
+"""Dynamic objects: what is where the map has seen free floor has moved there, and no corner of it is a landmark.
 
-Not in the paper, whose world is static. A run of beams that end on floor seen free before, well away from all that is
-not, comes from something that moved in since; a line fitted to such beams is no wall, and its beams paint none. Where
-nothing moves a hit lies on a wall, beside which the map knows no free floor: nothing is left out there.
+Differs from the paper: its world is static. A run of beams that end on floor seen free before, well away from all that
+is not free, comes from something that moved in since; a line fitted to such beams is no wall, and no wall is painted
+where they end. In a static world every hit is on a wall, beside which the map has no free floor: nothing is dynamic.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import TransientConfig
-from mecp_env.slam.messages import Belief, Bools, Corners, Decision, Match, MergedScan, Reason, Segments, SemanticGrid
+from mecp_env.slam.landmark_map.tracks import room_unseen_since
+from mecp_env.slam.messages import (
+    NO_ID,
+    Belief,
+    Bools,
+    Cell,
+    Corners,
+    Decision,
+    FeatureTable,
+    Match,
+    MergedScan,
+    Reason,
+    Segments,
+    SemanticGrid,
+)
+from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Rows = NDArray[np.void]
 Bytes = NDArray[np.uint8]
 
-FREE, DOOR = 1, 3  # as in mecp_env.slam.messages.Cell
-NEW, IGNORED, TRANSIENT = int(Decision.NEW), int(Decision.IGNORED), int(Reason.TRANSIENT)
-SIGMAS = 2.0  # of the place of a hit in the map, that the margin is widened by
-BODY_M = 0.45  # of the middle of what is seen of somebody, all of him
-SHY_M = 0.25  # a new corner as near to somebody may be his
-SHARE = 0.5  # of the beams of a segment or a cluster that must be transient for it to be
+SIGMAS = 2.0  # of the place of a hit in the map, by which the margin is widened
+BODY_M = 0.45  # beams that end this near to the middle of dynamic ones belong to the same body
+SHY_M = 0.25  # a new corner this near to a dynamic beam may belong to the same body
+SIDES_M = (0.2, 0.5)  # how wide a pedestrian is; a wall is thinner
+LONE_NIS = 9.21  # chi-square, 2 degrees of freedom, 99 %
+FREE, DOOR = int(Cell.FREE), int(Cell.DOOR)
+NEW, RECOGNISED = int(Decision.NEW), int(Decision.LANDMARK)
 
 
-def find_transient(
-    beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid, config: TransientConfig
-) -> Bools | None:
-    """(B,) which beams end on something that stands where the map has seen free floor; None where none does.
+@dataclass(frozen=True, slots=True, eq=False)
+class DynamicObjects:
+    """The stage for a world where things move; beams (B,) are marked, None stands for none."""
 
-    MergedScan on segments longer than `longest_m` are not asked: they are on walls, whatever the map says.
-    """
-    if not config.margin_m or not grid.label.size:
+    config: TransientConfig
+
+    def reject_closures(
+        self, match: Match, corners: Corners, features: FeatureTable, landmark_filter: Filter, oldest: int
+    ) -> Match:
+        """The match without loop closures by one corner that may be a side of a pedestrian, unless the pose is sure."""
+        doubtful = find_lone_closures(match.ids, match.decision, match.nis, corners.z, features.rows, oldest)
+        unsure = [c for c in doubtful.tolist() if not self._is_sure(corners, match.ids, c, landmark_filter)]
+        return match.assign(unsure, NO_ID, int(Decision.IGNORED), int(Reason.AMBIGUOUS)) if unsure else match
+
+    def _is_sure(self, corners: Corners, ids: Ints, corner: int, landmark_filter: Filter) -> bool:
+        z, R = corners.measurements(np.array([corner]))
+        _, S = landmark_filter.innovation(z, R, ids[corner : corner + 1])
+        sure: bool = max(S[0, 0], z[0, 0] ** 2 * S[1, 1]) <= self.config.closure_sigma_m**2
+        return sure
+
+    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
+        """(B,) the beams that end on something on floor that the map has seen free.
+
+        Beams on segments longer than `longest_m` are not considered: they are on walls, whatever the map says.
+        """
+        if not grid.label.size:
+            return None
+        pose_cov, limits = np.ascontiguousarray(belief.pose_cov), self.config.record
+        asked = beams_off_walls(beams.hit, segments.points, segments.first, segments.last, segments.roll, limits)
+        floor = grid.label, grid.origin, grid.resolution_m
+        marked = mark_dynamic(beams.ranges, beams.bearings, asked, belief.T_map_robot, pose_cov, floor, limits)
+        return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked) if len(marked) else None
+
+    def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
+        """The match in which new corners near dynamic beams are ignored."""
+        if dynamic is None or not len(corners):
+            return match
+        near = near_dynamic(corners.z, match.decision, beams.ranges, beams.bearings, dynamic)
+        return match.assign(near, NO_ID, int(Decision.IGNORED), int(Reason.TRANSIENT)) if len(near) else match
+
+    def without(self, beams: MergedScan, segments: Segments, dynamic: Bools | None) -> tuple[MergedScan, Segments]:
+        """Beams and segments to paint: free floor up to dynamic objects, no wall there."""
+        if dynamic is None:
+            return beams, segments
+        return replace(beams, hit=beams.hit & ~dynamic), without_dynamic(segments, dynamic)
+
+
+class StaticWorld(DynamicObjects):
+    """The paper's world, where nothing moves: the stage does nothing."""
+
+    def reject_closures(
+        self, match: Match, corners: Corners, features: FeatureTable, landmark_filter: Filter, oldest: int
+    ) -> Match:
+        return match
+
+    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
         return None
-    marked = np.zeros(len(beams.ranges), np.bool_)
-    lines = segments.points, segments.first, segments.last, segments.roll
-    open_beams = beams_off_walls(beams.hit, *lines, config.longest_m)
-    pose = belief.T_map_robot, np.ascontiguousarray(belief.pose_cov)
-    limits = config.margin_m, config.most_sigma_m, config.range_m, config.beams
-    seen = beams.ranges, beams.bearings, open_beams
-    found = mark_transient(seen, pose, (grid.label, grid.origin, grid.resolution_m), limits, marked)
-    return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked) if found else None
 
 
-def without_transients(segments: Segments, transient: Bools | None) -> Segments:
-    """The segments but for those whose beams are mostly transient."""
-    if transient is None or not len(segments.first):
+def make_dynamic_objects(config: TransientConfig) -> DynamicObjects:
+    """The stage that `config` describes."""
+    return DynamicObjects(config) if config.margin_m else StaticWorld(config)
+
+
+def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
+    """The segments but for those most of whose beams are dynamic."""
+    if not len(segments.first):
         return segments
-    kept = standing(segments.first, segments.last, segments.roll, transient)
+    kept = static_segments(segments.first, segments.last, segments.roll, dynamic)
     if kept.all():
         return segments
-    return replace(
-        segments,
-        points=segments.points[kept],
-        line=segments.line[kept],
-        cov=segments.cov[kept],
-        cluster=segments.cluster[kept],
-        first=segments.first[kept],
-        last=segments.last[kept],
-    )
-
-
-def passing(beams: MergedScan, transient: Bools | None) -> MergedScan:
-    """The beams as they are to be painted: free floor up to what is transient, no wall there."""
-    return beams if transient is None else replace(beams, hit=beams.hit & ~transient)
-
-
-def shun_transients(match: Match, corners: Corners, beams: MergedScan, transient: Bools | None) -> Match:
-    """The match, in which no new corner as near to something transient is worth a second look; in place."""
-    if transient is not None and len(corners):
-        _shun(corners.z, beams.ranges, beams.bearings, transient, match.decision, match.reason)
-    return match
+    columns = ("points", "line", "cov", "cluster", "first", "last")
+    return replace(segments, **{name: getattr(segments, name)[kept] for name in columns})
 
 
 @compiled
-def _shun(z: Array, ranges: Array, bearings: Array, transient: Bools, decision: Ints, reason: Ints) -> None:
-    """Ignores the corners z (n,2) still NEW that lie near the end of a transient beam (B,)."""
-    for i in range(z.shape[0]):
-        near = False
-        for k in range(ranges.shape[0] if decision[i] == NEW else 0):
-            if transient[k]:
-                square = z[i, 0] ** 2 + ranges[k] ** 2 - 2.0 * z[i, 0] * ranges[k] * math.cos(z[i, 1] - bearings[k])
-                near = near or square < SHY_M * SHY_M
-        if near:
-            decision[i], reason[i] = IGNORED, TRANSIENT
+def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Rows, oldest: int) -> Ints:
+    """(c,) corners that alone recognise a room unseen since `oldest`, and may be one of the two sides of a pedestrian.
+
+    That is a corner that fits its landmark badly, or that has another one, no landmark, as far away as a pedestrian is
+    wide. `ids`, `decision`, `nis` (n,) are those of the match, z (n,2) of the corners.
+    """
+    doubtful, count = np.empty(z.shape[0], np.int64), 0
+    for c in range(z.shape[0]):
+        alone, beside = decision[c] == RECOGNISED, nis[c] > LONE_NIS
+        for k in range(z.shape[0] if alone else 0):
+            if decision[k] == RECOGNISED:
+                alone &= k == c or rows[ids[k]].room != rows[ids[c]].room
+                continue
+            square = z[c, 0] ** 2 + z[k, 0] ** 2 - 2.0 * z[c, 0] * z[k, 0] * math.cos(z[c, 1] - z[k, 1])
+            beside |= SIDES_M[0] ** 2 < square < SIDES_M[1] ** 2
+        if alone and beside and room_unseen_since(ids[c : c + 1], rows, oldest):
+            doubtful[count] = c
+            count += 1
+    return doubtful[:count]
 
 
 @compiled
-def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools) -> Bools:
-    """(B,) the marked beams, and those beside each run of them that end near its middle: the rim of the same body."""
-    size = ranges.shape[0]
-    whole = marked.copy()
-    for i in range(size):
-        if not marked[i] or marked[i - 1]:
-            continue
-        count, x, y = 0, 0.0, 0.0
-        while count < size and marked[(i + count) % size]:
-            k = (i + count) % size
-            x, y, count = x + ranges[k] * math.cos(bearings[k]), y + ranges[k] * math.sin(bearings[k]), count + 1
-        x, y = x / count, y / count
-        for side in range(2):
-            k = i - 1 if side == 0 else i + count
-            while hit[k % size] and not whole[k % size] and ends_near(ranges[k % size], bearings[k % size], x, y):
-                whole[k % size] = True
-                k += 2 * side - 1
-    return whole
-
-
-@compiled
-def ends_near(r: float, bearing: float, x: float, y: float) -> bool:
-    """True when a beam ends near (x, y), robot frame."""
-    return math.hypot(r * math.cos(bearing) - x, r * math.sin(bearing) - y) < BODY_M
-
-
-@compiled
-def beams_off_walls(hit: Bools, points: Array, first: Ints, last: Ints, roll: int, longest: float) -> Bools:
-    """(B,) the hits but for those on segments that are longer than `longest` m."""
+def beams_off_walls(hit: Bools, points: Array, first: Ints, last: Ints, roll: int, config: Rows) -> Bools:
+    """(B,) the hits but for those on long segments."""
     size, asked = hit.shape[0], hit.copy()
     for k in range(first.shape[0]):
-        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > longest:
+        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > config[0].longest_m:
             for position in range(first[k] + roll, last[k] + roll + 1):
                 asked[position if position < size else position - size] = False
     return asked
 
 
 @compiled
-def mark_transient(
-    beams: tuple[Array, Array, Bools],
-    pose: tuple[Array, Array],
-    map_of_floor: tuple[Bytes, Array, float],
-    limits: tuple[float, float, float, int],
-    transient: Bools,
-) -> bool:
-    """Marks (B,) runs of beams that end on free floor; says whether there are any.
+def mark_dynamic(
+    ranges: Array,
+    bearings: Array,
+    asked: Bools,
+    T_map_robot: Array,
+    pose_cov: Array,
+    floor: tuple[Bytes, Array, float],
+    config: Rows,
+) -> Bools:
+    """(B,) the beams in runs of beams that were `asked` and end on floor; (0,) without any.
 
-    Given are range and bearing of the beams, and which of them are asked; the pose (3,) and its covariance; labels
-    (H,W), origin and resolution of the grid; margin (m), largest sigma of a hit's place (m), largest range (m) and the
-    least run.
+    `floor` is the labels (H,W), the origin and the resolution of the grid.
     """
-    ranges, bearings, asked = beams
-    (x, y, heading), cov = pose[0], pose[1]
-    least, run, found = limits[3], 0, False
-    place_sigma, turn_sigma = math.sqrt(max(cov[0, 0] + cov[1, 1], 0.0)), math.sqrt(max(cov[2, 2], 0.0))
+    limits, dynamic, found = config[0], np.zeros(ranges.shape[0], np.bool_), False
+    x, y, heading = T_map_robot
+    place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
+    turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
     for i in range(ranges.shape[0]):
         sigma = place_sigma + ranges[i] * turn_sigma
-        on_floor = asked[i] and ranges[i] < limits[2] and sigma < limits[1]
+        on_floor = asked[i] and ranges[i] < limits.range_m and sigma < limits.most_sigma_m
         if on_floor:
             p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
-            on_floor = is_floor(map_of_floor, p_x, p_y, limits[0] + SIGMAS * sigma)
+            on_floor = is_floor(floor, p_x, p_y, limits.margin_m + SIGMAS * sigma)
         run = run + 1 if on_floor else 0
-        if run >= least:
+        if run >= limits.beams:
             found = True
-            for k in range(least):
-                transient[i - k] = True
-    return found
+            for k in range(limits.beams):
+                dynamic[i - k] = True
+    return dynamic if found else dynamic[:0]
 
 
 @compiled
-def is_floor(map_of_floor: tuple[Bytes, Array, float], x: float, y: float, margin: float) -> bool:
+def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: float) -> bool:
     """True when every cell within `margin` of (x, y) is known to be free."""
-    label, origin, resolution = map_of_floor
+    label, origin, resolution = floor
     column, row, near = (x - origin[0]) / resolution, (y - origin[1]) / resolution, margin / resolution
     low_r, high_r, low_c, high_c = math.floor(row - near), math.floor(row + near), 0, 0
     low_c, high_c = math.floor(column - near), math.floor(column + near)
@@ -181,12 +206,51 @@ def is_floor(map_of_floor: tuple[Bytes, Array, float], x: float, y: float, margi
 
 
 @compiled
-def standing(first: Ints, last: Ints, roll: int, transient: Bools) -> Bools:
-    """(L,) which segments stand: those of whose beams few are transient."""
+def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools) -> Bools:
+    """(B,) the marked beams, and those beside each run of them that end near its middle: the rim of the same body."""
+    size = ranges.shape[0]
+    whole = marked.copy()
+    for i in range(size):
+        if not marked[i] or marked[i - 1]:
+            continue
+        count, x, y = 0, 0.0, 0.0
+        while count < size and marked[(i + count) % size]:
+            k = (i + count) % size
+            x, y, count = x + ranges[k] * math.cos(bearings[k]), y + ranges[k] * math.sin(bearings[k]), count + 1
+        x, y = x / count, y / count
+        for side in range(2):
+            k = (i - 1 if side == 0 else i + count) % size
+            while hit[k] and not whole[k]:
+                if math.hypot(ranges[k] * math.cos(bearings[k]) - x, ranges[k] * math.sin(bearings[k]) - y) >= BODY_M:
+                    break
+                whole[k] = True
+                k = (k + 2 * side - 1) % size
+    return whole
+
+
+@compiled
+def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools) -> Ints:
+    """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
+    near, count = np.empty(z.shape[0], np.int64), 0
+    for i in range(z.shape[0]):
+        for k in range(ranges.shape[0] if decision[i] == NEW else 0):
+            if not dynamic[k]:
+                continue
+            square = z[i, 0] ** 2 + ranges[k] ** 2 - 2.0 * z[i, 0] * ranges[k] * math.cos(z[i, 1] - bearings[k])
+            if square < SHY_M * SHY_M:
+                near[count] = i
+                count += 1
+                break
+    return near[:count]
+
+
+@compiled
+def static_segments(first: Ints, last: Ints, roll: int, dynamic: Bools) -> Bools:
+    """(L,) which segments are static: those of whose beams at most half are dynamic."""
     kept = np.ones(first.shape[0], np.bool_)
     for k in range(first.shape[0]):
         count = 0
         for position in range(first[k], last[k] + 1):
-            count += transient[(position + roll) % transient.shape[0]]
-        kept[k] = count <= SHARE * (last[k] - first[k] + 1)
+            count += dynamic[(position + roll) % dynamic.shape[0]]
+        kept[k] = 2 * count <= last[k] - first[k] + 1
     return kept

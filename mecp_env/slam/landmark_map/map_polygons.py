@@ -1,8 +1,9 @@
-"""The polygons of the map: links to feature ids, a room each, a cap a room (III-B, Fig. 6)."""
+"""The polygons of the map: links to feature ids, one room each, a cap per room (III-B, Fig. 6)."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -10,43 +11,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.messages import FeatureState, FeatureTable, MapPolygon, Match, Polygon, Rings, RoomGraph
+from mecp_env.core.se2 import inside_polygon
+from mecp_env.slam.messages import Belief, FeatureState, FeatureTable, MapPolygon, Match, Polygon, Rings, RoomGraph
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Rows = NDArray[np.void]
 
 DEAD = int(FeatureState.DEAD)
 
 
 @dataclass(slots=True, eq=False)
-class PolygonStore:
+class MapPolygonStore:
     """All polygons seen so far whose vertices are still alive."""
 
     most_per_room: int
     polygons: list[MapPolygon] = field(default_factory=list)
-    rings: dict[int, Rings] = field(default_factory=dict)  # by cardinality, for matching; made anew after a change
+    rings: dict[int, Rings] = field(default_factory=dict)  # by cardinality, for matching; built again after a change
     row: dict[tuple[int, ...], int] = field(default_factory=dict)  # vertex ids -> index in `polygons`
+    outdated: bool = False  # features died, merged or changed their room, or a room has too many polygons
 
     def remember(
-        self,
-        polygons: tuple[Polygon, ...],
-        match: Match,
-        features: FeatureTable,
-        graph: RoomGraph,
-        step: int,
-    ) -> bool:
-        """Add this scan's polygons whose vertices all have an id and lie in this room, or note them seen again.
-
-        Says whether the room now has more of them than the cap.
-        """
+        self, polygons: tuple[Polygon, ...], match: Match, features: FeatureTable, graph: RoomGraph, step: int
+    ) -> None:
+        """Add this scan's polygons whose vertices all have an id and are in this room, or note them seen again."""
         added = len(self.polygons)
         for polygon in () if graph.in_doorway else polygons:
             ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty_like(polygon.intervals)
             # Fig. 6: polygons of different rooms share no vertex
-            if link(polygon.corners, match.ids, features.room, graph.current, ring, polygon.intervals, intervals):
+            if link(polygon.corners, match.ids, features.rows, graph.current, ring, polygon.intervals, intervals):
                 self._note(ring, intervals, graph.current, step)
-        return len(self.polygons) > added and self._above_cap(graph.current)
+        self.outdated |= len(self.polygons) > added and self._above_cap(graph.current)
 
     def _above_cap(self, room: int) -> bool:
         return sum(polygon.room == room for polygon in self.polygons) > self.most_per_room
@@ -62,16 +58,30 @@ class PolygonStore:
         known = self.polygons[i]
         self.polygons[i] = MapPolygon(known.ids, intervals, known.room, known.seen + 1, step)
 
-    def prune(self, features: FeatureTable, graph: RoomGraph) -> None:
-        """Drop polygons with a dead vertex, of two rooms or there twice; of each room the least seen above the cap."""
-        rooms = {room: graph.resolve(room) for room in {p.room for p in self.polygons}}
+    def prune(self, features: FeatureTable, resolve: Callable[[int], int]) -> None:
+        """Drop polygons with a dead vertex, in two rooms or there twice; per room the least seen above the cap.
+
+        Nothing happens unless the store is `outdated`. `resolve` gives the room that a room became by merges.
+        """
+        if not self.outdated:
+            return
+        rooms = {room: resolve(room) for room in {p.room for p in self.polygons}}
         sound = _whole(self.polygons, features, rooms)
         kept = {tuple(p.ids.tolist()): _in_room(p, rooms[p.room]) for p in compress(self.polygons, sound)}
         self.polygons = _seen_most(list(kept.values()), self.most_per_room)
+        self.outdated = False
         self._index()
+
+    def visible_landmarks(self, p_map: Array, belief: Belief) -> Ints:
+        """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
+        x, y = p_map.tolist()
+        whole = (polygon.ids for polygon in self.polygons if np.isin(polygon.ids, belief.ids).all())
+        around = [ids for ids in whole if inside_polygon(x, y, belief.p_map[belief.rows(ids)])]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *around]))
 
     def rename(self, keep: int, drop: int) -> None:
         """Two ids are one corner: polygons that named `drop` now name `keep`."""
+        self.outdated = True
         for i, polygon in enumerate(self.polygons):
             if (polygon.ids == drop).any():
                 ring = np.where(polygon.ids == drop, keep, polygon.ids)
@@ -97,16 +107,16 @@ class PolygonStore:
 
 
 @compiled
-def link(corners: Ints, ids: Ints, room: Ints, current: int, ring: Ints, intervals: Array, rolled: Array) -> bool:
+def link(corners: Ints, ids: Ints, rows: Rows, current: int, ring: Ints, intervals: Array, rolled: Array) -> bool:
     """Write the feature ids (k,) of a scan's polygon, from the least, and its intervals (m,4) counted from there.
 
-    False unless they differ and lie in the room `current`. `corners` (k,) are its vertices, `ids` (n,) those of the
-    scan's corners, `room` (F,) that of each feature.
+    False unless they differ and are in the room `current`. `corners` (k,) are its vertices, `ids` (n,) those of the
+    scan's corners.
     """
     sound = True
     for v in range(corners.shape[0]):
         ring[v] = ids[corners[v]]
-        sound = sound and ring[v] >= 0 and room[ring[v]] == current
+        sound = sound and ring[v] >= 0 and rows[ring[v]].room == current
         for u in range(v):
             sound = sound and ring[u] != ring[v]
     if sound:
@@ -148,7 +158,7 @@ def _whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[int, 
         return []
     ends = np.cumsum([len(p.ids) for p in polygons])
     now, whole = np.array([rooms[p.room] for p in polygons]), np.empty(len(polygons), np.bool_)
-    find_whole(np.concatenate([p.ids for p in polygons]), ends, features.state, features.room, now, whole)
+    find_whole(np.concatenate([p.ids for p in polygons]), ends, features.rows, now, whole)
     found: list[bool] = whole.tolist()
     return found
 
@@ -158,20 +168,17 @@ def _in_room(polygon: MapPolygon, room: int) -> MapPolygon:
 
 
 @compiled
-def find_whole(ids: Ints, ends: Ints, state: Ints, room_of: Ints, rooms: Ints, whole: Bools) -> None:
-    """Write which rings (P,) are whole in their `rooms` (P,); `ids` (n,) holds one after another, up to `ends` (P,)."""
+def find_whole(ids: Ints, ends: Ints, rows: Rows, rooms: Ints, whole: Bools) -> None:
+    """Write which polygons (P,) have vertices that differ, are alive and in their room of `rooms` (P,).
+
+    `ids` (n,) holds the vertices of one polygon after another, up to `ends` (P,).
+    """
     first = 0
     for p in range(ends.shape[0]):
-        whole[p] = is_whole(ids[first : ends[p]], state, room_of, rooms[p])
+        whole[p] = True
+        for v in range(first, ends[p]):
+            vertex = rows[ids[v]]
+            whole[p] = whole[p] and vertex.state != DEAD and vertex.room == rooms[p]
+            for u in range(first, v):
+                whole[p] = whole[p] and ids[u] != ids[v]
         first = ends[p]
-
-
-@compiled
-def is_whole(ids: Ints, state: Ints, room_of: Ints, room: int) -> bool:
-    """True when the vertices `ids` (k,) differ, live and lie in `room`; `state` and `room_of` (F,) are of features."""
-    whole = True
-    for v in range(ids.shape[0]):
-        whole = whole and state[ids[v]] != DEAD and room_of[ids[v]] == room
-        for u in range(v):
-            whole = whole and ids[u] != ids[v]
-    return whole

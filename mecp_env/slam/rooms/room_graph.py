@@ -26,9 +26,11 @@ from mecp_env.slam.rooms.doors import (
     DoorMap,
     anchored,
     door_frames,
+    forget_jambs,
     lies_inside,
     pass_through,
     record_doorways,
+    rename_jambs,
     rooms_next_door,
     seen_through,
 )
@@ -95,6 +97,16 @@ class RoomGraphEstimator:
         self._follow_candidates(features, seen.belief)
         polygon_room = self.resolve(known[seen.match.known].room) if seen.match.known >= 0 else UNKNOWN_ROOM
         return self._recognise(seen, features, polygon_room)
+
+    def rename(self, merged: tuple[tuple[int, int], ...]) -> None:
+        """Landmarks were merged: doors now name the ids kept, the first of each pair."""
+        for keep, drop in merged:
+            rename_jambs(self.book, keep, drop)
+
+    def forget(self, pruned: Ints) -> None:
+        """The landmarks `pruned` (m,) are gone, and with them the doors that have no other face."""
+        if len(pruned):
+            forget_jambs(self.book, pruned)
 
     def _notice_passed(self, first: int, belief: Belief, features: FeatureTable) -> bool:
         """Settle that a door just confirmed (ids from `first` on) lies behind the robot: it passed it unnoticed.

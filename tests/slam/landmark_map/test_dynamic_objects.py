@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mecp_env.slam.config import SlamConfig, TransientConfig
-from mecp_env.slam.landmark_map.dynamic_objects import find_transient, passing, shun_transients, without_transients
-from mecp_env.slam.landmark_map.pruning import refuted
-from mecp_env.slam.messages import Belief, Candidate, Decision, Door, FeatureTable, Match, Reason, SemanticGrid
+from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects
+from mecp_env.slam.landmark_map.pruning import find_refuted
+from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam.drives import scripted_drive
 from tests.slam.scans import front_end, ring, take_scan
+from tests.slam.tables import table_of
 
 CONFIG = TransientConfig()
+STAGE = DynamicObjects(CONFIG)
 ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
 ORIGIN = np.array([-4.0, -3.0])
 
@@ -48,76 +49,70 @@ def belief(*p_map, sigma=0.01):
     return Belief(np.zeros(3), pose_cov, np.arange(n), np.array(p_map, float).reshape(n, 2), covs)
 
 
-def features(normals):
-    """One row per landmark, not seen again since."""
-    n = len(normals)
-    return replace(
-        FeatureTable(), normals=np.array(normals, float), doubts=np.zeros(n, int), last_step=np.zeros(n, int)
-    )
-
-
 def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
     """The step in which the landmark is pruned, or None."""
-    table, where = features([normals]), belief(landmark)
+    table, where = table_of(1, normals=normals), belief(landmark)
     for step in range(1, scans + 1):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))
         if step in seen_in:
-            table.last_step[0] = step
-        if len(refuted(beams, segments, where, table, step, config)):
+            table.rows["last_step"][0] = step
+        if len(find_refuted(beams, segments, where, table, step, config)):
             return step
     return None
 
 
-def test_somebody_on_floor_seen_free_is_transient_with_all_of_his_rim():
+def test_a_body_on_floor_seen_free_is_dynamic_with_its_whole_rim():
     beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
-    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
+    dynamic = STAGE.find(beams, segments, belief(), empty_room())
     points = np.column_stack([beams.ranges * np.cos(beams.bearings), beams.ranges * np.sin(beams.bearings)])
-    on_him = np.hypot(*(points - (1.5, 0.5)).T) < 0.4
-    assert transient[on_him].mean() > 0.95
-    assert not transient[~on_him].any()
+    on_body = np.hypot(*(points - (1.5, 0.5)).T) < 0.4
+    assert dynamic[on_body].mean() > 0.95
+    assert not dynamic[~on_body].any()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_empty_room_accuses_nobody(seed):
+def test_nothing_is_dynamic_in_an_empty_room(seed):
     beams, _, segments, _ = front_end(take_scan(ROOM, seed=seed))
-    assert find_transient(beams, segments, belief(), empty_room(), CONFIG) is None
+    assert STAGE.find(beams, segments, belief(), empty_room()) is None
 
 
-def test_an_uncertain_pose_and_the_letter_of_the_paper_accuse_nobody():
+def test_nothing_is_dynamic_with_an_uncertain_pose_or_in_the_static_world_of_the_paper():
     beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
-    assert find_transient(beams, segments, belief(sigma=0.2), empty_room(), CONFIG) is None
-    assert find_transient(beams, segments, belief(), empty_room(), SlamConfig.paper().transients) is None
+    assert STAGE.find(beams, segments, belief(sigma=0.2), empty_room()) is None
+    paper = make_dynamic_objects(SlamConfig.paper().transients)
+    assert type(paper) is StaticWorld
+    assert paper.find(beams, segments, belief(), empty_room()) is None
 
 
-def test_his_lines_are_no_walls_and_his_beams_paint_none():
+def test_no_wall_is_painted_where_a_dynamic_object_is():
     faces = np.concatenate([ROOM, box(1.5, 0.5, 0.25)])
     beams, _, segments, _ = front_end(take_scan(faces))
-    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
-    left = without_transients(segments, transient)
+    dynamic = STAGE.find(beams, segments, belief(), empty_room())
+    painted, left = STAGE.without(beams, segments, dynamic)
     assert len(left.first) < len(segments.first)
     assert all(np.hypot(*(ends.mean(axis=0) - (1.5, 0.5))) > 0.5 for ends in left.points)
-    assert not (passing(beams, transient).hit & transient).any()
-    assert without_transients(segments, None) is segments
-    assert passing(beams, None) is beams
+    assert not (painted.hit & dynamic).any()
+    assert STAGE.without(beams, segments, None) == (beams, segments)
 
 
 def test_a_long_line_is_a_wall_whatever_the_map_says():
     beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, box(1.8, 0.0, 0.8)])))
-    assert find_transient(beams, segments, belief(), empty_room(), CONFIG) is None
+    assert STAGE.find(beams, segments, belief(), empty_room()) is None
 
 
-def test_his_corners_are_ignored_and_those_of_the_room_are_not():
+def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not():
     beams, _, segments, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
-    transient = find_transient(beams, segments, belief(), empty_room(), CONFIG)
+    dynamic = STAGE.find(beams, segments, belief(), empty_room())
     n = len(corners)
     new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1, False)
-    match = shun_transients(new, corners, beams, transient)
+    match = STAGE.reject(new, corners, beams, dynamic)
     points = np.column_stack([corners.z[:, 0] * np.cos(corners.z[:, 1]), corners.z[:, 0] * np.sin(corners.z[:, 1])])
-    his = np.hypot(*(points - (1.5, 0.5)).T) < 0.5
-    assert his.any()
-    assert (match.decision[his] == Decision.IGNORED).all()
-    assert (match.reason[his] == Reason.TRANSIENT).all()
-    assert (match.decision[~his] == Decision.NEW).all()
+    near = np.hypot(*(points - (1.5, 0.5)).T) < 0.5
+    assert near.any()
+    assert (match.decision[near] == Decision.IGNORED).all()
+    assert (match.reason[near] == Reason.TRANSIENT).all()
+    assert (match.decision[~near] == Decision.NEW).all()
+    assert (new.decision == Decision.NEW).all()  # messages are immutable
 
 
 def test_a_landmark_is_forgotten_when_beams_pass_well_beyond_it():
@@ -158,7 +153,7 @@ def test_a_corner_on_the_other_side_of_the_wall_stays():
     assert judged(ROOM, (4.04, 0.5), (0.0, -math.pi / 2.0), scans=30) is None
 
 
-def test_switched_off_nothing_is_refuted():
+def test_switched_off_nothing_is_pruned():
     off = TransientConfig(refutations=0)
     assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan), config=off) is None
 
@@ -174,7 +169,7 @@ def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
     assert not book.candidates
 
 
-def test_nothing_is_transient_and_nothing_refuted_in_a_static_world():
+def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():
     still = SlamConfig(transients=TransientConfig(margin_m=0.0, refutations=0))
     drive = scripted_drive(seed=3)
     for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):

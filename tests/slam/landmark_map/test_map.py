@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import TrackConfig
-from mecp_env.slam.landmark_map.map_polygons import PolygonStore
+from mecp_env.slam.landmark_map.dynamic_objects import find_lone_closures
+from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
-from mecp_env.slam.landmark_map.tracks import ends_of_bodies, forget, mark_seen, record_sightings, room_unseen_since
+from mecp_env.slam.landmark_map.tracks import drop_tracks, room_unseen_since, track_corners
 from mecp_env.slam.messages import (
     Belief,
     Corners,
@@ -17,7 +18,9 @@ from mecp_env.slam.messages import (
     Match,
     Polygon,
     RoomGraph,
+    Sighting,
 )
+from tests.slam.tables import table_of
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
@@ -52,20 +55,21 @@ def graph_of(current=0, merged=None, in_doorway=False):
 
 def see(table, points, step, kind=0, config=None):
     config = config or TrackConfig()
-    forget(table, step, config)
-    match = match_of([Decision.NEW] * len(points))
-    match, ripe = record_sightings(table, corners_at(points, kind), match, ORIGIN, 0, config)
-    mark_seen(table, match.ids[match.ids >= 0], step)
-    return match, ripe
+    drop_tracks(table, step, config)
+    nowhere = np.full(len(points), -1, np.int64)
+    seen = Sighting(corners_at(points, kind), match_of([Decision.NEW] * len(points)), nowhere, ORIGIN, step)
+    return track_corners(table, seen, 0, config)
 
 
 def test_a_corner_becomes_a_landmark_in_its_third_scan():
     table = FeatureTable()
-    for step, (decision, ripe) in enumerate([(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]):
+    for step, (decision, confirmed) in enumerate(
+        [(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]
+    ):
         match, found = see(table, [[2.0, 1.0]], step)
         assert match.decision.tolist() == [int(decision)]
         assert match.ids.tolist() == [0]
-        assert len(found) == ripe
+        assert len(found) == confirmed
 
 
 def test_a_jamb_needs_two():
@@ -95,23 +99,21 @@ def test_two_corners_never_follow_one_track():
 
 
 def test_a_room_unseen_for_a_while_is_told_apart():
-    room, state = np.array([0, 0, 1]), np.ones(3, np.int64)
-    last = np.array([5, 95, 40])
-    assert not room_unseen_since(np.array([0]), room, state, last, 90)
-    assert room_unseen_since(np.array([2]), room, state, last, 90)
-    assert room_unseen_since(np.array([1, 2]), room, state, last, 90)
+    rows = table_of(3, room=[0, 0, 1], state=1, last_step=[5, 95, 40]).rows
+    assert not room_unseen_since(np.array([0]), rows, 90)
+    assert room_unseen_since(np.array([2]), rows, 90)
+    assert room_unseen_since(np.array([1, 2]), rows, 90)
 
 
 def doubted(ids, places, last=(100, 100, 5, 5), nis=1.0):
     """The corners to doubt; features 0 and 1 are of room 0, 2 and 3 of room 1, which was not seen lately."""
-    found = np.empty(len(ids), np.int64)
     decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
     z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
-    features = np.array([0, 0, 1, 1]), np.full(4, int(FeatureState.LANDMARK)), np.array(last)
-    return found[: ends_of_bodies((np.array(ids), decision, np.full(len(ids), nis)), z, *features, 90, found)].tolist()
+    rows = table_of(4, room=[0, 0, 1, 1], state=FeatureState.LANDMARK, last_step=last).rows
+    return find_lone_closures(np.array(ids), decision, np.full(len(ids), nis), z, rows, 90).tolist()
 
 
-def test_a_room_is_not_recognised_by_one_side_of_somebody():
+def test_a_room_is_not_recognised_by_one_side_of_a_pedestrian():
     here, jamb, side = (-2.0, 0.0), (3.0, 1.0), (3.0, 1.35)
     assert doubted([0, 2, -1], [here, jamb, side]) == [1]
     assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
@@ -138,11 +140,16 @@ def ring(*vertices):
 
 def remember(store, table, polygon, graph, ids=range(8)):
     match = match_of([Decision.LANDMARK] * 8, list(ids))
-    return store.remember((polygon,), match, table, graph, 1)
+    store.remember((polygon,), match, table, graph, 1)
+
+
+def prune(store, table, graph):
+    store.outdated = True
+    store.prune(table, graph.resolve)
 
 
 def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():
-    store, table = PolygonStore(32), landmarks([0] * 8)
+    store, table = MapPolygonStore(32), landmarks([0] * 8)
     remember(store, table, ring(2, 3, 0, 1), graph_of())
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     assert len(store.polygons) == 1
@@ -152,7 +159,7 @@ def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():
 
 
 def test_edge_intervals_stay_with_their_edge():
-    store, table = PolygonStore(32), landmarks([0] * 8)
+    store, table = MapPolygonStore(32), landmarks([0] * 8)
     polygon = ring(2, 3, 0, 1)  # its edge 2 is the one from vertex 0 to vertex 1
     remember(store, table, polygon, graph_of())
     labels = {int(edge): label for edge, _, _, label in polygon.intervals}
@@ -162,53 +169,55 @@ def test_edge_intervals_stay_with_their_edge():
 
 @pytest.mark.parametrize("graph", [graph_of(current=1), graph_of(in_doorway=True)])
 def test_no_polygon_of_another_room_or_from_a_doorway(graph):
-    store = PolygonStore(32)
+    store = MapPolygonStore(32)
     remember(store, landmarks([0] * 8), ring(0, 1, 2, 3), graph)
     assert not store.polygons
 
 
 def test_no_polygon_over_two_rooms_even_after_a_merge():
     """Fig. 6: polygons of different rooms share no vertex; landmarks that moved, or rooms merged, keep it so."""
-    store, table = PolygonStore(32), landmarks([0] * 4 + [1] * 4)
+    store, table = MapPolygonStore(32), landmarks([0] * 4 + [1] * 4)
     remember(store, table, ring(0, 1, 2, 7), graph_of())
     assert not store.polygons
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     remember(store, table, ring(4, 5, 6, 7), graph_of(current=1))
     table.room[3] = 1  # it was seen through a door
-    store.prune(table, graph_of())
+    prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[4, 5, 6, 7]]
     table.room[table.room == 1] = 0
-    store.prune(table, graph_of(merged={1: 0}))
+    prune(store, table, graph_of(merged={1: 0}))
     assert [p.room for p in store.polygons] == [0]
 
 
 def test_polygons_of_dead_tracks_go():
-    store, table = PolygonStore(32), landmarks([0] * 8)
+    store, table = MapPolygonStore(32), landmarks([0] * 8)
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     table.state[2] = FeatureState.DEAD
-    store.prune(table, graph_of())
+    prune(store, table, graph_of())
     assert not store.polygons
     assert not store.rings
 
 
 def test_the_cap_keeps_those_seen_most():
-    store, table = PolygonStore(1), landmarks([0] * 8)
+    store, table = MapPolygonStore(1), landmarks([0] * 8)
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     remember(store, table, ring(0, 1, 2, 3), graph_of())
-    assert remember(store, table, ring(4, 5, 6, 7), graph_of())
-    store.prune(table, graph_of())
+    assert not store.outdated
+    remember(store, table, ring(4, 5, 6, 7), graph_of())
+    assert store.outdated
+    prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
 
 
 def test_fused_landmarks_leave_no_polygon_with_a_vertex_twice():
-    store, table = PolygonStore(32), landmarks([0] * 8)
+    store, table = MapPolygonStore(32), landmarks([0] * 8)
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     remember(store, table, ring(1, 2, 3, 4), graph_of())
     store.rename(keep=0, drop=4)
-    store.prune(table, graph_of())
+    prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
     store.rename(keep=0, drop=1)
-    store.prune(table, graph_of())
+    prune(store, table, graph_of())
     assert not store.polygons
 
 

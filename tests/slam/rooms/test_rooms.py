@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from mecp_env.slam.config import RoomConfig
-from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, FeatureTable, MapPolygon, Match, Sighting
+from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, MapPolygon, Match, Sighting
 from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
+from tests.slam.tables import table_of
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
 LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, left is -x
@@ -24,17 +25,7 @@ def belief_at(x, y, heading=0.0):
 
 
 def features():
-    n = 10
-    table = FeatureTable()
-    table.state = np.ones(n, np.int64)
-    table.room = np.zeros(n, np.int64)
-    table.kind = np.zeros(n, np.int64)
-    table.convex = np.ones(n, np.bool_)
-    table.normals = np.zeros((n, 2))
-    table.seen = np.ones(n, np.int64)
-    table.last_step = np.zeros(n, np.int64)
-    table.p_map = np.zeros((n, 2))
-    return table
+    return table_of(10, state=1, convex=True, seen=1)
 
 
 def sighting(belief, ids, pairs=(), confirmable=True):

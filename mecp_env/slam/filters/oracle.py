@@ -1,0 +1,32 @@
+"""A known pose: ground truth in place of the estimated pose, an upper bound (estimator="truth")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mecp_env.core.messages import Odometry
+from mecp_env.slam.messages import Array
+from mecp_env.slam.protocols import Filter
+
+
+@dataclass(slots=True, eq=False)
+class OraclePoseFilter:
+    """The filter `inner`, except that each prediction ends at the true pose.
+
+    Whoever knows the truth sets `T_map_robot` before each step.
+    """
+
+    inner: Filter
+    T_map_robot: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, m, rad
+
+    def predict(self, odometry: Odometry) -> None:
+        self.inner.predict(odometry)
+        self.inner.set_pose(self.T_map_robot)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.__slots__ or name.startswith("__"):  # absent while a copy is made
+            raise AttributeError(name)
+        return getattr(self.inner, name)

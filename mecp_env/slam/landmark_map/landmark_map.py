@@ -1,0 +1,107 @@
+"""The map beside the filter's estimate: features, polygons, and the stages that extend and correct them (III-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
+from mecp_env.slam.landmark_map.merging import find_duplicate
+from mecp_env.slam.landmark_map.pruning import find_refuted
+from mecp_env.slam.landmark_map.tracks import drop_tracks, room_unseen_since, track_corners
+from mecp_env.slam.messages import (
+    Belief,
+    FeatureState,
+    FeatureTable,
+    Ints,
+    MapView,
+    Match,
+    MergedScan,
+    Polygon,
+    RoomGraph,
+    Segments,
+    Sighting,
+)
+from mecp_env.slam.protocols import Filter
+
+Resolve = Callable[[int], int]  # room -> the room that it became by merges
+
+
+@dataclass(slots=True, eq=False, init=False)
+class LandmarkMap:
+    """Tracks, landmarks and polygons. Each method but `view` and `mark_closure` is a stage that changes the map."""
+
+    config: SlamConfig
+    features: FeatureTable
+    polygons: MapPolygonStore
+
+    def __init__(self, config: SlamConfig) -> None:
+        self.config = config
+        self.features = FeatureTable()
+        self.polygons = MapPolygonStore(config.association.polygons_per_room)
+
+    def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int) -> MapView:
+        """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
+        return MapView(step, predicted, self.features, self.polygons.rings, graph, through)
+
+    def mark_closure(self, match: Match, oldest: int) -> Match:
+        """The match as a loop closure where it recognises a room of which nothing was seen since the step `oldest`."""
+        closure = room_unseen_since(match.ids[match.recognised()], self.features.rows, oldest)
+        return match if match.closure == closure else replace(match, closure=closure)
+
+    def track(self, seen: Sighting, room: int) -> tuple[Sighting, Ints]:
+        """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now."""
+        self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
+        match, confirmed = track_corners(self.features, seen, room, self.config.tracks)
+        return replace(seen, match=match), confirmed
+
+    def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
+        """Augment the filter with the tracks confirmed now, by this sighting alone; the sighting with that belief.
+
+        Those that find no room in a full filter are dropped, and counted there.
+        """
+        if not len(confirmed):
+            return seen
+        z, R = seen.corners.measurements(confirmed)
+        ids = seen.match.ids[confirmed]
+        landmark_filter.augment(z, R, ids)
+        accepted = np.array([landmark_filter.has(int(i)) for i in ids])
+        self.features.state[ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
+        return replace(seen, belief=landmark_filter.belief())
+
+    def link(self, polygons: tuple[Polygon, ...], seen: Sighting, graph: RoomGraph, moved: bool) -> None:
+        """Link the polygons of this scan to their features; `moved`: features have changed their room (Fig. 6)."""
+        self.polygons.outdated |= moved
+        self.polygons.remember(polygons, seen.match, self.features, graph, seen.step)
+
+    def merge(self, seen: Sighting, landmark_filter: Filter) -> tuple[Sighting, tuple[tuple[int, int], ...]]:
+        """The sighting after a landmark of it is merged with another that is the same corner; ids kept and dropped."""
+        pair = find_duplicate(self.features, seen.belief, seen.match, self.config.tracks)
+        if pair is None:
+            return seen, ()
+        keep, drop = pair
+        landmark_filter.fuse(keep, drop)
+        rows = self.features.rows
+        rows["state"][drop] = int(FeatureState.DEAD)
+        rows["seen"][keep] += rows["seen"][drop]
+        rows["last_step"][keep] = seen.step
+        self.polygons.rename(keep, drop)
+        match = replace(seen.match, ids=np.where(seen.match.ids == drop, keep, seen.match.ids))
+        return replace(seen, match=match, belief=landmark_filter.belief()), (pair,)
+
+    def prune(
+        self, beams: MergedScan, segments: Segments, seen: Sighting, landmark_filter: Filter, resolve: Resolve
+    ) -> tuple[Belief, Ints]:
+        """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
+        self.polygons.prune(self.features, resolve)
+        gone = find_refuted(beams, segments, seen.belief, self.features, seen.step, self.config.transients)
+        if not len(gone):
+            return seen.belief, gone
+        landmark_filter.remove(gone)
+        self.features.state[gone] = int(FeatureState.DEAD)
+        self.polygons.outdated = True
+        self.polygons.prune(self.features, resolve)
+        return landmark_filter.belief(), gone
