@@ -133,8 +133,8 @@ def mark_floor(
 ) -> tuple[tuple[Bytes, Ints], tuple[Bytes, Ints]]:
     """FREE cells of a room that are uncovered, and frontiers: each as a mask (H,W) and as rows and columns (n,2).
 
-    All keep `clear` cells from the doors' middles (d,2), in cells. Uncovered: no polygon covers the cell, nor its eight neighbours `span` cells away, which are FREE. Frontier: beside
-    an UNKNOWN cell.
+    All keep `clear` cells from the doors' middles (d,2), in cells. Uncovered: no polygon covers the cell, nor its eight
+    neighbours `span` cells away, which are FREE. Frontier: beside an UNKNOWN cell.
     """
     height, width = label.shape
     uncovered, frontier = np.zeros(label.shape, np.uint8), np.zeros(label.shape, np.uint8)
