@@ -21,6 +21,7 @@ from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.cycles import order_by_bearing
+from mecp_env.slam.mecp.edge_labels import EdgeBeams
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.mecp.wall_crossing import best_free_cycles
 from mecp_env.slam.messages import Corners, MergedScan
@@ -35,8 +36,8 @@ SeenScan = tuple[Corners, MergedScan, NDArray[np.bool_]]
 
 SITES = (5, 10, 15, 20, 30, 40)
 SIGMAS = np.full(max(SITES), 0.02)  # m
-LIMITS = (2.5, 0.2, 3, 0.2, 0.4, 0.4, 1.2)  # `Limits`
-VIEW = (  # `View`
+LIMITS = PolygonConfig().record[0]
+BEAMS = EdgeBeams(
     np.full(720, 9.0),
     (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi,
     np.ones(720, np.bool_),
@@ -56,7 +57,7 @@ def measure(sets: int = 100) -> Figures:
 
 def search(sites: Array) -> object:
     """Search and wall-crossing check on sites sorted by bearing."""
-    return best_free_cycles(sites, SIGMAS[: len(sites)], 2, VIEW, LIMITS)
+    return best_free_cycles(sites, SIGMAS[: len(sites)], BEAMS, LIMITS)
 
 
 def uniform(n: int, sets: int) -> list[Array]:

@@ -16,7 +16,7 @@ from numba import typeof, types
 
 from mecp_env.core import warm_up
 from mecp_env.core.jit import compiled
-from mecp_env.slam.mecp.edge_labels import Limits
+from mecp_env.slam.mecp.edge_labels import Edge
 
 FROZEN = np.zeros(3)
 FROZEN.setflags(write=False)
@@ -37,7 +37,7 @@ def test_types_survive_as_plain_data(value: object) -> None:
 
 
 def test_named_tuples_survive_too() -> None:
-    kind = types.NamedTuple([types.float64] * len(Limits._fields), Limits)
+    kind = types.NamedTuple([types.float64] * len(Edge._fields), Edge)
     assert warm_up.decode(json.loads(json.dumps(warm_up.encode(kind)))) == kind
 
 

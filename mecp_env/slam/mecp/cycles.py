@@ -52,26 +52,22 @@ def turns_left(ax: float, ay: float, bx: float, by: float, tolerance2: float) ->
 
 
 @compiled
-def _precedes(a: Array, b: Array) -> bool:
-    """True when a comes before b by bearing in (-pi, pi], on one ray by distance; no rounding but of the products."""
-    upper_a = a[1] > 0.0 or (a[1] == 0.0 and a[0] < 0.0)
-    upper_b = b[1] > 0.0 or (b[1] == 0.0 and b[0] < 0.0)
-    if upper_a != upper_b:
-        return bool(upper_b)
-    turn = cross(a[0], a[1], b[0], b[1])
-    if turn != 0.0:
-        return turn > 0.0
-    return bool(a[0] * a[0] + a[1] * a[1] < b[0] * b[0] + b[1] * b[1])
-
-
-@compiled
 def order_by_bearing(points: Array) -> Ints:
-    """Indices (n,) of points (n,2) by bearing about the origin, nearest first on a ray; one pass if already sorted."""
-    order = np.empty(points.shape[0], np.int64)
+    """Indices (n,) of points (n,2) by bearing in (-pi, pi] about the origin, nearest first on a ray.
+
+    One pass if already sorted; no rounding but that of the products.
+    """
+    order, upper = np.empty(points.shape[0], np.int64), np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
-        j = i
-        while j > 0 and _precedes(points[i], points[order[j - 1]]):
-            order[j] = order[j - 1]
+        x, y, j = points[i, 0], points[i, 1], i
+        upper[i] = y > 0.0 or (y == 0.0 and x < 0.0)
+        while j > 0:
+            k = order[j - 1]
+            turn = cross(x, y, points[k, 0], points[k, 1])
+            nearer = x * x + y * y < points[k, 0] * points[k, 0] + points[k, 1] * points[k, 1]
+            if not (upper[k] if upper[i] != upper[k] else turn > 0.0 or (turn == 0.0 and nearer)):
+                break
+            order[j] = k
             j -= 1
         order[j] = i
     return order
@@ -90,35 +86,23 @@ def visible_edges(points: Array, tolerance: float) -> Bools:
         k = i if i < n else i - n
         around[0, i], around[1, i] = points[k, 0], points[k, 1]
     for i in range(n):
-        nearest = i
-        while nearest > 0 and _same_ray(points[nearest - 1], points[i]):
+        x, y, nearest = points[i, 0], points[i, 1], i  # `nearest`: the first site on the ray of i
+        while nearest > 0 and cross(points[nearest - 1, 0], points[nearest - 1, 1], x, y) == 0.0:
+            if points[nearest - 1, 0] * x + points[nearest - 1, 1] * y <= 0.0:
+                break
             nearest -= 1
         for j in range(i + 1, i + n):
-            side = cross(around[0, i], around[1, i], around[0, j], around[1, j])
+            side, dx, dy = cross(x, y, around[0, j], around[1, j]), around[0, j] - x, around[1, j] - y
             if side < 0.0:
                 break
-            if side > 0.0:
-                allowed[i, j if j < n else j - n] = not _blocked(around, (i, j), nearest, tolerance * tolerance)
+            k, least = j - 1, tolerance * tolerance * (dx * dx + dy * dy)
+            while side > 0.0 and k >= nearest:
+                depth = cross(dx, dy, around[0, k] - x, around[1, k] - y)
+                if depth > 0.0 and depth * depth > least:
+                    break
+                k -= 1
+            allowed[i, j if j < n else j - n] = side > 0.0 and k < nearest
     return allowed
-
-
-@compiled
-def _blocked(around: Array, edge: tuple[int, int], nearest: int, tolerance2: float) -> bool:
-    """True when a site from position `nearest` to the second of `edge` lies deeper inside it than the tolerance."""
-    i, j = edge
-    dx, dy = around[0, j] - around[0, i], around[1, j] - around[1, i]
-    least = tolerance2 * (dx * dx + dy * dy)
-    for k in range(j - 1, nearest - 1, -1):
-        depth = cross(dx, dy, around[0, k] - around[0, i], around[1, k] - around[1, i])
-        if depth > 0.0 and depth * depth > least:
-            return True
-    return False
-
-
-@compiled
-def _same_ray(a: Array, b: Array) -> bool:
-    """True when a and b lie on one ray from the origin."""
-    return bool(cross(a[0], a[1], b[0], b[1]) == 0.0 and a[0] * b[0] + a[1] * b[1] > 0.0)
 
 
 @compiled
@@ -159,22 +143,13 @@ def _graph(points: Array, allowed: Bools, cut: int, tolerance: float) -> Graph:
                 vector[edges, 2] = cross(turned[i, 0], turned[i, 1], turned[j, 0], turned[j, 1])
                 edges += 1
         first[i + 1] = edges
-    graph = Graph(turned, first, ends[:edges], vector[:edges], np.ones(edges, np.int64), tolerance * tolerance)
-    _measure_reach(graph)
-    return graph
-
-
-@compiled
-def _measure_reach(graph: Graph) -> None:
-    """Fills `reach`, what no chain can exceed: edges come after those they start from."""
-    first, ends, vector, reach = graph.first, graph.ends, graph.vector, graph.reach
-    for e in range(ends.shape[0] - 1, -1, -1):
+    reach, tolerance2 = np.ones(edges, np.int64), tolerance * tolerance
+    for e in range(edges - 1, -1, -1):  # edges come after those they start from
+        ax, ay = vector[e, 0], vector[e, 1]
         for f in range(first[ends[e, 1]], first[ends[e, 1] + 1]):
-            longer = reach[f] + 1
-            if longer > reach[e] and turns_left(
-                vector[e, 0], vector[e, 1], vector[f, 0], vector[f, 1], graph.tolerance2
-            ):
-                reach[e] = longer
+            if reach[f] + 1 > reach[e] and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2):
+                reach[e] = reach[f] + 1
+    return Graph(turned, first, ends[:edges], vector[:edges], reach, tolerance2)
 
 
 @compiled
@@ -190,13 +165,6 @@ def _rank(area: Array, trace: Ints, row: int, new_area: float, new_trace: int) -
         area[row, later], trace[row, later] = area[row, later - 1], trace[row, later - 1]
     area[row, place], trace[row, place] = new_area, new_trace
     return place
-
-
-@compiled
-def _clear(area: Array, row: int) -> None:
-    """Empties a row."""
-    for place in range(area.shape[1]):
-        area[row, place] = -math.inf
 
 
 @compiled
@@ -232,8 +200,11 @@ def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> t
                 _close(graph, (tail, head), chains, best, rings)
     for place in range(keep):
         if best.area[0, place] > -math.inf:
-            sizes[place] = best.size[0]
-            _name(rings, place, best.size[0], cut)
+            size = sizes[place] = best.size[0]
+            named = (rings[place, :size] + cut) % n
+            smallest = int(np.argmin(named))
+            for i in range(size):
+                rings[place, i] = named[(smallest + i) % size]
     return sizes, rings
 
 
@@ -282,8 +253,7 @@ def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Rankin
     for e in range(first[head], first[tail]):
         j, ax, ay = ends[e, 1], vector[e, 0], vector[e, 1]
         if ends[e, 0] == head and turns_left(cx, cy, ax, ay, tolerance2):
-            size[e] = 2
-            _clear(area, e)
+            size[e], area[e] = 2, -math.inf
             _rank(area, trace, e, base + vector[e, 2], -1)
         if size[e] == 0 or j > tail or size[e] + reach[e] - 1 < best.size[0]:
             continue
@@ -296,8 +266,7 @@ def _close(graph: Graph, closing: tuple[int, int], chains: Ranking, best: Rankin
             if not (useful and turns_left(ax, ay, vector[f, 0], vector[f, 1], tolerance2)):
                 continue
             if size[e] + 1 > size[f]:
-                size[f] = size[e] + 1
-                _clear(area, f)
+                size[f], area[f] = size[e] + 1, -math.inf
             slot = 0
             while slot < keep and area[e, slot] + vector[f, 2] > area[f, keep - 1]:
                 _rank(area, trace, f, area[e, slot] + vector[f, 2], e * keep + slot)
@@ -320,17 +289,3 @@ def _record(graph: Graph, e: int, chains: Ranking, best: Ranking, rings: Ints) -
             rings[place, position] = ends[state // keep, 1]
             rings[place, 0] = ends[state // keep, 0]
             state = trace[state // keep, state % keep]
-
-
-@compiled
-def _name(rings: Ints, row: int, size: int, cut: int) -> None:
-    """Turns a ring of positions counted from `cut` into plain positions, the smallest first."""
-    n = rings.shape[1]
-    named = np.empty(size, np.int64)
-    smallest = 0
-    for i in range(size):
-        named[i] = (rings[row, i] + cut) % n
-        if named[i] < named[smallest]:
-            smallest = i
-    for i in range(size):
-        rings[row, i] = named[(smallest + i) % size]

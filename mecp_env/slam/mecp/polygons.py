@@ -122,21 +122,20 @@ def find_polygons(
     back, or else of the second: good for free space, not for matching. Polygons with equally many vertices are rare
     and both of use: the `keep_ties` largest come back, the larger area first.
 
-    The tolerance is `tolerance_sigmas` times the median sigma of the sites; where beams are held against an edge, times
-    the larger sigma of its two corners. Polygons that walls cross are ruled out by the beams (`guard`): all of them, or
-    those that `wall` (B,) says end on a wall (`beams_on_walls`). The beams also cut each edge into intervals WALL, GAP
-    and OPEN.
+    The tolerance is `tolerance_sigmas` times the median sigma of the sites; where beams are compared with an edge,
+    times the larger sigma of its two corners. Polygons that walls cross are ruled out (`check_walls`) by the beams: all
+    of them, or those that end on a wall according to `wall` (B,) (`beams_on_walls`). The beams also cut each edge into
+    intervals WALL, GAP and OPEN.
 
-    Differs from the paper: strict turns with tolerance, area decides between equals, jambs only in need, the guard
-    (derivations 1).
+    Differs from the paper: strict turns with tolerance, area decides between equals, jambs only where the other corners
+    are too few, the wall-crossing check (derivations 1).
     """
     if wall is None or not config.check_walls:
         wall = np.full(len(beams.ranges), config.check_walls)
     ids, intervals, ends = polygons_of_scan(
         (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
         (beams.ranges, beams.bearings, wall),
-        _limits(config),
-        config.keep_ties,
+        config.record,
     )
     found, at, row = [], 0, 0
     for end, last_row in ends.tolist():
@@ -146,18 +145,5 @@ def find_polygons(
 
 
 def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:
-    """(B,) which beams lie on clusters with lines: those that guard polygons. A pillar or a person is no wall."""
+    """(B,) which beams are on clusters with lines, and may cross a polygon. A pillar or a person is no wall."""
     return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))
-
-
-def _limits(config: PolygonConfig) -> tuple[float, float, int, float, float, float, float]:
-    """The fields of `Limits`."""
-    return (
-        config.tolerance_sigmas,
-        config.depth_m,
-        config.crossing_beams,
-        config.depth_m,
-        config.open_width_m,
-        0.4,
-        config.widest_gap_m,
-    )

@@ -156,29 +156,23 @@ def fan_edges(fan: Array, tolerance: float) -> tuple[Bools, Bools, Bools, Bools]
     m = fan.shape[0]
     inner, first = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
     last, only = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
-    for i in range(m):
-        for j in range(i + 1, m):
-            if cross(fan[i, 0], fan[i, 1], fan[j, 0], fan[j, 1]) > 0.0:
-                inner[i, j], first[i, j], last[i, j], only[i, j] = _empty_triangle(fan, i, j, tolerance)
-    return inner, first, last, only
-
-
-@compiled
-def _empty_triangle(fan: Array, i: int, j: int, tolerance: float) -> tuple[bool, bool, bool, bool]:
-    """Whether nothing blocks edge i -> j: as inner, first, last, only edge of a chain."""
-    inner, first, last, only = True, True, True, True
-    far_i, far_j = tolerance * math.hypot(fan[i, 0], fan[i, 1]), tolerance * math.hypot(fan[j, 0], fan[j, 1])
-    dx, dy = fan[j, 0] - fan[i, 0], fan[j, 1] - fan[i, 1]
-    for s in range(fan.shape[0]):
-        off_first = cross(fan[i, 0], fan[i, 1], fan[s, 0], fan[s, 1])
-        off_last = cross(fan[s, 0], fan[s, 1], fan[j, 0], fan[j, 1])
-        depth = cross(dx, dy, fan[s, 0] - fan[i, 0], fan[s, 1] - fan[i, 1])
-        deep = depth > 0.0 and depth * depth > tolerance * tolerance * (dx * dx + dy * dy)
-        if deep and off_first >= 0.0 and off_last >= 0.0:
-            inner = False
-            first = first and off_first <= far_i
-            last = last and off_last <= far_j
-            only = only and (off_first <= far_i or off_last <= far_j)
+    for pair in range(m * m):
+        i, j = pair // m, pair % m
+        if j <= i or cross(fan[i, 0], fan[i, 1], fan[j, 0], fan[j, 1]) <= 0.0:
+            continue
+        inner[i, j] = first[i, j] = last[i, j] = only[i, j] = True
+        far_i, far_j = tolerance * math.hypot(fan[i, 0], fan[i, 1]), tolerance * math.hypot(fan[j, 0], fan[j, 1])
+        dx, dy = fan[j, 0] - fan[i, 0], fan[j, 1] - fan[i, 1]
+        for s in range(m):
+            off_first = cross(fan[i, 0], fan[i, 1], fan[s, 0], fan[s, 1])
+            off_last = cross(fan[s, 0], fan[s, 1], fan[j, 0], fan[j, 1])
+            depth = cross(dx, dy, fan[s, 0] - fan[i, 0], fan[s, 1] - fan[i, 1])
+            deep = depth > 0.0 and depth * depth > tolerance * tolerance * (dx * dx + dy * dy)
+            if deep and off_first >= 0.0 and off_last >= 0.0:
+                inner[i, j] = False
+                first[i, j] &= off_first <= far_i
+                last[i, j] &= off_last <= far_j
+                only[i, j] &= off_first <= far_i or off_last <= far_j
     return inner, first, last, only
 
 

@@ -8,21 +8,21 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, quietest_gap, visible_edges
 from mecp_env.slam.mecp.edge_labels import (
-    Limits,
-    View,
-    beams_between,
-    cosine,
+    EdgeBeams,
+    edge_between,
     edge_is_cut,
-    passing_stretches,
+    from_normal,
+    passing_intervals,
     wall_beams,
 )
 from mecp_env.slam.mecp.polygons import largest_empty_convex_polygons
-from mecp_env.slam.mecp.wall_crossing import best_free_cycles, median, position_sigmas
+from mecp_env.slam.mecp.wall_crossing import best_free_cycles, position_sigmas
 from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
 
-LIMITS = Limits(2.5, 0.2, 3, 0.2, 0.4, 0.4, 1.2)
+LIMITS = PolygonConfig().record[0]
 BEARINGS = (np.arange(720) + 0.5) * np.pi / 360 - np.pi
 
 
@@ -116,7 +116,7 @@ def test_best_cycles_are_the_best_by_definition(tolerance, keep):
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-def test_the_public_search_agrees_with_the_kernel_and_the_definition(tolerance):
+def test_the_public_search_agrees_with_the_compiled_one_and_the_definition(tolerance):
     rng = np.random.default_rng(4)
     for _ in range(150):
         points = random_sites(rng, rng.integers(3, 9), tolerance)
@@ -124,7 +124,7 @@ def test_the_public_search_agrees_with_the_kernel_and_the_definition(tolerance):
         assert sorted(found) == sorted(plain_best_rings(points, tolerance))
 
 
-def test_more_sites_than_brute_force_can_do_agree_between_search_and_kernel():
+def test_more_sites_than_brute_force_can_do_agree_between_both_searches():
     rng = np.random.default_rng(5)
     for n in (12, 20, 30, 40):
         for _ in range(10):
@@ -166,7 +166,15 @@ def is_empty_from_leftmost(points, ring, tolerance):
 
 def test_the_polynomial_is_the_cosine():
     for x in np.linspace(-np.pi / 2, np.pi / 2, 501):
-        assert abs(cosine(x) - math.cos(x)) < 1e-10
+        for turns in (-1, 0, 1):
+            angle, cosine = from_normal(1.0 + x, 1.0 + turns * 2.0 * math.pi)
+            assert angle == pytest.approx(x)
+            assert abs(cosine - math.cos(x)) < 1e-10
+
+
+def edge_of(a, b, tolerance, beams):
+    """The edge from a to b, which may be off by `tolerance` (m)."""
+    return edge_between(a, b, tolerance / LIMITS["tolerance_sigmas"], beams, LIMITS)
 
 
 def random_edge(rng):
@@ -196,20 +204,20 @@ def across(a, b, hits, stands):
 
 
 def random_view(rng, a, b):
-    """MergedScan that stop at, fall short of or pass the edge in runs of random length."""
+    """Beams that stop at, fall short of or pass the edge in runs of random length."""
     ranges = rng.uniform(0.5, 8.0, 720)
     beams, _, stands = beams_of_edge(a, b)
     offsets = np.repeat(rng.choice([-0.5, -0.19, 0.0, 0.02, 0.5, 3.0], 720), rng.integers(1, 40, 720))[: len(beams)]
     ranges[beams] = np.maximum(stands + offsets, 0.05)
-    return View(ranges, BEARINGS, rng.random(720) < 0.9)
+    return EdgeBeams(ranges, BEARINGS, rng.random(720) < 0.9)
 
 
 def test_beams_between_two_bearings_are_counted_around_the_end():
     rng = np.random.default_rng(7)
     for _ in range(500):
         a, b = random_edge(rng)
-        first, count = beams_between(a, b, BEARINGS)
-        assert [(first + step) % 720 for step in range(count)] == beams_of_edge(a, b)[0].tolist()
+        edge = edge_of(a, b, 0.0, EdgeBeams(np.ones(720), BEARINGS, np.ones(720, np.bool_)))
+        assert [(edge.first + step) % 720 for step in range(edge.beams)] == beams_of_edge(a, b)[0].tolist()
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05])
@@ -223,25 +231,26 @@ def test_an_edge_is_cut_when_three_neighbours_end_on_a_wall_in_front_of_it(toler
         short = (view.ranges[beams] + 0.2 < stands) & view.wall[beams]
         short &= across(a, b, view.ranges[beams, None] * u, stands) < -tolerance
         expected = any(short[i : i + 3].all() for i in range(len(short) - 2))
-        assert edge_is_cut(a, b, tolerance, view, LIMITS) == expected
+        assert edge_is_cut(edge_of(a, b, tolerance, view), view, LIMITS) == expected
         cuts += expected
     assert 100 < cuts < 500
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05])
-def test_passing_stretches_are_the_runs_of_beams_that_go_on_beyond_the_edge(tolerance):
+def test_passing_intervals_are_the_runs_of_beams_that_go_on_beyond_the_edge(tolerance):
     rng = np.random.default_rng(9)
     found = 0
     for _ in range(600):
         a, b = random_edge(rng)
         view = random_view(rng, a, b)
-        expected = plain_stretches(a, b, tolerance, view)
-        np.testing.assert_allclose(passing_stretches(a, b, tolerance, view, LIMITS), expected, atol=1e-6)
+        expected = plain_intervals(a, b, tolerance, view)
+        found_here = passing_intervals(edge_of(a, b, tolerance, view), view, LIMITS)
+        np.testing.assert_allclose(found_here, expected, atol=1e-6)
         found += len(expected)
     assert found > 200
 
 
-def plain_stretches(a, b, tolerance, view):
+def plain_intervals(a, b, tolerance, view):
     beams, u, stands = beams_of_edge(a, b)
     ranges = view.ranges[beams]
     passes = (ranges - 0.2 > stands) & (across(a, b, ranges[:, None] * u, stands) > tolerance)
@@ -251,14 +260,14 @@ def plain_stretches(a, b, tolerance, view):
     middle = 0.5 * (bearing[1:] + bearing[:-1])
     along = cross(a, d) / (np.cos(middle) * d[1] - np.sin(middle) * d[0])
     along = along[:, None] * np.column_stack([np.cos(middle), np.sin(middle)]) @ d - a @ d
-    stretches = []
+    intervals = []
     for value, run in itertools.groupby(range(len(passes)), key=lambda i: passes[i]):
         run = list(run)
         begin = 0.0 if run[0] == 0 else along[run[0] - 1]
         end = np.hypot(*(b - a)) if run[-1] == len(passes) - 1 else along[run[-1]]
         if value and end - begin >= 0.4:
-            stretches.append((begin, end))
-    return np.array(stretches).reshape(-1, 2)
+            intervals.append((begin, end))
+    return np.array(intervals).reshape(-1, 2)
 
 
 def test_wall_beams_are_those_of_clusters_with_lines():
@@ -266,7 +275,7 @@ def test_wall_beams_are_those_of_clusters_with_lines():
     assert np.flatnonzero(wall_beams(*runs, 12)).tolist() == [1, 2, 5, 6, 7]
 
 
-def test_sigmas_of_positions_and_their_median():
+def test_sigmas_of_positions():
     rng = np.random.default_rng(10)
     for n in (0, 1, 2, 5):
         z, root = rng.uniform(1, 5, (n, 2)), rng.normal(size=(2 * n, 2 * n))
@@ -276,23 +285,24 @@ def test_sigmas_of_positions_and_their_median():
             block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             J = np.diag([1.0, z[i, 0]])
             assert sigmas[i] == pytest.approx(math.sqrt(np.trace(J @ block @ J.T) / 2))
-        assert median(sigmas) == (sorted(sigmas)[n // 2] if n else 0.0)
 
 
-def test_the_lazy_guard_finds_what_forbidding_all_cut_edges_first_finds():
+def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
     rng = np.random.default_rng(11)
     resolved = 0
     for _ in range(300):
-        points = random_sites(rng, 10, 0.1)
-        sigmas = np.full(len(points), 0.02 / LIMITS.tolerance_sigmas)
-        view = View(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_))
-        allowed = visible_edges(points, 0.02)
+        points = random_sites(rng, rng.integers(0, 14), 0.1)
+        sigmas = rng.uniform(0.002, 0.014, len(points))
+        tolerance = 2.5 * (sorted(sigmas)[len(sigmas) // 2] if len(sigmas) else 0.0)  # of the upper median
+        view = EdgeBeams(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_))
+        allowed = visible_edges(points, tolerance)
         free = allowed.copy()
         for i, j in np.argwhere(allowed):
-            free[i, j] = not edge_is_cut(points[i], points[j], 0.02, view, LIMITS)
-        expected = best_cycles(points, free, 0.02, 2)
-        found = best_free_cycles(points, sigmas, 2, view, LIMITS)
+            edge = edge_between(points[i], points[j], max(sigmas[i], sigmas[j]), view, LIMITS)
+            free[i, j] = not edge_is_cut(edge, view, LIMITS)
+        expected = best_cycles(points, free, tolerance, 2)
+        found = best_free_cycles(points, sigmas, view, LIMITS)
         np.testing.assert_array_equal(found[0], expected[0])
         np.testing.assert_array_equal(found[1], expected[1])
-        resolved += not np.array_equal(expected[1], best_cycles(points, allowed, 0.02, 2)[1])
+        resolved += not np.array_equal(expected[1], best_cycles(points, allowed, tolerance, 2)[1])
     assert resolved > 100

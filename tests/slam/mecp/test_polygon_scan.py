@@ -21,7 +21,7 @@ from tests.slam.mecp.polygon_rooms import (
 )
 
 CONFIG = PolygonConfig()
-UNGUARDED = PolygonConfig(check_walls=False)
+UNCHECKED = PolygonConfig(check_walls=False)
 RECTANGLE = np.array(ROOMS["rectangle"], float)
 
 
@@ -52,12 +52,12 @@ def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, wal
     for pose in poses:
         corners = corners_of(points[sees(walls, pose[:2], points)], pose)
         beams = beams_of(walls, pose)
-        polygons = find_polygons(corners, beams, UNGUARDED)
+        polygons = find_polygons(corners, beams, UNCHECKED)
         assert polygons
         for polygon in polygons:
             assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.02
-        guarded = find_polygons(corners, beams, CONFIG)
-        assert [p.corners.tolist() for p in polygons] == [p.corners.tolist() for p in guarded]
+        checked = find_polygons(corners, beams, CONFIG)
+        assert [p.corners.tolist() for p in polygons] == [p.corners.tolist() for p in checked]
 
 
 @pytest.mark.parametrize("name", ["L", "T", "cross"])
@@ -81,14 +81,14 @@ def test_all_corners_of_the_room_as_sites_would_let_walls_in():
         corners = corners_of(points, pose)
         beams = beams_of(walls, pose)
         crossed += any(
-            wall_inside(walls, ring_of(p, corners, pose)) > 0.3 for p in find_polygons(corners, beams, UNGUARDED)
+            wall_inside(walls, ring_of(p, corners, pose)) > 0.3 for p in find_polygons(corners, beams, UNCHECKED)
         )
         for polygon in find_polygons(corners, beams, CONFIG):
             assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.3
     assert crossed > 5
 
 
-def test_the_guard_keeps_walls_out_where_corners_were_missed():
+def test_the_wall_crossing_check_keeps_walls_out_where_corners_were_missed():
     rng = np.random.default_rng(3)
     crossed = 0
     for name in ("L", "T", "Z", "cross"):
@@ -96,7 +96,7 @@ def test_the_guard_keeps_walls_out_where_corners_were_missed():
         for pose in poses_in(ROOMS[name], 60, rng):
             seen = sees(walls, pose[:2], points) & (rng.random(len(points)) > 0.2)
             corners, beams = corners_of(points[seen], pose), beams_of(walls, pose)
-            for polygon in find_polygons(corners, beams, UNGUARDED):
+            for polygon in find_polygons(corners, beams, UNCHECKED):
                 crossed += wall_inside(walls, ring_of(polygon, corners, pose)) > 0.3
             for polygon in find_polygons(corners, beams, CONFIG):
                 assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.3
