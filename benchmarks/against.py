@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.common import Figures, Options, ratio, table
-from benchmarks.trees import WORKING_TREE, Worker, checkout
+from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
 
 ACTIONS = ("random", "breadth_first")
 HERE = "working tree"
@@ -44,12 +44,12 @@ def run(options: Options, sizes: Sizes | None = None) -> Figures:
         for actions in ACTIONS:
             with contextlib.ExitStack() as stack:
                 arguments = actions, str(options.sweeps)
-                workers = [stack.enter_context(Worker(name, tree, *arguments)) for name, tree in trees.items()]
+                workers = [stack.enter_context(TreeWorker(name, tree, *arguments)) for name, tree in trees.items()]
                 figures[actions] = summarise(list(measure(workers, sizes)))
     return {"against": options.against, f"K={options.sweeps}": figures}
 
 
-def measure(workers: list[Worker], sizes: Sizes) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+def measure(workers: list[TreeWorker], sizes: Sizes) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Pairs of blocks (new, old), which are in the same place of the same episode as long as both trees agree."""
     for worker in workers:
         worker.check_package()

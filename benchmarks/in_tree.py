@@ -38,7 +38,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
         """Nothing to note: the start was."""
 
 
-class Driver:
+class BlockDriver:
     """One environment on `PaperMap-v0` and the actions that drive it, in blocks of control steps."""
 
     def __init__(self, actions: str, sweeps: int) -> None:
@@ -129,7 +129,7 @@ def first_start() -> None:
     env.step(breadth_first(observation["goals"], env.get_wrapper_attr("action_masks")()))
 
 
-def answer_calls(driver: Driver) -> None:
+def answer_calls(driver: BlockDriver) -> None:
     """Read `[method, arguments...]` per line, answer with the result in one line, until the input ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the tree prints is no answer
@@ -143,4 +143,4 @@ if __name__ == "__main__":
     if sys.argv[1] == "start":
         first_start()
     else:
-        answer_calls(Driver(sys.argv[2], int(sys.argv[3])))
+        answer_calls(BlockDriver(sys.argv[2], int(sys.argv[3])))

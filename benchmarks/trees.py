@@ -59,7 +59,7 @@ def environment_of(tree: Path, **variables: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(tree)} | variables
 
 
-class Worker:
+class TreeWorker:
     """A process that runs `in_tree.py` in one tree and answers calls; it waits idle between them.
 
     It leads a process group, which ends with it.
@@ -80,7 +80,7 @@ class Worker:
         )
         self._tree = tree
 
-    def __enter__(self) -> Worker:
+    def __enter__(self) -> TreeWorker:
         return self
 
     def __exit__(self, *_: object) -> None:

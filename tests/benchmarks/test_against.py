@@ -14,7 +14,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import against, in_tree, start
 from benchmarks.common import Options
-from benchmarks.trees import WORKING_TREE, TreeError, Worker, checkout
+from benchmarks.trees import WORKING_TREE, TreeError, TreeWorker, checkout
 from mecp_env.planning.breadth_first import BreadthFirst
 
 needs_git = pytest.mark.skipif(not (WORKING_TREE / ".git").exists(), reason="not in a git clone")
@@ -73,7 +73,7 @@ def test_options_without_a_meaning_end_with_2(line: list[str]) -> None:
 
 
 def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
-    with Worker("old tree", WORKING_TREE, "backwards", "1") as worker:
+    with TreeWorker("old tree", WORKING_TREE, "backwards", "1") as worker:
         with pytest.raises(
             TreeError, match=r"(?s)old tree: the worker ended with exit code 1\n.*KeyError: 'backwards'"
         ):
@@ -83,7 +83,7 @@ def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
 
 
 def test_a_package_from_elsewhere_is_an_error(tmp_path: Path) -> None:
-    with Worker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
+    with TreeWorker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
         worker.check_package()
 
 
