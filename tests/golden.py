@@ -163,8 +163,7 @@ class Case:
 TWO_ROOMS = {"layout": "two_rooms"}
 QUICK = {"laser": {"preset": "lms200", "sweeps": 1}}
 MOVERS = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.2}}
-
-
+PUSHED = {"crowd": {"people": 12, "polite": False}, "clutter": {"movable_boxes": 12}}
 GOALS = {"actions": "goal"}
 
 
@@ -182,6 +181,7 @@ CASES = {
     "first_goals": Case(PAPER_MAP, GOALS, partial(first_goals, decisions=12)),
     "people_and_clutter": Case(ROOMS, {"difficulty": "medium", "split": "test"} | MOVERS),
     "people_and_goals": Case(ROOMS, {"difficulty": "hard"} | GOALS | MOVERS, partial(first_goals, decisions=12)),
+    "pushed": Case(ROOMS, {"difficulty": "easy"} | PUSHED, partial(random_walk, steps=200)),
     "floor_plan": Case(FLOOR_PLAN, {"start": "random", "observation": {"map": True, "scan": True}}),
     "ekf": _explored(slam={"filter": {"kind": "ekf"}}),
     "one_sweep": _explored(laser={"sweeps": 1}),

@@ -1,4 +1,8 @@
-"""Pedestrians and boxes in the pymunk space: pedestrians choose their motion, boxes are pushed."""
+"""Contacts between bodies: pymunk computes the velocities of robot, pedestrians and boxes after a substep.
+
+Pedestrians move as they choose, whatever touches them; boxes and the robot are pushed. The robot's pose is not taken
+from here: it follows from the velocities (drive.py).
+"""
 
 from __future__ import annotations
 
@@ -8,63 +12,88 @@ from numpy.typing import NDArray
 
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.boxes import drag, settle_boxes
-from mecp_env.world.moving_obstacles import Moving
+from mecp_env.world.config import RobotConfig
+from mecp_env.world.drive import (
+    AIM_TURN,
+    AIM_X,
+    FELT_X,
+    MovingBodies,
+    RobotLimits,
+    faces_within,
+    furthest,
+    may_touch,
+)
 
 Array = NDArray[np.float64]
 
+ROBOT_KG = 9.0  # Pioneer P3-DX
 KG_M2 = 15.0  # of a box, by its floor area
 ITERATIONS = 20  # of pymunk's solver, where boxes are pushed against others and walls
 
 
 class Bodies:
-    """The bodies of what moves. All that outlives a substep is in the arrays of `Moving`."""
+    """The robot, and the people, boxes and walls that it or a moving box may touch in the rest of a control step.
 
-    def __init__(self, space: pymunk.Space, moving: Moving) -> None:
-        self._space, self._moving = space, moving
-        self._people = [pymunk.Body(body_type=pymunk.Body.KINEMATIC) for _ in moving.people]
-        self._boxes = [box_body(size) for size in moving.sizes.tolist()]
-        radii = moving.people[:, crowd.RADIUS].tolist()
-        self._discs = [pymunk.Circle(body, radius) for body, radius in zip(self._people, radii, strict=True)]
-        sizes = moving.sizes.tolist()
-        self._blocks = [pymunk.Poly.create_box(body, size) for body, size in zip(self._boxes, sizes, strict=True)]
-        self._inside: list[int] = []  # of the people, whose shapes are in the space
-        space.add(*self._people, *self._boxes, *self._blocks)
-        if self._boxes:
-            space.iterations = ITERATIONS
+    The space is made for one control step: the order of contacts in pymunk, and with it the result, depends on the past
+    of a space, and no snapshot could hold that. The shapes are frictionless: they slide along each other.
+    """
 
-    def enter(self, near: list[int], dt: float, forget: bool) -> None:
-        """Tell pymunk where boxes are before a substep, and the people who are `near` something that they can touch.
+    def __init__(self, segments: Array, robot: RobotConfig, state: Array, obstacles: MovingBodies) -> None:
+        self._segments, self._obstacles, self._dt = segments, obstacles, robot.substep_s
+        limits, substeps = RobotLimits.of(robot), robot.arcs * robot.substeps
+        met, pushed = may_touch(obstacles, state, limits, substeps)
+        self._people = {row: pymunk.Body(body_type=pymunk.Body.KINEMATIC) for row in np.flatnonzero(met).tolist()}
+        self._boxes = {row: box_body(obstacles.sizes[row].tolist()) for row in np.flatnonzero(pushed).tolist()}
+        self._robot = pymunk.Body(ROBOT_KG, ROBOT_KG * robot.radius_m**2 / 2.0)
+        self._space = space = pymunk.Space()
+        space.collision_slop = 0.0
+        space.collision_bias = 1.0  # off: pymunk keeps its way out of a wall where no state sees it
+        space.collision_persistence = 1  # 0 switches contacts off
+        space.iterations = ITERATIONS if self._boxes else space.iterations
+        discs = np.vstack([[*state[:2], robot.radius_m], obstacles.rounds[pushed]])
+        discs[:, 2] += furthest(state, limits, substeps)
+        for a, b in faces_within(segments, discs).tolist():
+            space.add(pymunk.Segment(space.static_body, a, b, 0.0))
+        space.add(self._robot, pymunk.Circle(self._robot, robot.radius_m))
+        for row, body in self._people.items():
+            space.add(body, pymunk.Circle(body, float(obstacles.people[row, crowd.RADIUS])))
+        for row, body in self._boxes.items():
+            space.add(body, pymunk.Poly.create_box(body, obstacles.sizes[row].tolist()))
 
-        The people have taken their step already.
+    def substep(self, state: Array, course: Array) -> None:
+        """One substep: from the robot's state (6,) and the velocity that its wheels aim at to the one it has then.
+
+        Both velocities are in `course`. The people have taken their step already; the boxes are moved here.
         """
-        if forget or near != self._inside:
-            self._let_in(near, forget)
-        for i in near:
-            body, person = self._people[i], self._moving.people[i].tolist()
-            vx, vy = (person[crowd.MOVES] * v for v in (person[crowd.VX], person[crowd.VY]))
-            body.position, body.velocity = (person[crowd.X] - vx * dt, person[crowd.Y] - vy * dt), (vx, vy)
-        for body, (x, y, turn, vx, vy, spin) in zip(self._boxes, self._moving.boxes.tolist(), strict=True):
-            body.position, body.velocity, body.angle, body.angular_velocity = (x, y), (vx, vy), turn, spin
-
-    def _let_in(self, near: list[int], forget: bool) -> None:
-        """Have the shapes of these people in the space; to `forget`, all go out and in: then they have no past."""
-        stay = set() if forget else set(self._inside) & set(near)
-        blocks = self._blocks if forget else []
-        leave = [self._discs[i] for i in self._inside if i not in stay] + blocks
-        come = [self._discs[i] for i in near if i not in stay] + blocks
-        self._space.remove(*leave)
-        self._space.add(*come)
-        self._inside = near
-
-    def leave(self, segments: Array, dt: float) -> None:
-        """Take over from pymunk where the boxes are after a substep."""
-        if not self._boxes:
-            return
-        boxes = self._moving.boxes
-        for row, body in enumerate(self._boxes):
+        self._place_robot(state, course)
+        self._place_others()
+        self._space.step(self._dt)
+        course[FELT_X:] = *self._robot.velocity, self._robot.angular_velocity
+        boxes = self._obstacles.boxes
+        for row, body in self._boxes.items():
             boxes[row] = *body.position, body.angle, *body.velocity, body.angular_velocity
-        drag(boxes, dt)
-        settle_boxes(segments, boxes, self._moving.sizes)
+        drag(boxes, self._dt)
+        settle_boxes(self._segments, boxes, self._obstacles.sizes)
+
+    def _place_robot(self, state: Array, course: Array) -> None:
+        """Place the robot; pymunk moves a body by its velocity first, and then its force changes the velocity."""
+        x, y, angle, vx, vy, spin = state.tolist()
+        aim_x, aim_y, aim_turn = course[AIM_X : AIM_TURN + 1].tolist()
+        robot, dt = self._robot, self._dt
+        robot.position, robot.angle, robot.velocity, robot.angular_velocity = (x, y), angle, (vx, vy), spin
+        robot.force = (aim_x - vx) * robot.mass / dt, (aim_y - vy) * robot.mass / dt
+        robot.torque = (aim_turn - spin) * robot.moment / dt
+
+    def _place_others(self) -> None:
+        """Place people and boxes."""
+        for row, body in self._people.items():
+            person = self._obstacles.people[row].tolist()
+            vx, vy = (person[crowd.MOVES] * v for v in (person[crowd.VX], person[crowd.VY]))
+            body.position = person[crowd.X] - vx * self._dt, person[crowd.Y] - vy * self._dt
+            body.velocity = vx, vy
+        for row, body in self._boxes.items():
+            x, y, turn, vx, vy, spin = self._obstacles.boxes[row].tolist()
+            body.position, body.velocity, body.angle, body.angular_velocity = (x, y), (vx, vy), turn, spin
 
 
 def box_body(size: list[float]) -> pymunk.Body:

@@ -1,118 +1,147 @@
-"""Kernels of the drive: the robot away from all it could touch, as pymunk would move it, and out of walls."""
+"""Compiled motion of the robot: its wheels, walls, and when pymunk has to resolve contacts between bodies."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
 from mecp_env.world.boxes import leave_boxes
+from mecp_env.world.config import RobotConfig
 from mecp_env.world.faces import from_face
 from mecp_env.world.pedestrians import PACE, RADIUS, X, Y, walk
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-# People (n,11) and boxes (b,6), sizes (b,2) of the boxes, their place and reach (b,3), and a row (6,) of
-# `crowd_kernels` that the robot is written to
-DynamicObstacles = tuple[Array, Array, Array, Array, Array]
+Bools = NDArray[np.bool_]
 
-TOUCH_M = 1e-3  # a body in contact stays so far inside the wall, or the next substep would not see the contact
+TOUCH_M = 1e-3  # a body in contact stays this deep in the wall, or the next substep would not see the contact
 SPARE_M = 0.05  # what is pushed may be a little faster than the robot drives
 PUSHED_M_S = 1e-6  # a contact is what changes the velocity by more than this
+ROUNDS = 50  # of leaving one wall after another; two are enough, but not in an acute corner
+ROUNDING_M_S = 1e-12  # a velocity into a wall below this is a rounding error
 
-# The drive (11,): the command; how much the wheels change their speeds in a substep; how long one is; force and torque
-# that change a velocity by one in it; how far the robot gets in it; how near a wall pymunk moves the robot, and where
-# that is pushed out of it; how many substeps an arc has
-SPEED, TURN, MOST_DV, MOST_DW, DT, FORCE, TORQUE, STRIDE, REACH, INNER, SUBSTEPS = range(11)
-# The course (11,): the pose at the last reading; for the substep that pymunk makes next, the velocity that the wheels
-# aim at, and the force and the torque for it; the velocity x, y and the turn rate that came of it
-AIM_X, AIM_Y, FORCE_X, FORCE_Y, TWIST, FELT_X, FELT_Y, FELT_TURN = range(3, 11)
+# The course (11,), scratch memory of a control step: the command; the pose at the last reading; the velocity and turn
+# rate that the wheels aim at in the substep that pymunk makes next; the velocity and turn rate that came of it
+SPEED, TURN, ARC_X, ARC_Y, ARC_HEADING, AIM_X, AIM_Y, AIM_TURN, FELT_X, FELT_Y, FELT_TURN = range(11)
+COURSE = 11
+
+
+class RobotLimits(NamedTuple):
+    """What the robot can do within a substep."""
+
+    dt: float  # s
+    max_dv: float  # m/s, change of speed by the wheels
+    max_dw: float  # rad/s, change of turn rate by the wheels
+    stride: float  # m, the longest way
+    radius: float  # m
+    substeps: int  # per arc, of which odometry reads one increment
+
+    @classmethod
+    def of(cls, robot: RobotConfig) -> RobotLimits:
+        """Those of a configured robot."""
+        dt = robot.substep_s
+        changes = robot.max_acceleration_m_s2 * dt, robot.max_turn_acceleration_rad_s2 * dt
+        return cls(dt, *changes, robot.max_speed_m_s * dt, robot.radius_m, robot.substeps)
+
+
+class MovingBodies(NamedTuple):
+    """Pedestrians and boxes, and what they need to know of the robot."""
+
+    people: Array  # (n,11), see pedestrians.py
+    boxes: Array  # (b,6) m, rad: place, turn, and their velocities
+    sizes: Array  # (b,2) m
+    rounds: Array  # (b,3) m: place and reach of the boxes
+    robot: Array  # (6,), see pedestrians.py; written in every substep
+    polite: bool  # the pedestrians avoid the robot
 
 
 @compiled
 def drive_on(
-    segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int
-) -> tuple[int, bool, bool]:
-    """Takes the state (6,) over after substep `done` of the step, at its start or from pymunk, and drives on.
+    segments: Array,
+    state: Array,
+    limits: RobotLimits,
+    course: Array,
+    increments: Array,
+    obstacles: MovingBodies,
+    done: int,
+) -> tuple[int, bool]:
+    """Drives on from substep `done` of the control step; the substep reached, and whether something was touched.
 
-    Returns the substep reached: the last, or one that pymunk must make, for a wall is within reach (see `course`);
-    whether pymunk's substep touched something with force; whether pymunk does not have the state that was reached.
+    The substep reached is the last one, or the one before a substep that pymunk has to make because something that
+    moves is within reach: `course` then holds the velocity that the wheels aim at, and, in the next call, the velocity
+    that pymunk left. Written are the state (6,), the readings of the arcs that end on the way, `increments` (M,2), and
+    the people in `obstacles`.
     """
-    touched, settled = False, True
+    touched, boxes, rounds, robot = False, obstacles.boxes, obstacles.rounds, obstacles.robot
     if done > 0:
         touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S
-        move(state, drive, course[FELT_X], course[FELT_Y], course[FELT_TURN])
-        settled = settle(segments, state, drive[INNER])
-    reached = glide(segments, state, drive, course, increments, done)
-    return reached, touched, reached > done or not settled
-
-
-@compiled
-def glide(segments: Array, state: Array, drive: Array, course: Array, increments: Array, done: int) -> int:
-    """Moves the state (6,) while no wall is within reach, as pymunk would; returns the substep of the step reached.
-
-    Arcs that end on the way are read into `increments` (M,2).
-    """
-    substeps, spare = int(drive[SUBSTEPS]), 0.0
-    read_arc(state, course, increments, done, substeps)
-    while done < increments.shape[0] * substeps:
-        if spare <= 0.0 or done % substeps == 0:
-            spare = wall_distance(segments, state[0], state[1]) - drive[REACH]
-        vx, vy, w = wheels(state, drive)
-        if spare <= 0.0:
-            aim(state, drive, course, vx, vy, w)
-            return done
-        spare -= drive[STRIDE]
-        move(state, drive, vx, vy, w)
+        move(state, limits, course[FELT_X], course[FELT_Y], course[FELT_TURN])
+        leave_boxes(boxes, obstacles.sizes, state, limits.radius - TOUCH_M)
+    for i in range(boxes.shape[0]):
+        rounds[i, 0], rounds[i, 1] = boxes[i, 0], boxes[i, 1]
+    last = increments.shape[0] * limits.substeps
+    way = np.array([[state[0], state[1], limits.radius + furthest(state, limits, last - done + 1)]])
+    near = faces_within(segments, way)
+    leave_walls(near, state, limits.radius - TOUCH_M)
+    read_arc(state, course, increments, done, limits.substeps)
+    while done < last:
+        robot[0], robot[1], robot[2], robot[3] = state[0], state[1], state[3], state[4]
+        walk(obstacles.people, rounds, robot, obstacles.polite, limits.dt)
+        vx, vy, w = wheels(state, limits, course[SPEED], course[TURN])
+        if in_reach(obstacles, state, limits):
+            course[AIM_X], course[AIM_Y], course[AIM_TURN] = vx, vy, w
+            break
+        free_x, free_y = slide(near, state, limits, vx, vy)
+        touched = touched or math.hypot(free_x - vx, free_y - vy) > PUSHED_M_S
+        move(state, limits, free_x, free_y, w)
+        leave_walls(near, state, limits.radius - TOUCH_M)
         done += 1
-        read_arc(state, course, increments, done, substeps)
-    return done
+        read_arc(state, course, increments, done, limits.substeps)
+    return done, touched
 
 
 @compiled
-def move(state: Array, drive: Array, vx: float, vy: float, w: float) -> None:
+def furthest(state: Array, limits: RobotLimits, substeps: int) -> float:
+    """How far, m, the robot gets in some substeps, also where walls push it aside."""
+    return 2.0 * substeps * max(limits.stride, math.hypot(state[3], state[4]) * limits.dt)
+
+
+@compiled
+def move(state: Array, limits: RobotLimits, vx: float, vy: float, w: float) -> None:
     """Moves the state (6,) by a substep as pymunk does: with its velocity, which then becomes vx, vy, w."""
-    state[0] += state[3] * drive[DT]
-    state[1] += state[4] * drive[DT]
-    state[2] += state[5] * drive[DT]
+    state[0] += state[3] * limits.dt
+    state[1] += state[4] * limits.dt
+    state[2] += state[5] * limits.dt
     state[3], state[4], state[5] = vx, vy, w
 
 
 @compiled
 def read_arc(state: Array, course: Array, increments: Array, done: int, substeps: int) -> None:
-    """Reads off, where an arc ends, the distance along its mean heading and the turn; there the next one begins."""
+    """Reads off, where an arc ends, the distance along its mean heading and the turn; there the next one starts."""
     if done % substeps:
         return
     if done > 0:
-        turn = state[2] - course[2]
-        heading = course[2] + 0.5 * turn
-        ahead = (state[0] - course[0]) * math.cos(heading) + (state[1] - course[1]) * math.sin(heading)
+        turn = state[2] - course[ARC_HEADING]
+        heading = course[ARC_HEADING] + 0.5 * turn
+        ahead = (state[0] - course[ARC_X]) * math.cos(heading) + (state[1] - course[ARC_Y]) * math.sin(heading)
         increments[done // substeps - 1, 0], increments[done // substeps - 1, 1] = ahead, turn
-    course[0], course[1], course[2] = state[0], state[1], state[2]
+    course[ARC_X], course[ARC_Y], course[ARC_HEADING] = state[0], state[1], state[2]
 
 
 @compiled
-def aim(state: Array, drive: Array, course: Array, vx: float, vy: float, w: float) -> None:
-    """Notes the velocity that the wheels aim at, and the force and torque that give it to the body in a substep."""
-    course[AIM_X], course[AIM_Y] = vx, vy
-    course[FORCE_X] = (vx - state[3]) * drive[FORCE]
-    course[FORCE_Y] = (vy - state[4]) * drive[FORCE]
-    course[TWIST] = (w - state[5]) * drive[TORQUE]
-
-
-@compiled
-def wheels(state: Array, drive: Array) -> tuple[float, float, float]:
+def wheels(state: Array, limits: RobotLimits, speed: float, turn: float) -> tuple[float, float, float]:
     """Velocity x, y and turn rate that the wheels aim at for the next substep: towards the command, within limits.
 
     A velocity has the direction that the robot has half-way through the substep in which it moves.
     """
-    heading = state[2] + 0.5 * state[5] * drive[DT]
-    speed = math.cos(heading) * state[3] + math.sin(heading) * state[4]
-    v = speed + min(max(drive[SPEED] - speed, -drive[MOST_DV]), drive[MOST_DV])
-    w = state[5] + min(max(drive[TURN] - state[5], -drive[MOST_DW]), drive[MOST_DW])
-    heading += 0.5 * (state[5] + w) * drive[DT]
+    heading = state[2] + 0.5 * state[5] * limits.dt
+    now = math.cos(heading) * state[3] + math.sin(heading) * state[4]
+    v = now + min(max(speed - now, -limits.max_dv), limits.max_dv)
+    w = state[5] + min(max(turn - state[5], -limits.max_dw), limits.max_dw)
+    heading += 0.5 * (state[5] + w) * limits.dt
     return v * math.cos(heading), v * math.sin(heading), w
 
 
@@ -127,13 +156,63 @@ def wall_distance(segments: Array, x: float, y: float) -> float:
 
 
 @compiled
-def settle(segments: Array, state: Array, radius: float) -> bool:
-    """Pushes the state's position out of all walls nearer than `radius`; returns whether there was none."""
-    x, y = state[0], state[1]
-    for _ in range(8):
+def faces_within(segments: Array, discs: Array) -> Array:
+    """Those of the faces (S,2,2), in their order, that one of the discs (n,3) reaches: centre and radius, m."""
+    near, n = np.empty_like(segments), 0
+    for k in range(segments.shape[0]):
+        reached = False
+        for i in range(discs.shape[0]):
+            dx, dy = from_face(segments, k, discs[i, 0], discs[i, 1])
+            reached = reached or dx * dx + dy * dy < discs[i, 2] * discs[i, 2]
+        if reached:
+            for end in range(2):
+                near[n, end, 0], near[n, end, 1] = segments[k, end, 0], segments[k, end, 1]
+            n += 1
+    return near[:n]
+
+
+@compiled
+def slide(near: Array, state: Array, limits: RobotLimits, vx: float, vy: float) -> tuple[float, float]:
+    """The velocity nearest to vx, vy that leads into none of the walls that the robot touches after this substep.
+
+    Walls are rigid and without friction: each takes the part of the velocity that leads into it. Where two are touched,
+    this is the projection on the cone of the velocities that leave both, and does not depend on their order.
+    """
+    x, y = state[0] + state[3] * limits.dt, state[1] + state[4] * limits.dt
+    normals, n = np.empty((near.shape[0], 2)), 0
+    for k in range(near.shape[0]):
+        dx, dy = from_face(near, k, x, y)
+        distance = math.hypot(dx, dy)
+        if 0.0 < distance < limits.radius:
+            normals[n, 0], normals[n, 1] = dx / distance, dy / distance
+            n += 1
+    if not leads_in(normals, n, vx, vy):
+        return vx, vy
+    free_x, free_y, least = 0.0, 0.0, math.inf
+    for i in range(n):
+        into = vx * normals[i, 0] + vy * normals[i, 1]
+        along_x, along_y = vx - into * normals[i, 0], vy - into * normals[i, 1]
+        if -into < least and into < 0.0 and not leads_in(normals, n, along_x, along_y):
+            free_x, free_y, least = along_x, along_y, -into
+    return free_x, free_y
+
+
+@compiled
+def leads_in(normals: Array, n: int, vx: float, vy: float) -> bool:
+    """True when a velocity leads into one of the first n walls, whose normals are `normals` (>=n,2)."""
+    least = 0.0
+    for i in range(n):
+        least = min(least, vx * normals[i, 0] + vy * normals[i, 1])
+    return least < -ROUNDING_M_S
+
+
+@compiled
+def leave_walls(near: Array, state: Array, radius: float) -> None:
+    """Moves the robot's centre so that it is at least `radius` away from every wall."""
+    for _ in range(ROUNDS):
         free = True
-        for k in range(segments.shape[0]):
-            dx, dy = from_face(segments, k, state[0], state[1])
+        for k in range(near.shape[0]):
+            dx, dy = from_face(near, k, state[0], state[1])
             squared = dx * dx + dy * dy
             if squared > radius * radius:
                 continue
@@ -144,94 +223,48 @@ def settle(segments: Array, state: Array, radius: float) -> bool:
                 free = False
         if free:
             break
-    return bool(state[0] == x and state[1] == y)
 
 
 @compiled
-def drive_among(
-    segments: Array,
-    state: Array,
-    drive: Array,
-    course: Array,
-    increments: Array,
-    obstacles: DynamicObstacles,
-    polite: bool,
-    done: int,
-) -> tuple[int, bool, bool]:
-    """As `drive_on`, among people and boxes (see `DynamicObstacles`)."""
-    touched, settled = False, True
-    _, boxes, sizes, rounds, _ = obstacles
-    if done > 0:
-        touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S
-        move(state, drive, course[FELT_X], course[FELT_Y], course[FELT_TURN])
-        settled = leave_boxes(boxes, sizes, state, drive[INNER])
-        settled = settle(segments, state, drive[INNER]) and settled
-    for i in range(boxes.shape[0]):
-        rounds[i, 0], rounds[i, 1] = boxes[i, 0], boxes[i, 1]
-    reached = glide_among(segments, state, drive, course, increments, obstacles, polite, done)
-    return reached, touched, reached > done or not settled
-
-
-@compiled
-def glide_among(
-    segments: Array,
-    state: Array,
-    drive: Array,
-    course: Array,
-    increments: Array,
-    obstacles: DynamicObstacles,
-    polite: bool,
-    done: int,
-) -> int:
-    """As `glide`; the people take their steps too, also those of a substep that pymunk must make."""
-    substeps, spare = int(drive[SUBSTEPS]), 0.0
-    people, _, _, rounds, robot = obstacles
-    read_arc(state, course, increments, done, substeps)
-    while done < increments.shape[0] * substeps:
-        if spare <= 0.0 or done % substeps == 0:
-            spare = wall_distance(segments, state[0], state[1]) - drive[REACH]
-        robot[0], robot[1], robot[2], robot[3] = state[0], state[1], state[3], state[4]
-        walk(people, rounds, robot, polite, drive[DT])
-        vx, vy, w = wheels(state, drive)
-        if spare <= 0.0 or in_reach(obstacles, state, drive):
-            aim(state, drive, course, vx, vy, w)
-            return done
-        spare -= drive[STRIDE]
-        move(state, drive, vx, vy, w)
-        done += 1
-        read_arc(state, course, increments, done, substeps)
-    return done
-
-
-@compiled
-def in_reach(obstacles: DynamicObstacles, state: Array, drive: Array) -> bool:
+def in_reach(obstacles: MovingBodies, state: Array, limits: RobotLimits) -> bool:
     """True when a box slides, or a pedestrian or a box is within reach of the robot's next substep."""
-    people, boxes, _, rounds, _ = obstacles
+    people, boxes, rounds = obstacles.people, obstacles.boxes, obstacles.rounds
+    robot = limits.radius + TOUCH_M + limits.stride
     for i in range(people.shape[0]):
-        reach = drive[REACH] + people[i, RADIUS] + people[i, PACE] * drive[DT]
+        reach = robot + people[i, RADIUS] + people[i, PACE] * limits.dt
         if math.hypot(people[i, X] - state[0], people[i, Y] - state[1]) < reach:
             return True
     for i in range(boxes.shape[0]):
         slides = boxes[i, 3] != 0.0 or boxes[i, 4] != 0.0 or boxes[i, 5] != 0.0
-        near = math.hypot(rounds[i, 0] - state[0], rounds[i, 1] - state[1]) < drive[REACH] + rounds[i, 2]
+        near = math.hypot(rounds[i, 0] - state[0], rounds[i, 1] - state[1]) < robot + rounds[i, 2]
         if slides or near:
             return True
     return False
 
 
 @compiled
-def who_is_near(obstacles: DynamicObstacles, state: Array, drive: Array) -> Ints:
-    """The pedestrians, ascending, that the robot or a box may touch in pymunk's next substep."""
-    people, boxes, _, rounds, _ = obstacles
-    near, n = np.empty(people.shape[0], np.int64), 0
-    for i in range(people.shape[0]):
-        person = people[i]
-        reach = person[RADIUS] + person[PACE] * drive[DT] + SPARE_M
-        within = math.hypot(person[X] - state[0], person[Y] - state[1]) < drive[REACH] + reach
+def may_touch(obstacles: MovingBodies, state: Array, limits: RobotLimits, substeps: int) -> tuple[Bools, Bools]:
+    """Which people (n,) and boxes (b,) may touch the robot, or a box that moves, within some substeps."""
+    people, boxes, rounds = obstacles.people, obstacles.boxes, obstacles.rounds
+    seconds, far = substeps * limits.dt, furthest(state, limits, substeps) + SPARE_M
+    pushed, found = np.zeros(boxes.shape[0], np.bool_), True
+    while found:
+        found = False
         for j in range(boxes.shape[0]):
-            apart = math.hypot(person[X] - rounds[j, 0], person[Y] - rounds[j, 1])
-            within = within or apart < rounds[j, 2] + drive[STRIDE] + reach
-        if within:
-            near[n] = i
-            n += 1
-    return near[:n]
+            speed = math.hypot(boxes[j, 3], boxes[j, 4])
+            reach = rounds[j, 2] + far + speed * seconds
+            near = math.hypot(rounds[j, 0] - state[0], rounds[j, 1] - state[1]) < reach + limits.radius
+            near = near or speed > 0.0 or boxes[j, 5] != 0.0
+            for k in range(boxes.shape[0]):
+                apart = math.hypot(rounds[j, 0] - rounds[k, 0], rounds[j, 1] - rounds[k, 1])
+                near = near or (pushed[k] and apart < reach + rounds[k, 2])
+            found = found or (near and not pushed[j])
+            pushed[j] = pushed[j] or near
+    met = np.zeros(people.shape[0], np.bool_)
+    for i in range(people.shape[0]):
+        reach = people[i, RADIUS] + people[i, PACE] * seconds + far
+        met[i] = math.hypot(people[i, X] - state[0], people[i, Y] - state[1]) < reach + limits.radius
+        for j in range(boxes.shape[0]):
+            apart = math.hypot(people[i, X] - rounds[j, 0], people[i, Y] - rounds[j, 1])
+            met[i] = met[i] or (pushed[j] and apart < reach + rounds[j, 2])
+    return met, pushed

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
-from mecp_env.world import drive as drive_kernels
+from mecp_env.world import bodies, drive
 from mecp_env.world import pedestrians as crowd
-from mecp_env.world import simulation as module
 from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.drive import wall_distance
@@ -238,33 +237,70 @@ def test_wrong_fields_and_torn_states_are_refused() -> None:
     assert not is_whole(movers.state)
 
 
-@pytest.mark.parametrize("boxes", [0, 4])
-def test_whoever_is_not_near_changes_nothing_in_pymunk(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
-    """All people in the space, or only those whom the robot or a box may touch: the same bits, contacts among them."""
-    makes = {"people": 6, "polite": False, "speed_m_s": (0.8, 1.2), "movable_boxes": boxes}
-    some, few = world("two_rooms", 3, **makes)
-    every, all_of_them = world("two_rooms", 3, **makes)
-    rng, near, touched = np.random.default_rng(1), drive_kernels.who_is_near, 0
-    for _ in range(150):
-        v, w = rng.uniform([-0.3, -0.8], [0.75, 0.8])
-        monkeypatch.setattr(module, "who_is_near", near)
-        touched += some.step(v, w).contact
-        monkeypatch.setattr(module, "who_is_near", lambda others, state, drive: np.arange(len(others[0])))
-        every.step(v, w)
-        assert np.array_equal(some.get_state()["body"], every.get_state()["body"])
-        assert np.array_equal(few.state.people, all_of_them.state.people)
-        assert np.array_equal(few.state.boxes, all_of_them.state.boxes)
-    assert touched > 20
+CROWDED = {"people": 8, "polite": False, "speed_m_s": (0.8, 1.2)}
 
 
-def test_who_is_near() -> None:
+def crowded(boxes: int, seed: int) -> tuple[Simulation, Movers]:
+    """The robot in a door, where pedestrians and boxes push it."""
+    simulation, movers = world("two_rooms", seed, movable_boxes=boxes, **CROWDED)
+    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))
+    return simulation, movers
+
+
+@pytest.mark.parametrize("boxes", [0, 12])
+def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) -> None:
+    """In pymunk the order of contacts depended on the past of the space: each control step has its own space now."""
+    rng, touched = np.random.default_rng(0), 0
+    for seed in range(3):
+        simulation, movers = crowded(boxes, seed)
+        for _ in range(25):
+            touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
+            twin = copy.deepcopy(simulation)
+            for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
+                expected, found = simulation.step(v, w), twin.step(v, w)
+                assert found.increments.tobytes() == expected.increments.tobytes()
+                assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
+                assert twin._movers.state.boxes.tobytes() == movers.state.boxes.tobytes()
+                assert twin._movers.state.people.tobytes() == movers.state.people.tobytes()
+    assert touched > 50
+
+
+@pytest.mark.parametrize("boxes", [0, 8])
+def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
+    parts: list[tuple[Array, Array]] = []
+
+    def noted(*arguments: Any) -> tuple[Array, Array]:
+        parts.append(drive.may_touch(*arguments))
+        return parts[-1]
+
+    monkeypatch.setattr(bodies, "may_touch", noted)
+    rng, left_out = np.random.default_rng(1), 0
+    for seed in range(3):
+        simulation, movers = crowded(boxes, seed)
+        for _ in range(60):
+            before = movers.state.boxes.copy()
+            parts.clear()
+            simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8]))
+            for met, pushed in parts:
+                left_out += (~met).sum() + (~pushed).sum()
+                assert (gaps(movers, simulation.T_world_robot[:2])[0][~met] > 0.0).all()
+                assert np.array_equal(movers.state.boxes[~pushed], before[~pushed])
+    assert left_out > 50
+
+
+def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
     people = np.zeros((4, crowd.PERSON))
     people[:, crowd.RADIUS], people[:, crowd.PACE] = 0.25, 1.0
-    people[:, :2] = [[0.5, 0.0], [0.0, 0.6], [3.0, 0.0], [3.0, 3.0]]  # at the robot, past its reach, at a box, nowhere
-    boxes, sizes, rounds = np.array([[3.4, 0.0, 0, 0, 0, 0]]), np.array([[0.4, 0.4]]), np.array([[3.4, 0.0, 0.3]])
-    drive = np.zeros(11)
-    drive[[drive_kernels.REACH, drive_kernels.DT, drive_kernels.STRIDE]] = 0.24, 0.01, 0.01
-    others = people, boxes, sizes, rounds, np.zeros(crowd.ROBOT)
-    assert drive_kernels.who_is_near(others, np.zeros(6), drive).tolist() == [0, 2]
-    alone = people, boxes[:0], sizes[:0], rounds[:0], np.zeros(crowd.ROBOT)
-    assert drive_kernels.who_is_near(alone, np.zeros(6), drive).tolist() == [0]
+    people[:, :2] = [[0.5, 0.0], [0.0, 2.0], [3.0, 1.0], [3.0, 6.0]]  # at the robot, too far, at a box, nowhere
+    boxes, sizes = np.zeros((4, 6)), np.full((4, 2), 0.4)
+    boxes[:, :2] = [[0.7, 0.0], [1.4, 0.0], [5.0, -3.0], [9.0, 0.0]]  # at the robot, behind that box, at rest, sliding
+    boxes[3, 3] = 0.1
+    rounds = np.column_stack([boxes[:, :2], np.full(4, 0.283)])
+    limits = drive.RobotLimits(dt=0.01, max_dv=0.01, max_dw=0.05, stride=0.005, radius=0.22, substeps=4)
+    moving = drive.MovingBodies(people, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
+    met, pushed = drive.may_touch(moving, np.zeros(6), limits, 16)
+    assert met.tolist() == [True, False, False, False]
+    assert pushed.tolist() == [True, True, False, True]
+    people[2, :2] = 9.0, 0.6
+    met, _ = drive.may_touch(moving, np.zeros(6), limits, 16)
+    assert met.tolist() == [True, False, True, False]

@@ -1,0 +1,66 @@
+"""The robot among walls as pymunk alone moves it: the reference for the compiled motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from mecp_env.world.config import RobotConfig
+from mecp_env.world.drive import TOUCH_M, RobotLimits, leave_walls, wheels
+from mecp_env.world.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+
+class PymunkDrive:
+    """Control steps from any state; `iterations` is how often pymunk's solver goes over all contacts."""
+
+    def __init__(self, segments: Array, config: RobotConfig, iterations: int) -> None:
+        self.config, self.segments, self.limits = config, segments, RobotLimits.of(config)
+        self.space = pymunk.Space()
+        self.space.iterations = iterations
+        self.space.collision_slop, self.space.collision_bias = 0.0, 1.0
+        self.space.collision_persistence = 1
+        walls = [pymunk.Segment(self.space.static_body, a, b, 0.0) for a, b in segments.tolist()]
+        self.body = pymunk.Body(9.0, 9.0 * config.radius_m**2 / 2.0)
+        self.space.add(*walls, self.body, pymunk.Circle(self.body, config.radius_m))
+        self.most_contacts = 0  # at the same time, in the last step
+
+    def step(self, state: Array, v: float, w: float) -> tuple[Array, bool]:
+        """The state (6,) after a control step with a command, and whether a wall was touched."""
+        state, touched = state.copy(), False
+        self.most_contacts = 0
+        for _ in range(self.config.arcs * self.config.substeps):
+            aim = np.array(wheels(state, self.limits, v, w))
+            velocity = self._substep(state, aim)
+            touched |= bool(np.hypot(*(velocity - aim)[:2]) > 1e-6)
+            state = np.concatenate([state[:3] + state[3:] * self.limits.dt, velocity])
+            leave_walls(self.segments, state, self.config.radius_m - TOUCH_M)
+        return state, touched
+
+    def _substep(self, state: Array, aim: Array) -> Array:
+        """(3,) the velocity and turn rate that walls leave of those that the wheels aim at."""
+        x, y, angle, vx, vy, spin = state.tolist()
+        body, dt = self.body, self.limits.dt
+        body.position, body.angle, body.velocity, body.angular_velocity = (x, y), angle, (vx, vy), spin
+        body.force = tuple(body.mass / dt * (aim[:2] - state[3:5]))
+        body.torque = body.moment / dt * (aim[2] - spin)
+        self.space.step(dt)
+        contacts: list[pymunk.Arbiter] = []
+        body.each_arbiter(contacts.append)
+        self.most_contacts = max(self.most_contacts, len(contacts))
+        return np.array([*body.velocity, body.angular_velocity])
+
+
+def deviations(simulation: Simulation, reference: PymunkDrive, steps: int, seed: int) -> Array:
+    """(steps,5) random drive, step by step from the same state: deviation in m and in m/s, touched, twice, contacts."""
+    rng, rows, v, w = np.random.default_rng(seed), [], 0.0, 0.0
+    for step in range(steps):
+        if step % 6 == 0:
+            v, w = rng.uniform(-0.4, 0.75), rng.uniform(-1.75, 1.75) * rng.integers(0, 2)
+        expected, touched = reference.step(simulation.get_state()["body"], v, w)
+        motion = simulation.step(v, w)
+        off = simulation.get_state()["body"] - expected
+        rows.append([np.hypot(*off[:2]), np.hypot(*off[3:5]), motion.contact, touched, reference.most_contacts])
+    return np.array(rows)
