@@ -1,4 +1,4 @@
-"""Kernels of the grid planner: clearance, cost of cells, distance field, shortcuts. Grids are indexed [row, column]."""
+"""Compiled functions of the grid planner: clearance, cost of cells, cost to go, paths. Grids are [row, column]."""
 
 from __future__ import annotations
 
@@ -26,28 +26,18 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 
 
 @compiled
-def cost_to_go(
-    label: Bytes, row: int, column: int, limits: tuple[float, float, float, int]
-) -> tuple[Distances, Bytes, Costs, Bytes]:
-    """Clearance, cost of the cells, cost of the ways from a cell, and the step that leads to each cell; all (H,W).
-
-    `limits`: least and comfortable distance to walls, in cells; the cost at the least one; how far a robot that stands
-    too near to a wall may go to get out, in cells.
-    """
-    least, comfort, wall_cost, way_out = limits
-    distance = clearance(label, comfort)
-    cost = cell_costs(label, distance, least, comfort, wall_cost)
-    open_start(cost, label, distance, row, column, way_out)
-    total, step = distance_field(cost, row, column)
-    return distance, cost, total, step
-
-
-@compiled
 def clearance(label: Bytes, reach: float) -> Distances:
     """(H,W) distance of each cell to the nearest OCCUPIED one, centre to centre, in cells, up to `reach`."""
     height, width = label.shape
     near = math.ceil(reach)
-    rows_away = _rows_to_wall(label, near + 1)
+    away = np.empty((height, width), np.int32)  # rows to the nearest OCCUPIED cell of the column, up to near + 1
+    for row in range(height):
+        for column in range(width):
+            before = away[row - 1, column] + 1 if row > 0 else near + 1
+            away[row, column] = 0 if label[row, column] == OCCUPIED else min(before, near + 1)
+    for i in range(1, height):
+        for column in range(width):
+            away[height - 1 - i, column] = min(away[height - 1 - i, column], away[height - i, column] + 1)
     roots = np.empty(2 * (near + 1) ** 2 + 1, np.float32)  # of a sum of two squares, up to `reach`
     for i in range(near + 2):
         for j in range(near + 2):
@@ -58,7 +48,7 @@ def clearance(label: Bytes, reach: float) -> Distances:
         for i in range(width + 2 * near):
             squares[i] = (near + 1) ** 2
         for column in range(width):
-            squares[column + near] = rows_away[row, column] * rows_away[row, column]
+            squares[column + near] = away[row, column] * away[row, column]
             least[column] = squares[column + near]
         for i in range(2 * near + 1):
             aside = np.float32((i - near) ** 2)
@@ -67,22 +57,6 @@ def clearance(label: Bytes, reach: float) -> Distances:
         for column in range(width):
             distance[row, column] = roots[int(least[column])]
     return distance
-
-
-@compiled
-def _rows_to_wall(label: Bytes, most: int) -> Costs:
-    """(H,W) how many rows away the nearest OCCUPIED cell of the column is, up to `most`."""
-    height, width = label.shape
-    away = np.empty((height, width), np.int32)
-    for row in range(height):
-        for column in range(width):
-            before = away[row - 1, column] + 1 if row > 0 else most
-            away[row, column] = 0 if label[row, column] == OCCUPIED else min(before, most)
-    for i in range(1, height):
-        row = height - 1 - i
-        for column in range(width):
-            away[row, column] = min(away[row, column], away[row + 1, column] + 1)
-    return away
 
 
 @compiled
@@ -121,14 +95,19 @@ def open_start(cost: Bytes, label: Bytes, distance: Distances, row: int, column:
 
 
 @compiled
-def distance_field(cost: Bytes, row: int, column: int) -> tuple[Costs, Bytes]:
-    """Cheapest ways from a cell to all others: their cost (H,W), and the step that leads to each cell (8: none).
+def cost_to_go(cost: Bytes, row: int, column: int) -> tuple[Costs, Bytes]:
+    """Cheapest paths from a cell to all others: their cost (H,W), and the step that leads to each cell (8: none).
 
-    Dijkstra with one bucket a cost (every step costs less than there are buckets), 8 neighbours, no diagonal step past
-    a barred cell. FAR where there is no way. The cells on the border of the grid are taken as barred. A bucket is a
-    stack of notes, each of a cell and the note below; the note of a cell that was reached cheaper since is passed over.
+    Dijkstra with one bucket per cost (every step costs less than there are buckets), 8 neighbours, no diagonal step
+    past a barred cell. FAR where there is no path. The cells on the border of the grid are taken as barred. A bucket is
+    a stack of notes, each of a cell and the note below; the note of a cell that was reached cheaper since is ignored.
     """
-    width, flat = cost.shape[1], within_border(cost)
+    height, width = cost.shape
+    inner = np.zeros((height, width), np.uint8)
+    for r in range(1, height - 1):
+        for c in range(1, width - 1):
+            inner[r, c] = cost[r, c]
+    flat = inner.reshape(-1)
     total, step = np.full(cost.size, FAR, np.int32), np.full(cost.size, 8, np.uint8)
     top = np.full(BUCKETS, -1, np.int32)
     below, cell_of = np.empty(8 * cost.size, np.int32), np.empty(8 * cost.size, np.int32)
@@ -158,48 +137,40 @@ def distance_field(cost: Bytes, row: int, column: int) -> tuple[Costs, Bytes]:
 
 
 @compiled
-def within_border(cost: Bytes) -> Bytes:
-    """(H*W,) the cost of the cells, 0 on the border of the grid."""
-    height, width = cost.shape
-    inner = np.zeros((height, width), np.uint8)
-    for row in range(1, height - 1):
-        for column in range(1, width - 1):
-            inner[row, column] = cost[row, column]
-    return inner.reshape(-1)
-
-
-@compiled
 def path_lengths(total: Costs, step: Bytes, places: Array) -> Array:
-    """(g,) length of the way to the cell nearest to each place, in tenths of a cell; -1: there is none.
+    """(g,) length of the path to the cell nearest to each place, in tenths of a cell; -1: there is none.
 
-    `places` (g,3): x, y and how near the way must come, in cells.
+    `places` (g,3): x, y and how near the path must come, in cells.
     """
     lengths = np.empty(places.shape[0])
     for i in range(places.shape[0]):
         row, column = nearest_reached(total, places[i, 0], places[i, 1], places[i, 2])
-        lengths[i] = way_length(step, row, column) if row >= 0 else -1
+        lengths[i] = 0.0 if row >= 0 else -1.0
+        k = step[row, column] if row >= 0 else np.uint8(8)
+        while k != 8:
+            lengths[i] += 2 * HALF_LENGTH[k]
+            row, column = row - DROW[k], column - DCOL[k]
+            k = step[row, column]
     return lengths
 
 
 @compiled
-def way_length(step: Bytes, row: int, column: int) -> int:
-    """Length of the way to a cell that was reached, in tenths of a cell."""
-    length, k = 0, step[row, column]
-    while k != 8:
-        length += 2 * HALF_LENGTH[k]
-        row, column = row - DROW[k], column - DCOL[k]
-        k = step[row, column]
-    return length
-
-
-@compiled
 def smooth_path(step: Bytes, row: int, column: int, distance: Distances, cost: Bytes, least: float) -> Array:
-    """The way (n,2) to a cell that was reached, in cells (x, y), without the points that `shorten` leaves out."""
+    """The path (n,2) to a reached cell, in cells (x, y), without the points that a clear line over known cells jumps.
+
+    The ends stay.
+    """
     cells = trace_back(step, row, column)
-    points = np.empty(cells.shape)
-    for i in range(cells.shape[0]):
-        points[i, 0], points[i, 1] = cells[i, 1] + 0.5, cells[i, 0] + 0.5
-    return shorten(points, distance, cost, least)
+    kept = np.empty(cells.shape)
+    kept[0, 0], kept[0, 1] = cells[0, 1] + 0.5, cells[0, 0] + 0.5
+    n, at = 1, 0
+    while at < cells.shape[0] - 1:
+        onward = at + 1
+        while onward + 1 < cells.shape[0] and clear_line(distance, cost, cells[at], cells[onward + 1], least):
+            onward += 1
+        kept[n, 0], kept[n, 1] = cells[onward, 1] + 0.5, cells[onward, 0] + 0.5
+        n, at = n + 1, onward
+    return kept[:n].copy()
 
 
 @compiled
@@ -233,74 +204,38 @@ def nearest_reached(total: Costs, x: float, y: float, reach: float) -> tuple[int
 
 
 @compiled
-def clear_line(distance: Distances, x0: float, y0: float, x1: float, y1: float, least: float) -> bool:
-    """True when every cell on the line between two points, in cells, is `least` or more from walls."""
+def clear_line(distance: Distances, cost: Bytes, first: Ints, last: Ints, least: float) -> bool:
+    """True when all cells on the line between two cells (row, column) are passable, and `least` or more from walls."""
+    x0, y0, x1, y1 = first[1] + 0.5, first[0] + 0.5, last[1] + 0.5, last[0] + 0.5
     n = int(math.hypot(x1 - x0, y1 - y0) * 2.0) + 1
     for i in range(n + 1):
-        row = math.floor(y0 + (y1 - y0) * i / n)
-        column = math.floor(x0 + (x1 - x0) * i / n)
-        if not (0 <= row < distance.shape[0] and 0 <= column < distance.shape[1]) or distance[row, column] < least:
+        row, column = math.floor(y0 + (y1 - y0) * i / n), math.floor(x0 + (x1 - x0) * i / n)
+        if distance[row, column] < least or cost[row, column] == 0:
             return False
     return True
 
 
 @compiled
-def wall_on_way(label: Bytes, path: Array, origin: Array, resolution: float, radius_m: float) -> bool:
+def wall_on_path(label: Bytes, path: Array, origin: Array, resolution: float, radius_m: float) -> bool:
     """True when the centre of an OCCUPIED cell lies within `radius_m` of the path (n,2) m, map frame."""
-    cells = np.empty(path.shape)
+    cells, radius = np.empty(path.shape), radius_m / resolution
     for i in range(path.shape[0]):
         cells[i, 0], cells[i, 1] = (path[i, 0] - origin[0]) / resolution, (path[i, 1] - origin[1]) / resolution
-    return wall_on_path(label, cells, radius_m / resolution)
-
-
-@compiled
-def wall_on_path(label: Bytes, path: Array, radius: float) -> bool:
-    """True when the centre of an OCCUPIED cell lies within `radius` of the path (n,2), in cells."""
-    near = math.ceil(radius)
     for leg in range(path.shape[0] - 1):
-        dx, dy = path[leg + 1, 0] - path[leg, 0], path[leg + 1, 1] - path[leg, 1]
+        dx, dy = cells[leg + 1, 0] - cells[leg, 0], cells[leg + 1, 1] - cells[leg, 1]
         n = int(math.hypot(dx, dy)) + 1
         for i in range(n + 1):
-            x, y = path[leg, 0] + dx * i / n, path[leg, 1] + dy * i / n
-            if _wall_within(label, x, y, near, radius):
+            if _wall_within(label, cells[leg, 0] + dx * i / n, cells[leg, 1] + dy * i / n, radius):
                 return True
     return False
 
 
 @compiled
-def _wall_within(label: Bytes, x: float, y: float, near: int, radius: float) -> bool:
+def _wall_within(label: Bytes, x: float, y: float, radius: float) -> bool:
     """True when the centre of an OCCUPIED cell lies within `radius` of (x, y), in cells."""
-    row, column = math.floor(y), math.floor(x)
+    row, column, near = math.floor(y), math.floor(x), math.ceil(radius)
     for r in range(max(row - near, 0), min(row + near + 1, label.shape[0])):
         for c in range(max(column - near, 0), min(column + near + 1, label.shape[1])):
             if label[r, c] == OCCUPIED and math.hypot(c + 0.5 - x, r + 0.5 - y) < radius:
                 return True
     return False
-
-
-@compiled
-def shorten(points: Array, distance: Distances, cost: Bytes, least: float) -> Array:
-    """The path (n,2), in cells, without the points that a clear line over known cells jumps; the ends stay."""
-    kept = np.empty_like(points)
-    kept[0] = points[0]
-    n, at = 1, 0
-    while at < points.shape[0] - 1:
-        onward = at + 1
-        while onward + 1 < points.shape[0] and _may_jump(points, distance, cost, at, onward + 1, least):
-            onward += 1
-        kept[n] = points[onward]
-        n, at = n + 1, onward
-    return kept[:n].copy()
-
-
-@compiled
-def _may_jump(points: Array, distance: Distances, cost: Bytes, first: int, last: int, least: float) -> bool:
-    """True when the line between two points of a path is clear and passable."""
-    x0, y0, x1, y1 = points[first, 0], points[first, 1], points[last, 0], points[last, 1]
-    if not clear_line(distance, x0, y0, x1, y1, least):
-        return False
-    n = int(math.hypot(x1 - x0, y1 - y0) * 2.0) + 1
-    passable = True
-    for i in range(n + 1):
-        passable = passable and cost[math.floor(y0 + (y1 - y0) * i / n), math.floor(x0 + (x1 - x0) * i / n)] > 0
-    return passable

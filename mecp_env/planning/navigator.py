@@ -207,7 +207,7 @@ def door_of(target: Target, output: SlamOutput) -> Door | None:
 def blocked(path: Array, output: SlamOutput, config: PlanningConfig) -> bool:
     """True when a wall is closer to the path (n,2) than the robot's radius."""
     grid = output.grid
-    return bool(grid_paths.wall_on_way(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
+    return bool(grid_paths.wall_on_path(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
 
 
 def plan(target: Target, output: SlamOutput, config: PlanningConfig) -> Array:

@@ -75,6 +75,8 @@ def _field_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, 
     """The cheapest paths from a cell; fields and grids are never written to."""
     cells = 1.0 / grid.resolution_m
     least = config.radius_m * cells if tight else (config.radius_m + config.margin_m) * cells + 0.5
-    limits = (least, max(config.comfort_m * cells, least), config.wall_cost, int(0.5 * cells))
-    field = grid_paths.cost_to_go(grid.label, row, column, limits)
-    return CostToGoField(grid, *field, config.shortcut_m * cells)
+    comfort = max(config.comfort_m * cells, least)
+    clearance = grid_paths.clearance(grid.label, comfort)
+    cost = grid_paths.cell_costs(grid.label, clearance, least, comfort, config.wall_cost)
+    grid_paths.open_start(cost, grid.label, clearance, row, column, int(0.5 * cells))
+    return CostToGoField(grid, clearance, cost, *grid_paths.cost_to_go(cost, row, column), config.shortcut_m * cells)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core import grid_paths as kernels
+from mecp_env.core import grid_paths
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -20,13 +20,13 @@ class Ways:
     """Paths of round pedestrians over the raster of a building's free space; derived, not part of a snapshot."""
 
     def __init__(self, free: Bools, corner: Array, cell_m: float, radius_m: float) -> None:
-        label = np.where(free, kernels.FREE, kernels.OCCUPIED).astype(np.uint8)
+        label = np.where(free, grid_paths.FREE, grid_paths.OCCUPIED).astype(np.uint8)
         least = (radius_m + MARGIN_M) / cell_m + 0.5
         comfort = max(COMFORT_M / cell_m, least)
         self._corner, self._cell_m = corner, cell_m
-        self.clearance = kernels.clearance(label, comfort)  # (H,W) cells to the nearest wall, up to the comfort
-        self._cost = kernels.cell_costs(label, self.clearance, least, comfort, WALL_COST)
-        self._open = np.where(self._cost > 0, 0, kernels.FAR).astype(np.int32)  # (H,W) FAR where no pedestrian may be
+        self.clearance = grid_paths.clearance(label, comfort)  # (H,W) cells to the nearest wall, up to the comfort
+        self._cost = grid_paths.cell_costs(label, self.clearance, least, comfort, WALL_COST)
+        self._open = np.where(self._cost > 0, 0, grid_paths.FAR).astype(np.int32)  # (H,W) FAR: barred
         self._shortcut = max(SHORTCUT_M / cell_m, least)
         self._fields: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
 
@@ -35,7 +35,7 @@ class Ways:
         start = self._nearest(self._open, p_world)
         if start is None:
             return np.empty((0, 2))
-        rows, columns = np.nonzero(self._field(*start)[0] < kernels.FAR)
+        rows, columns = np.nonzero(self._field(*start)[0] < grid_paths.FAR)
         middles: Array = self._corner + (np.stack([columns, rows], axis=1) + 0.5) * self._cell_m
         return middles
 
@@ -54,18 +54,18 @@ class Ways:
         begin = self._nearest(total, p_from)
         if begin is None:
             return np.empty((0, 2))
-        cells = kernels.smooth_path(step, *begin, self.clearance, self._cost, self._shortcut)
+        cells = grid_paths.smooth_path(step, *begin, self.clearance, self._cost, self._shortcut)
         points: Array = self._corner + cells[::-1] * self._cell_m
         return points
 
     def _field(self, row: int, column: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         """Cost and step of the paths from a cell to all others."""
         if (row, column) not in self._fields:
-            self._fields[row, column] = kernels.distance_field(self._cost, row, column)
+            self._fields[row, column] = grid_paths.cost_to_go(self._cost, row, column)
         return self._fields[row, column]
 
     def _nearest(self, total: NDArray[np.int32], p_world: Array) -> tuple[int, int] | None:
         """Row and column of the nearest cell within `NEAR_M` that is not FAR."""
         x, y = ((p_world - self._corner) / self._cell_m).tolist()
-        row, column = kernels.nearest_reached(total, x, y, NEAR_M / self._cell_m)
+        row, column = grid_paths.nearest_reached(total, x, y, NEAR_M / self._cell_m)
         return None if row < 0 else (row, column)

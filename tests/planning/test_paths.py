@@ -71,14 +71,15 @@ def test_the_field_is_dijkstra(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cost = grid_paths.cell_costs(label := random_label(rng), grid_paths.clearance(label, 6.0), 3.2, 6.0, 6.0)
     row, column = rng.choice(np.argwhere(cost > 0))
-    total, step = grid_paths.distance_field(cost, int(row), int(column))
+    total, step = grid_paths.cost_to_go(cost, int(row), int(column))
     assert (total == dijkstra(cost, int(row), int(column))).all()
     for r, c in rng.choice(np.argwhere(total < grid_paths.FAR), 20):
         cells = grid_paths.trace_back(step, int(r), int(c))
         assert cells[0].tolist() == [row, column]
         assert cells[-1].tolist() == [r, c]
         stride = np.abs(np.diff(cells, axis=0)).sum(axis=1)
-        assert grid_paths.way_length(step, int(r), int(c)) == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
+        (length,) = grid_paths.path_lengths(total, step, np.array([[c + 0.5, r + 0.5, 0.1]]))
+        assert length == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
 
 
 def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
@@ -194,10 +195,10 @@ def test_smoothing_leaves_few_points_in_the_open() -> None:
 def test_a_wall_on_the_path_is_noticed() -> None:
     label = np.full((40, 60), Cell.FREE, np.uint8)
     path = np.array([[5.0, 20.5], [55.0, 20.5]])
-    assert not grid_paths.wall_on_path(label, path, 2.2)
+    assert not grid_paths.wall_on_path(label, path, np.zeros(2), 1.0, 2.2)
     label[22, 30] = Cell.OCCUPIED
-    assert grid_paths.wall_on_path(label, path, 2.2)
-    assert not grid_paths.wall_on_path(label, path, 1.9)
+    assert grid_paths.wall_on_path(label, path, np.zeros(2), 1.0, 2.2)
+    assert not grid_paths.wall_on_path(label, path, np.zeros(2), 1.0, 1.9)
 
 
 def test_ways_on_a_painted_grid_lead_through_the_door() -> None:
