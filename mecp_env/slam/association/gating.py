@@ -23,6 +23,7 @@ Rows = NDArray[np.void]
 
 HERE = -2  # not seen through a door
 NOWHERE = np.empty(0, np.int64)
+FIXED = -1.0  # cost of a pair that a polygon match has fixed: below every NIS
 
 
 @lru_cache
@@ -140,16 +141,29 @@ def one_to_one(cost: Array, gate: float) -> Ints:
 
 
 @compiled
-def possible_pairs(costs: Array, landmarks: Ints, gate: float, most: int, corner: Ints, ids: Ints, cost: Array) -> int:
-    """Write corner, landmark id and cost (P,) of each pair inside the gate; of too many, the `most` that cost least.
+def possible_pairs(
+    costs: Array,
+    landmarks: Ints,
+    fixed_corners: Ints,
+    fixed_ids: Ints,
+    gate: float,
+    most: int,
+    pairs: Ints,
+    cost: Array,
+) -> int:
+    """Write corner and landmark id (2,P) and cost (P,) of each pair inside the gate, or the `most` that cost least.
 
-    Of pairs that cost the same, the last go first. Returns P.
+    `fixed_corners` (v,) are the landmarks `fixed_ids` (v,) and no others, whatever these pairs cost: they are FIXED.
+    Of pairs that cost the same, the last go first. `costs` (n,N) is overwritten. Returns P.
     """
+    for v in range(fixed_corners.shape[0]):
+        for j in range(landmarks.shape[0]):
+            costs[fixed_corners[v], j] = FIXED if landmarks[j] == fixed_ids[v] else math.inf
     count = 0
     for i in range(costs.shape[0]):
         for j in range(costs.shape[1]):
             if costs[i, j] <= gate:
-                corner[count], ids[count], cost[count] = i, landmarks[j], costs[i, j]
+                pairs[0, count], pairs[1, count], cost[count] = i, landmarks[j], costs[i, j]
                 count += 1
     while count > most:
         dearest = 0
@@ -157,6 +171,6 @@ def possible_pairs(costs: Array, landmarks: Ints, gate: float, most: int, corner
             if cost[p] >= cost[dearest]:
                 dearest = p
         for p in range(dearest, count - 1):
-            corner[p], ids[p], cost[p] = corner[p + 1], ids[p + 1], cost[p + 1]
+            pairs[0, p], pairs[1, p], cost[p] = pairs[0, p + 1], pairs[1, p + 1], cost[p + 1]
         count -= 1
     return count

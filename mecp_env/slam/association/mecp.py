@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.association.gating import chi2_gate, pairing_table, possible_pairs
+from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.polygon_matching import PolygonMatcher
+from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 
-FIXED = -1.0  # cost of a pair that a polygon match has fixed: below every NIS
+NONE = np.empty(0, np.int64)
 
 
 @dataclass(slots=True, eq=False)
@@ -36,30 +36,35 @@ class MecpAssociator(Associator):
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner (III-B.2)."""
-        builder, landmarks = MatchBuilder(len(corners)), view.belief.ids
-        nis = np.empty((len(corners), 0))
-        if len(landmarks) and len(corners):
+        builder, nis = MatchBuilder(len(corners)), np.empty((len(corners), 0))
+        if len(view.belief.ids) and len(corners):
             table = pairing_table(corners, view, belief, self.config, self.gate)
             nis, costs = table.nis, table.costs
             matcher = PolygonMatcher(self.config, corners, view, belief, nis)
             found = matcher.first_match(polygons) if self.config.use_polygons else None
-            seeds = 0 if found is not None or self._is_sharp(view.belief) else self.config.most_seeds
-            if found is not None:
-                costs[found.corners] = np.inf
-                costs[found.corners, view.belief.rows(found.ids)] = FIXED
-                builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
-            self._pair(builder, corners, costs, landmarks, seeds, belief)
+            self._pair(builder, corners, costs, found, view.belief, belief)
         return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
 
     def _pair(
-        self, builder: MatchBuilder, corners: Corners, costs: Array, landmarks: Ints, seeds: int, belief: Filter
+        self,
+        builder: MatchBuilder,
+        corners: Corners,
+        costs: Array,
+        found: PolygonMatch | None,
+        predicted: Belief,
+        belief: Filter,
     ) -> None:
-        """Accept pairings by joint compatibility, those that a polygon has fixed first."""
-        config = self.config
-        corner, ids, cost = np.empty(costs.size, np.int64), np.empty(costs.size, np.int64), np.empty(costs.size)
-        count = possible_pairs(costs, landmarks, self.gate, config.most_pairs, corner, ids, cost)
+        """Accept pairings by joint compatibility, those of the polygon that was found first."""
+        config, seeds, fixed = self.config, 0, (NONE, NONE)
+        if found is not None:
+            fixed = found.corners, found.ids
+            builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
+        elif not self._is_sharp(predicted):
+            seeds = config.most_seeds
+        pairs, cost = np.empty((2, costs.size), np.int64), np.empty(costs.size)
+        count = possible_pairs(costs, predicted.ids, *fixed, self.gate, config.most_pairs, pairs, cost)
         if count:
-            corner, ids, cost = corner[:count], ids[:count], cost[:count]
+            corner, ids, cost = pairs[0, :count], pairs[1, :count], cost[:count]
             innovation = belief.innovation(*corners.measurements(corner), ids)
             accept(innovation, corner, ids, cost, seeds, self.gate, config.rival_gap, builder.rows)
 

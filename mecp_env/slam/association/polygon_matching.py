@@ -15,7 +15,6 @@ from mecp_env.slam.protocols import Filter
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Rows = NDArray[np.void]
 
 AMBIGUITY_GAP = 9.21  # 99 % of chi-square with 2: the second best must be this much worse (derivations 3.2)
@@ -70,7 +69,7 @@ def polygon_hypotheses(
     return h
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class PolygonMatcher:
     """Matches polygons of one scan with those of the map."""
 
@@ -85,12 +84,11 @@ class PolygonMatcher:
         for p, polygon in enumerate(polygons):
             found = self._match(polygon) if len(polygon.corners) >= 4 else None
             if found is not None:
-                map_polygon, vertices, ids = found
-                return PolygonMatch(p, map_polygon, polygon.corners[vertices], ids[vertices])
+                return PolygonMatch(p, *found)
         return None
 
-    def _match(self, polygon: Polygon) -> tuple[int, Bools, Ints] | None:
-        """Index of the map polygon, the vertices (k,) whose landmarks are clear, and the ids (k,); or None."""
+    def _match(self, polygon: Polygon) -> tuple[int, Ints, Ints] | None:
+        """Index of the map polygon, the corners (v,) whose landmarks are clear, and their ids (v,); or None."""
         rings = self.view.rings.get(len(polygon.corners))
         if rings is None:
             return None
@@ -107,7 +105,7 @@ class PolygonMatcher:
             joint = self.belief.joint_nis(z, R, hypothesis)
             if joint <= joint_gate:
                 accepted.append((joint, int(rings.index[c]), hypothesis))
-        return _agreed(accepted)
+        return _agreed(accepted, polygon.corners)
 
     def _hypotheses(self, polygon: Polygon, rings: Rings, gate: float) -> tuple[Ints, Ints]:
         """Ids (h,k) of map polygons as `polygon_hypotheses` writes them, and which of `rings` (h,) they are."""
@@ -118,13 +116,15 @@ class PolygonMatcher:
         return ids[:h], which[:h]
 
 
-def _agreed(hypotheses: list[tuple[float, int, Ints]]) -> tuple[int, Bools, Ints] | None:
-    """The best hypothesis with the vertices on which all serious rivals agree; None when these are under three."""
+def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[int, Ints, Ints] | None:
+    """The best hypothesis, cut down to the vertices on which all serious rivals agree; None under three of them."""
     if not hypotheses:
         return None
     nis, map_polygon, ids = min(hypotheses, key=lambda h: (h[0], h[1]))
+    if len(hypotheses) == 1:
+        return map_polygon, corners, ids
     agreed = np.ones(len(ids), np.bool_)
     for rival in hypotheses:
         if rival[0] < nis + AMBIGUITY_GAP:
             agreed &= rival[2] == ids
-    return (map_polygon, agreed, ids) if agreed.sum() >= 3 else None
+    return (map_polygon, corners[agreed], ids[agreed]) if agreed.sum() >= 3 else None

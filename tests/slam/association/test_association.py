@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.association.gating import (
+    FIXED,
     HERE,
     chi2_gate,
     mask_by_descriptor,
@@ -15,7 +16,7 @@ from mecp_env.slam.association.gating import (
 )
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.mecp import FIXED, accept
+from mecp_env.slam.association.mecp import accept
 from mecp_env.slam.association.polygon_matching import polygon_hypotheses
 from mecp_env.slam.messages import FEATURE, UNKNOWN_ROOM, Belief, CornerKind, FeatureState, Reason
 
@@ -143,16 +144,17 @@ def test_jambs_belong_to_both_rooms():
 def test_possible_pairs_are_those_inside_the_gate_and_of_too_many_the_cheapest():
     costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
 
-    def pairs(costs, most):
-        corner, ids, cost = np.empty(6, np.int64), np.empty(6, np.int64), np.empty(6)
-        count = possible_pairs(costs, np.array([70, 71, 72]), 13.8, most, corner, ids, cost)
-        assert cost[:count].tolist() == [costs[i, j - 70] for i, j in zip(corner[:count], ids[:count], strict=True)]
-        return np.stack((corner, ids), axis=1)[:count].tolist()
+    def chosen(fixed, most):
+        pairs, cost, left = np.empty((2, 6), np.int64), np.empty(6), costs.copy()
+        corners, ids = np.array(list(fixed), np.int64), np.array(list(fixed.values()), np.int64)
+        count = possible_pairs(left, np.array([70, 71, 72]), corners, ids, 13.8, most, pairs, cost)
+        assert cost[:count].tolist() == [left[i, j - 70] for i, j in pairs[:, :count].T]
+        return pairs[:, :count].T.tolist()
 
-    assert pairs(costs, 9) == [[0, 70], [0, 71], [1, 71], [1, 72]]
-    assert pairs(costs, 2) == [[0, 70], [1, 71]]
-    fixed = np.array([[np.inf, np.inf, FIXED], [99.0, 2.0, 4.0]])
-    assert pairs(fixed, 2) == [[0, 72], [1, 71]]
+    assert chosen({}, 9) == [[0, 70], [0, 71], [1, 71], [1, 72]]
+    assert chosen({}, 2) == [[0, 70], [1, 71]]
+    assert chosen({0: 72}, 2) == [[0, 72], [1, 71]]
+    assert chosen({0: 72, 1: 70}, 9) == [[0, 72], [1, 70]]
 
 
 def test_several_seeds_find_what_a_free_choice_misses():
