@@ -1,0 +1,98 @@
+"""Rigid transforms of the plane obey the group axioms; angles are wrapped to (-pi, pi]."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from mecp_env.core.se2 import compose, inverse, polar_to_map, polar_to_points, to_map, to_robot, wrap_angle
+
+LENGTHS = st.floats(-100.0, 100.0)
+ANGLES = st.floats(-1000.0, 1000.0)
+POSES = st.builds(lambda x, y, heading: np.array([x, y, heading]), LENGTHS, LENGTHS, st.floats(-math.pi, math.pi))
+POINTS = st.lists(st.tuples(LENGTHS, LENGTHS), min_size=1, max_size=4).map(np.array)
+UNTIMED = settings(deadline=None)  # the first call compiles
+
+
+def assert_same_pose(one, other):
+    np.testing.assert_allclose(one[:2], other[:2], atol=1e-11)
+    assert abs(math.remainder(one[2] - other[2], 2.0 * math.pi)) < 1e-13
+
+
+def matrix(T):
+    c, s = math.cos(T[2]), math.sin(T[2])
+    return np.array([[c, -s, T[0]], [s, c, T[1]], [0.0, 0.0, 1.0]])
+
+
+@UNTIMED
+@given(ANGLES)
+@example(math.pi)
+@example(-math.pi)
+@example(math.nextafter(math.pi, 4.0))
+@example(math.nextafter(-math.pi, -4.0))
+@example(3.0 * math.pi)
+@example(-3.0 * math.pi)
+@example(0.0)
+def test_wrapped_angles_are_in_range_and_point_the_same_way(angle):
+    wrapped = wrap_angle(angle)
+    assert -math.pi < wrapped <= math.pi
+    assert abs(math.remainder(wrapped - angle, 2.0 * math.pi)) < 1e-12
+    assert abs(math.remainder(wrap_angle(wrapped) - wrapped, 2.0 * math.pi)) < 1e-15
+
+
+def test_both_ends_of_the_range_are_plus_pi():
+    assert wrap_angle(math.pi) == wrap_angle(-math.pi) == math.pi
+
+
+@UNTIMED
+@given(POSES, POSES, POSES)
+def test_composition_is_associative(T_a_b, T_b_c, T_c_d):
+    assert_same_pose(compose(compose(T_a_b, T_b_c), T_c_d), compose(T_a_b, compose(T_b_c, T_c_d)))
+
+
+@UNTIMED
+@given(POSES)
+def test_the_identity_changes_nothing(T_a_b):
+    assert_same_pose(compose(T_a_b, np.zeros(3)), T_a_b)
+    assert_same_pose(compose(np.zeros(3), T_a_b), T_a_b)
+
+
+@UNTIMED
+@given(POSES)
+def test_the_inverse_gives_the_identity_on_both_sides(T_a_b):
+    assert_same_pose(compose(T_a_b, inverse(T_a_b)), np.zeros(3))
+    assert_same_pose(compose(inverse(T_a_b), T_a_b), np.zeros(3))
+    assert_same_pose(inverse(inverse(T_a_b)), T_a_b)
+
+
+@UNTIMED
+@given(POSES, POSES)
+def test_composition_is_the_product_of_the_matrices(T_a_b, T_b_c):
+    np.testing.assert_allclose(matrix(compose(T_a_b, T_b_c)), matrix(T_a_b) @ matrix(T_b_c), atol=1e-11)
+
+
+@UNTIMED
+@given(POSES, POSES, POINTS)
+def test_points_are_carried_as_by_the_matrices(T_map_robot, T_robot_laser, p_laser):
+    p_map = to_map(T_map_robot, to_map(T_robot_laser, p_laser))
+    np.testing.assert_allclose(p_map, to_map(compose(T_map_robot, T_robot_laser), p_laser), atol=1e-11)
+    np.testing.assert_allclose(to_robot(T_map_robot, to_map(T_map_robot, p_laser)), p_laser, atol=1e-11)
+    np.testing.assert_allclose(to_robot(T_map_robot, p_laser), to_map(inverse(T_map_robot), p_laser), atol=1e-11)
+    homogeneous = np.column_stack((p_laser, np.ones(len(p_laser))))
+    np.testing.assert_allclose(
+        to_map(T_robot_laser, p_laser), (homogeneous @ matrix(T_robot_laser).T)[:, :2], atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ranges_and_bearings_become_points_of_the_map(seed):
+    rng = np.random.default_rng(seed)
+    z, T_map_robot = np.column_stack((rng.uniform(0.1, 9.0, 7), rng.uniform(-3.0, 3.0, 7))), rng.normal(size=3)
+    p_map = np.empty((7, 2))
+    polar_to_map(T_map_robot, z, p_map)
+    assert (p_map == to_map(T_map_robot, polar_to_points(z))).all()
+    np.testing.assert_allclose(np.hypot(*(p_map - T_map_robot[:2]).T), z[:, 0], atol=1e-12)

@@ -1,0 +1,127 @@
+"""Covariances stay symmetric and positive through any sequence of predictions, updates, births, merges and removals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mecp_env.core.linalg import downdate, factor_lower, forward_rows, mahalanobis, solve_lower
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters import make_filter
+from tests.slam.filters.conftest import random_cov, random_odometry, sensor_cov
+
+STEPS = ("predict", "slip", "update", "iterate", "augment", "merge", "remove", "pin")
+SEQUENCES = st.lists(st.sampled_from(STEPS), min_size=1, max_size=25)
+
+
+class Life:
+    """A filter with a random life; measurements are near what it expects."""
+
+    def __init__(self, kind: str, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.filter: Any = make_filter(FilterConfig(kind=kind))
+        self.born = 0
+
+    def predict(self) -> None:
+        self.filter.predict(random_odometry(self.rng, int(self.rng.integers(1, 4))))
+
+    def slip(self) -> None:
+        self.filter.predict(random_odometry(self.rng, 1, bumper=True))
+
+    def augment(self) -> None:
+        m = int(self.rng.integers(1, 6))
+        z = np.column_stack((self.rng.uniform(1.0, 9.0, m), self.rng.uniform(-np.pi, np.pi, m)))
+        self.filter.augment(z, sensor_cov(self.rng, m), self.born + np.arange(m))
+        self.born += m
+
+    def update(self, iterate: bool = False) -> None:
+        ids = self.rng.permutation(self.filter.ids)[:5]
+        nu, _ = self.filter.innovation(np.zeros((len(ids), 2)), np.eye(2 * len(ids)), ids)
+        z = -nu.reshape(-1, 2) + self.rng.normal(size=(len(ids), 2)) * [0.05, 0.01]
+        self.filter.update(z, sensor_cov(self.rng, len(ids)), ids, iterate)
+
+    def iterate(self) -> None:
+        self.update(iterate=True)
+
+    def merge(self) -> None:
+        """The two nearest landmarks become one."""
+        belief = self.filter.belief()
+        if len(belief.ids) >= 2:
+            distance = np.hypot(*(belief.p_map[:, None] - belief.p_map).transpose(2, 0, 1)) + 1e9 * np.eye(
+                len(belief.ids)
+            )
+            i, j = np.unravel_index(distance.argmin(), distance.shape)
+            self.filter.fuse(int(belief.ids[i]), int(belief.ids[j]))
+
+    def remove(self) -> None:
+        self.filter.remove(self.rng.permutation(self.filter.ids)[:2])
+
+    def pin(self) -> None:
+        self.filter.set_pose(self.filter.belief().T_map_robot + self.rng.normal(size=3) * 0.01)
+
+
+def assert_covariance(cov: Any) -> None:
+    np.testing.assert_array_equal(cov, cov.T)
+    scale = np.sqrt(np.diag(cov))
+    assert np.linalg.eigvalsh(cov / np.outer(scale, scale)).min() > -1e-9  # of the correlations: free of units
+
+
+@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(SEQUENCES, st.integers(0, 10**6))
+def test_any_life_of_a_filter_keeps_a_covariance(kind, sequence, seed):
+    life = Life(kind, seed)
+    life.augment()
+    for step in sequence:
+        getattr(life, step)()
+        size = life.filter.size
+        assert np.isfinite(life.filter.mean[:size]).all()
+        assert_covariance(life.filter.cov[:size, :size])
+        belief = life.filter.belief()
+        assert_covariance(belief.pose_cov)
+        for cov in belief.covs:
+            assert_covariance(cov)
+
+
+@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_an_update_adds_no_uncertainty_and_a_prediction_removes_none(kind, seed):
+    life = Life(kind, seed)
+    life.augment()
+    for grow, step in ((True, life.slip), (False, life.update), (True, life.predict), (False, life.update)):
+        before = np.linalg.slogdet(life.filter.marginal(life.filter.ids)[1])[1]
+        step()
+        after = np.linalg.slogdet(life.filter.marginal(life.filter.ids)[1])[1]
+        assert (after - before) * (1.0 if grow else -1.0) > -1e-6
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 12), st.integers(0, 10**6))
+def test_factors_and_solutions_are_those_of_numpy(n, seed):
+    rng = np.random.default_rng(seed)
+    S, b, B = random_cov(rng, np.ones(n)), rng.normal(size=n), rng.normal(size=(n, 5))
+    L = S.copy()
+    assert factor_lower(L)
+    np.testing.assert_allclose(np.tril(L), np.linalg.cholesky(S), atol=1e-9)
+    np.testing.assert_allclose(np.tril(L) @ solve_lower(L, b), b, atol=1e-9)
+    X = B.copy()
+    forward_rows(L, X)
+    np.testing.assert_allclose(np.tril(L) @ X, B, atol=1e-9)
+    assert mahalanobis(b, S) == pytest.approx(b @ np.linalg.solve(S, b), rel=1e-6)
+    assert not factor_lower(S - 2.0 * np.linalg.eigvalsh(S)[0] * np.eye(n))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 20), st.integers(1, 6), st.integers(0, 10**6))
+def test_a_downdate_is_symmetric_to_the_bit(n, rows, seed):
+    rng = np.random.default_rng(seed)
+    P, W = random_cov(rng, np.ones(n)), rng.normal(size=(rows, n))
+    expected = P - W.T @ W
+    downdate(P, n, W)
+    np.testing.assert_array_equal(P, P.T)
+    np.testing.assert_allclose(P, expected, atol=1e-12)
