@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv, Observation
 from mecp_env.episode.actions import check_choice, normalised_command
-from mecp_env.episode.observations import GOALS
+from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.goal_list import Outcome
 from mecp_env.planning.navigator import Navigator, Target
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import Belief, FeatureTable
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -16,6 +17,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
+LANDMARKS, GOALS = 128, 32  # rows
 LAYERS = ("free", "polygon", "occupied", "unknown", "door", "room", "frontier", "path")
 
 
@@ -63,17 +65,19 @@ def pool_codes(codes: Bytes, width: int) -> Bytes:
 
 
 @compiled
-def sample_window(pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float]) -> Bytes:
-    """(n,n) what the pooled codes hold around `pose`: the first row lies ahead of the robot, the first column left.
+def window_layers(
+    pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
+) -> Bytes:
+    """(8,n,n) 255 where a layer is set around `pose`: the first row lies ahead of the robot, the first column left.
 
-    `corner` (2,) is the lower left corner of the grid of pooled codes, `size` holds n and the side of a window cell
-    in metres. Outside the grid everything is unknown.
+    `corner` (2,) is the lower left corner of the grid of pooled codes, `size` holds n and the side of a window cell in
+    metres, `path` (m,2) the points of the layer "path". Outside the grid everything is unknown.
     """
     n, side = size
     rows, cols = pooled.shape
     flat = pooled.reshape(-1)
-    c, s = math.cos(pose[2]) * side / resolution, math.sin(pose[2]) * side / resolution
-    half = 0.5 * (n - 1)
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    c, s, half = cosine * side / resolution, sine * side / resolution, 0.5 * (n - 1)
     x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
     y = (pose[1] - corner[1]) / resolution + s * half + c * half
     window = np.empty((n, n), np.uint8)
@@ -88,26 +92,19 @@ def sample_window(pooled: Bytes, corner: Array, resolution: float, pose: Array, 
             window[i, last] = UNKNOWN
         for j in range(first, last):
             window[i, j] = flat[np.uint64(int(v - c * j) * cols + int(u + s * j))]
-    return window
+    for k in range(path.shape[0]):
+        dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
+        i = math.floor(0.5 * n - (cosine * dx + sine * dy) / side)
+        j = math.floor(0.5 * n - (-sine * dx + cosine * dy) / side)
+        if i >= 0 and j >= 0 and i < n and j < n:
+            window[i, j] |= PATH
+    return unpack_layers(window)
 
 
 @compiled
 def _is_inside(u: float, v: float, cols: int, rows: int) -> bool:
     """True when column u and row v lie on the grid."""
     return bool(u >= 0.0 and v >= 0.0 and u < cols and v < rows)
-
-
-@compiled
-def mark_path(window: Bytes, points: Array, pose: Array, cell: float) -> None:
-    """Set the path bit in `window` (n,n) where one of the points (m,2) of the path lies."""
-    n = window.shape[0]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(points.shape[0]):
-        dx, dy = points[k, 0] - pose[0], points[k, 1] - pose[1]
-        i = math.floor(0.5 * n - (c * dx + s * dy) / cell)
-        j = math.floor(0.5 * n - (-s * dx + c * dy) / cell)
-        if i >= 0 and j >= 0 and i < n and j < n:
-            window[i, j] |= PATH
 
 
 @compiled
@@ -122,14 +119,25 @@ def unpack_layers(window: Bytes) -> Bytes:
     return layers.reshape(8, window.shape[0], window.shape[1])
 
 
-@compiled
-def window_layers(
-    pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
-) -> Bytes:
-    """(8,n,n) the layers around `pose` with the path (m,2); see `sample_window`."""
-    window = sample_window(pooled, corner, resolution, pose, size)
-    mark_path(window, path, pose, size[1])
-    return unpack_layers(window)
+def belief_tables(
+    belief: Belief, features: FeatureTable, became: Ints, goals: Floats, p_goals: Array, limits: Floats
+) -> tuple[dict[str, Floats], int]:
+    """The tables `pose`, `pose_cov`, `landmarks` and `goals` (G,9) of an observation; how many values were cut.
+
+    `became` (M,): the room that each room is after merges. `goals` holds all but the places `p_goals` (g,2) m, map
+    frame, which are filled in. `limits` (2,27): lower and upper bounds of the columns of the four tables.
+    """
+    pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
+    landmarks = np.zeros((LANDMARKS, 8), np.float32)
+    T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
+    cut: int = fill_tables(
+        (pose, pose_cov, landmarks, goals),
+        (T_map_robot, cov, belief.p_map, belief.covs),
+        (belief.ids, features.room, features.kind, became),
+        p_goals,
+        limits,
+    )
+    return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goals}, cut
 
 
 @compiled
@@ -140,7 +148,7 @@ def fill_tables(
     p_goals: Array,
     limits: Floats,
 ) -> int:
-    """Write `pose` (4,), `pose_cov` (6,), `landmarks` (R,8) and the places in `goals` (G,9); how many values were cut.
+    """See `belief_tables`: write `pose` (4,), `pose_cov` (6,), `landmarks` (R,8) and the places in `goals` (G,9).
 
     `belief`: pose (3,), its covariance (3,3), landmarks (N,2) and their covariances (N,2,2). `labels`: ids (N,) of the
     landmarks, room and kind (F,) by id, and what each room became (M,). `p_goals` (g,2) m, map frame. `limits` (2,27):
@@ -156,7 +164,11 @@ def fill_tables(
             pose_cov[k] = cov[i, j]
             k += 1
     landmark_rows(T_map_robot, p_map, covs, labels, landmarks)
-    goal_places(T_map_robot, p_goals, goals)
+    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
+    for k in range(min(p_goals.shape[0], goals.shape[0])):
+        dx, dy = p_goals[k, 0] - T_map_robot[0], p_goals[k, 1] - T_map_robot[1]
+        goals[k, 0] = c * dx + s * dy
+        goals[k, 1] = -s * dx + c * dy
     cut = saturate(pose.reshape(1, 4), limits, 0) + saturate(pose_cov.reshape(1, 6), limits, 4)
     return cut + saturate(landmarks, limits, 10) + saturate(goals, limits, 18)
 
@@ -165,7 +177,15 @@ def fill_tables(
 def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: tuple[Ints, Ints, Ints, Ints], rows: Floats) -> None:
     """Fill `rows` (R,8), the nearest first: x, y, cov xx, xy, yy in robot axes, room, kind, valid."""
     ids, room, kind, became = labels
-    order = nearest_first(p_map, pose)
+    count = p_map.shape[0]
+    order, far = np.empty(count, np.int64), np.empty(count)  # sorted by insertion: equally near ones keep their order
+    for i in range(count):
+        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
+        square, at = dx * dx + dy * dy, i
+        while at > 0 and far[at - 1] > square:
+            far[at], order[at] = far[at - 1], order[at - 1]
+            at -= 1
+        far[at], order[at] = square, i
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(min(order.shape[0], rows.shape[0])):
         i = order[k]
@@ -180,31 +200,6 @@ def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: tuple[Ints, In
         rows[k, 5] = became[own] if 0 <= own < became.shape[0] else own
         rows[k, 6] = kind[ids[i]]
         rows[k, 7] = 1.0
-
-
-@compiled
-def nearest_first(p_map: Array, pose: Array) -> Ints:
-    """(N,) rows of the points (N,2), those nearest to the pose first; equally near ones keep their order."""
-    count = p_map.shape[0]
-    order, far = np.empty(count, np.int64), np.empty(count)
-    for i in range(count):
-        dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
-        square, at = dx * dx + dy * dy, i
-        while at > 0 and far[at - 1] > square:
-            far[at], order[at] = far[at - 1], order[at - 1]
-            at -= 1
-        far[at], order[at] = square, i
-    return order
-
-
-@compiled
-def goal_places(pose: Array, p_map: Array, rows: Floats) -> None:
-    """Write x, y of the goals (g,2) in the robot frame into the first columns of `rows` (G,9)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(min(p_map.shape[0], rows.shape[0])):
-        dx, dy = p_map[k, 0] - pose[0], p_map[k, 1] - pose[1]
-        rows[k, 0] = c * dx + s * dy
-        rows[k, 1] = -s * dx + c * dy
 
 
 @compiled

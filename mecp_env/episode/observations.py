@@ -11,13 +11,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mecp_env.episode import observation_arrays
+from mecp_env.episode.observation_arrays import GOALS, LANDMARKS
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LANDMARKS, GOALS = 128, 32  # rows
 GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)
 EXTENT_M = 200.0  # bound of every position and length
@@ -103,7 +103,11 @@ class Observer:
         self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath
     ) -> tuple[dict[str, NDArray[Any]], int]:
         """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
-        observation, outside = self._tables(output, features, goals)
+        became, rows = self._rooms(output.graph), self._goal_columns(goals).copy()
+        tables, outside = observation_arrays.belief_tables(
+            output.belief, features, became, rows, goals.p_map, self._limits
+        )
+        observation: dict[str, NDArray[Any]] = dict(tables)
         observation["grid"] = self._window(output, trail, GRID)
         if "map" in self.space.spaces:
             observation["map"] = self._window(output, trail, MAP)
@@ -112,21 +116,6 @@ class Observer:
             outside += observation_arrays.saturate(scan.reshape(1, -1), self._scan_limits, 0)
         left_out = max(0, len(output.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
         return observation, left_out + outside
-
-    def _tables(self, output: SlamOutput, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
-        """The parts that are tables, and how many of their values were cut."""
-        belief = output.belief
-        pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
-        landmarks, goal_table = np.zeros((LANDMARKS, 8), np.float32), self._goal_columns(goals).copy()
-        T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
-        outside: int = observation_arrays.fill_tables(
-            (pose, pose_cov, landmarks, goal_table),
-            (T_map_robot, cov, belief.p_map, belief.covs),
-            (belief.ids, features.room, features.kind, self._rooms(output.graph)),
-            goals.p_map,
-            self._limits,
-        )
-        return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goal_table}, outside
 
     def _window(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> NDArray[np.uint8]:
         grid, pose = output.grid, np.ascontiguousarray(output.belief.T_map_robot)

@@ -112,42 +112,27 @@ def mapped_area(grid: SemanticGrid) -> float:
 
 @compiled
 def information(pose_cov: Array, covs: Array) -> tuple[float, float, float]:
-    """`drawing_sigma`, m; -0.5 log det of the pose covariance (3,3); `landmark_information` of covariances (N,2,2)."""
-    return drawing_sigma(pose_cov, AHEAD_M), -half_log_det(pose_cov), landmark_information(covs)
+    """Drawing sigma, m; -0.5 log det of the pose covariance (3,3); its mean over landmark covariances (N,2,2), nat.
 
-
-@compiled
-def drawing_sigma(pose_cov: Array, ahead_m: float) -> float:
-    """Standard deviation, m, of where the robot draws what stands so far ahead; inf for a covariance that is none."""
-    square = max(pose_cov[0, 0], pose_cov[1, 1]) + ahead_m * ahead_m * pose_cov[2, 2]
-    return math.sqrt(square) if square >= 0.0 else math.inf
-
-
-@compiled
-def landmark_information(covs: Array) -> float:
-    """Mean of -0.5 log det P, P in m^2, over the landmarks' covariances (N,2,2), nat; 0 without a landmark."""
+    The drawing sigma is that of where the robot draws what is `AHEAD_M` ahead; inf for an invalid covariance. Each log
+    determinant, P in m^2, is kept within [-60, 60]; -60 nat where P is not positive: the filter diverged. 0 without a
+    landmark.
+    """
+    square = max(pose_cov[0, 0], pose_cov[1, 1]) + AHEAD_M * AHEAD_M * pose_cov[2, 2]
+    sigma, factor, half = math.sqrt(square) if square >= 0.0 else math.inf, pose_cov.copy(), 0.0
+    positive = factor_lower(factor)
+    for i in range(3 if positive else 0):
+        half += math.log(factor[i, i])
+    pose_nat = -(_within(half) if positive else MOST_LOG_DET)
     total = 0.0
     for i in range(covs.shape[0]):
         det = covs[i, 0, 0] * covs[i, 1, 1] - covs[i, 0, 1] * covs[i, 1, 0]
-        positive = covs[i, 0, 0] > 0.0 and det > 0.0
-        total -= within(0.5 * math.log(det)) if positive else MOST_LOG_DET
-    return float(total / max(covs.shape[0], 1))
+        known = covs[i, 0, 0] > 0.0 and det > 0.0
+        total -= _within(0.5 * math.log(det)) if known else MOST_LOG_DET
+    return sigma, pose_nat, total / max(covs.shape[0], 1)
 
 
 @compiled
-def half_log_det(cov: Array) -> float:
-    """0.5 log det of a covariance (n,n), kept within [-60, 60]; 60 where it is not positive: the filter diverged."""
-    factor = cov.copy()
-    if not factor_lower(factor):
-        return MOST_LOG_DET
-    total = 0.0
-    for i in range(factor.shape[0]):
-        total += math.log(factor[i, i])
-    kept: float = within(total)
-    return kept
-
-
-@compiled
-def within(nat: float) -> float:
+def _within(nat: float) -> float:
     """`nat`, kept within [-60, 60]."""
     return float(max(LEAST_LOG_DET, min(MOST_LOG_DET, nat)))

@@ -126,6 +126,12 @@ class GroundTruth:
         inside = y >= 0.0 and x >= 0.0 and row < room.shape[0] and col < room.shape[1]
         return int(room[row, col]) if inside else -1
 
+    def count_cells(self, cells: Bools, p_world: Array) -> int:
+        """How many points (n,2) lie in the marked `cells` (H,W)."""
+        columns, rows = np.floor((p_world - self.corner) / CELL_M).astype(np.int64).T
+        inside = (rows >= 0) & (columns >= 0) & (rows < cells.shape[0]) & (columns < cells.shape[1])
+        return int(cells[rows[inside], columns[inside]].sum())
+
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
         level = np.array([T_world_robot[0], T_world_robot[1], 0.0])

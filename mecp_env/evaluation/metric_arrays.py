@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, solve_lower
-from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map, wrap_angle
+from mecp_env.core.se2 import polar_to_points, to_map, wrap_angle
 from mecp_env.slam.messages import Decision
 from mecp_env.world.laser import in_sight
 
@@ -27,48 +27,33 @@ BORDER = 3  # depth of a cell beside one of another room
 
 
 @compiled
-def pose_between(T_a_b: Array, T_a_c: Array) -> Array:
-    """T_b_c (3,)."""
-    return compose(inverse(T_a_b), T_a_c)
-
-
-@compiled
 def pose_errors(T_map_robot: Array, believed: Array, cov: Array) -> tuple[float, float, float]:
-    """Position error (m), heading error (rad) and NEES of the estimated pose (3,)."""
+    """Position error (m), heading error (rad) and NEES of the estimated pose (3,).
+
+    The NEES, the normalised squared error under the covariance (3,3), is 0 at an exact pose and at most 1e9, also where
+    the filter diverged and its covariance is no longer positive.
+    """
     error = np.empty(3)
     for i in range(3):
         error[i] = T_map_robot[i] - believed[i]
     error[2] = wrap_angle(error[2])
-    return math.sqrt(error[0] * error[0] + error[1] * error[1]), abs(error[2]), pose_nees(error, cov)
-
-
-@compiled
-def pose_nees(error: Array, cov: Array) -> float:
-    """Normalised squared error of the pose (3,) under its covariance (3,3), at most 1e9; 0 at an exact pose."""
-    if error[0] == 0.0 and error[1] == 0.0 and error[2] == 0.0:
-        return 0.0
-    L, total = cov.copy(), 0.0
-    if not factor_lower(L):  # the filter diverged: its covariance is no longer positive
-        return NEES_MAX
-    y = solve_lower(L, error)
-    for i in range(3):
-        total += y[i] * y[i]
-    return min(total, NEES_MAX)
+    L, nees = cov.copy(), 0.0
+    if error[0] != 0.0 or error[1] != 0.0 or error[2] != 0.0:
+        if factor_lower(L):
+            y = solve_lower(L, error)
+            nees = min(y[0] * y[0] + y[1] * y[1] + y[2] * y[2], NEES_MAX)
+        else:
+            nees = NEES_MAX
+    return math.sqrt(error[0] * error[0] + error[1] * error[1]), abs(error[2]), nees
 
 
 @compiled
 def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Array, gate: float) -> Ints:
-    """(n,) index of the true corner (m,2) that each corner z (n,2) of a scan is, or -1; see `pair_corners`."""
-    p_world = to_map(T_world_robot, polar_to_points(z))
-    return pair_corners(p_world, true, segments, T_world_robot, gate)
+    """(n,) index of the true corner (m,2) that each corner z (n,2) of a scan is, or -1: nearest first, one to one.
 
-
-@compiled
-def pair_corners(seen: Array, true: Array, segments: Array, pose: Array, gate: float) -> Ints:
-    """(n,) index of the true corner (m,2) that each seen one (n,2) is, or -1: nearest first, each true corner once.
-
-    Only true corners within `gate` metres and in sight from `pose` count; all in the world frame.
+    Only true corners within `gate` metres and in sight from the pose count.
     """
+    seen = to_map(T_world_robot, polar_to_points(z))
     n, m = seen.shape[0], true.shape[0]
     apart, identity = np.empty((n, m)), np.empty(n, np.int64)
     for j in range(m):
@@ -78,7 +63,7 @@ def pair_corners(seen: Array, true: Array, segments: Array, pose: Array, gate: f
             dx, dy = seen[i, 0] - true[j, 0], seen[i, 1] - true[j, 1]
             if hidden or dx * dx + dy * dy >= gate * gate:
                 continue
-            hidden = not in_sight(segments, pose[0], pose[1], true[j, 0], true[j, 1])
+            hidden = not in_sight(segments, T_world_robot[0], T_world_robot[1], true[j, 0], true[j, 1])
             if not hidden:
                 apart[i, j] = dx * dx + dy * dy
     for i in range(n):
@@ -131,13 +116,6 @@ def count_pairs(a: Array, b: Array, gate: float) -> int:
 
 
 @compiled
-def first_ring(beam: int, spacing: float, step: float) -> float:
-    """Range from which beam number `beam` is needed: nearer in, its neighbours cover every cell already."""
-    stride = beam & -beam  # the largest power of two that divides it
-    return 0.0 if stride >= 4096 else step / (2.0 * stride * spacing)
-
-
-@compiled
 def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free: Bools, seen: Bools) -> int:
     """Mark in `seen` (H,W) the free cells under the beams (B,) along `directions` (2,B); how many are new.
 
@@ -146,7 +124,9 @@ def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free:
     x, y = (p_world[0] - corner[0]) / CELL_M, (p_world[1] - corner[1]) / CELL_M
     spacing, new = 2.0 * math.pi / ranges.shape[0], 0
     for b in range(ranges.shape[0]):
-        far, r = ranges[b] / CELL_M - 0.1, first_ring(b + 1, spacing, STEP)
+        stride = (b + 1) & -(b + 1)  # the largest power of two that divides it
+        # nearer in than the first ring, the neighbours of a beam cover every cell already
+        far, r = ranges[b] / CELL_M - 0.1, 0.0 if stride >= 4096 else STEP / (2.0 * stride * spacing)
         dx, dy = directions[0, b], directions[1, b]
         while r < far + STEP:
             reach, r = min(r, far), r + STEP
@@ -161,20 +141,31 @@ def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free:
 
 
 @compiled
-def note_scan(rows: Ints, step: int, truth: Ints, ids: Ints, decision: Ints, landmarks: Ints) -> int:
-    """Write the rows (n,4) of a scan: step, true corner, feature, matched to a landmark. Returns the largest id."""
+def score_scan(
+    votes: NDArray[np.int32],
+    features: Ints,
+    rows: Ints,
+    counts: Ints,
+    ids: Ints,
+    decision: Ints,
+    landmarks: Ints,
+    step: int,
+) -> int:
+    """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
+
+    `rows` (n,4) hold the true corners in column 1; step, feature and matched to a landmark are filled in. `features`
+    (F,2) hold the identity of each feature (the majority of its `votes` (F,G), this scan's included) and the step in
+    which it became a landmark, for new `landmarks` (N,) this one. Returns the largest id; where the tables have no row
+    for it, nothing is counted.
+    """
     most = -1
-    for i in range(ids.shape[0]):
-        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = step, truth[i], ids[i], decision[i] == LANDMARK
+    for i in range(rows.shape[0]):
+        rows[i, 0], rows[i, 2], rows[i, 3] = step, ids[i], decision[i] == LANDMARK
         most = max(most, ids[i])
     for i in range(landmarks.shape[0]):
         most = max(most, landmarks[i])
-    return most
-
-
-@compiled
-def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
-    """Let each corner of a scan vote for what its feature is; see `score_scan` for the tables."""
+    if most >= features.shape[0]:
+        return most
     for i in range(rows.shape[0]):
         corner, feature = rows[i, 1], rows[i, 2]
         if feature >= 0 and corner >= 0:
@@ -182,17 +173,6 @@ def count_votes(votes: NDArray[np.int32], features: Ints, rows: Ints) -> None:
             best = features[feature, 0]
             if best < 0 or votes[feature, corner] > votes[feature, best]:
                 features[feature, 0] = corner
-
-
-@compiled
-def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Ints, landmarks: Ints, step: int) -> None:
-    """Count the corners of a scan as true and false positives, false and true negatives in `counts` (4,).
-
-    `rows` (n,4) hold step, true corner, feature, matched to a landmark; `features` (F,2) the identity of each feature
-    (the majority of its `votes` (F,G), this scan's included) and the step in which it became a landmark, for new
-    `landmarks` (N,) this one.
-    """
-    count_votes(votes, features, rows)
     known = np.zeros(votes.shape[1], np.bool_)  # the true corners that had a landmark before this scan
     for feature in range(features.shape[0]):
         if features[feature, 0] >= 0 and features[feature, 1] < step:
@@ -207,6 +187,7 @@ def score_scan(votes: NDArray[np.int32], features: Ints, rows: Ints, counts: Int
             counts[2 if missed else 3] += 1
     for i in range(landmarks.shape[0]):
         features[landmarks[i], 1] = min(features[landmarks[i], 1], step)
+    return most
 
 
 @compiled
@@ -239,14 +220,28 @@ def jamb_middles(jambs: Ints, ids: Ints, p_map: Array) -> Array:
 
 @compiled
 def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
-    """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none."""
+    """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none.
+
+    The distances (chamfer, in thirds of a cell) are completed on the way back from the last cell to the first.
+    """
     most, middles = 0, np.empty((rooms.shape[0], 2))
     for k in range(rooms.shape[0]):
         most = max(most, rooms[k] + 1)
-    deepest = deepest_cells(room, depths_from_before(room), most)
+    depth, deepest = depths_from_before(room), np.full((most, 3), np.nan)  # depth, column and row
+    deepest[:, 0] = 0.0
+    for i in range(room.shape[0] - 1, -1, -1):
+        for j in range(room.shape[1] - 1, -1, -1):
+            r = room[i, j]
+            if r < 0 or r >= most:
+                continue
+            if depth[i, j] > BORDER:
+                straight = min(depth[i, j + 1], depth[i + 1, j])
+                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
+                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
+            if depth[i, j] >= deepest[r, 0]:
+                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
     for k in range(rooms.shape[0]):
-        _, column, row = deepest[rooms[k]]
-        middles[k, 0], middles[k, 1] = column, row
+        middles[k, 0], middles[k, 1] = deepest[rooms[k], 1], deepest[rooms[k], 2]
     return middles
 
 
@@ -261,76 +256,26 @@ def depths_from_before(room: NDArray[np.int16]) -> NDArray[np.int32]:
     for i in range(height):
         for j in range(width):
             depth[i, j] = BORDER
+    inside = np.empty(width, np.bool_)
     for i in range(1, height - 1):
-        above, row, below = depth[i - 1], depth[i, 1:], room[i + 1, 1:]
-        inside = inside_room(room[i - 1, 1:], room[i], below)
-        for j in range(inside.shape[0]):
+        left, here, right = room[i], room[i, 1:], room[i, 2:]  # counted from 0, so that many cells are done at a time
+        above, below, row, before = room[i - 1, 1:], room[i + 1, 1:], depth[i, 1:], depth[i - 1]
+        for j in range(width - 2):
+            r = here[j]
+            inside[j] = (r >= 0) & (r == left[j]) & (r == right[j]) & (r == above[j]) & (r == below[j])
+        for j in range(width - 2):
             if inside[j]:
-                row[j] = min(min(depth[i, j], above[j + 1]) + 3, min(above[j], above[j + 2]) + 4)
+                row[j] = min(min(depth[i, j], before[j + 1]) + 3, min(before[j], before[j + 2]) + 4)
     return depth
 
 
 @compiled
-def inside_room(above: NDArray[np.int16], row: NDArray[np.int16], below: NDArray[np.int16]) -> Bools:
-    """Whether the four neighbours of each cell of a row but its ends are of its room, given the rows beside it.
-
-    Without a branch, and on parts counted from 0, so that the compiler takes many cells at a time.
-    """
-    here, right = row[1:], row[2:]
-    inside = np.empty(right.shape[0], np.bool_)
-    for j in range(right.shape[0]):
-        r = here[j]
-        inside[j] = (r >= 0) & (r == row[j]) & (r == right[j]) & (r == above[j]) & (r == below[j])
-    return inside
-
-
-@compiled
-def deepest_cells(room: NDArray[np.int16], depth: NDArray[np.int32], most: int) -> Array:
-    """(most,3) depth, column and row of the first of the deepest cells of each room; nan for none.
-
-    From the last cell back to the first one, which completes the depths.
-    """
-    deepest = np.empty((most, 3))
-    for r in range(most):
-        deepest[r, 0], deepest[r, 1], deepest[r, 2] = 0.0, np.nan, np.nan
-    for i in range(room.shape[0] - 1, -1, -1):
-        for j in range(room.shape[1] - 1, -1, -1):
-            r = room[i, j]
-            if r < 0 or r >= most:
-                continue
-            if depth[i, j] > BORDER:
-                straight = min(depth[i, j + 1], depth[i + 1, j])
-                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
-                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
-            if depth[i, j] >= deepest[r, 0]:
-                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
-    return deepest
-
-
-@compiled
-def mark_discs(visited_by_obstacles: Bools, corner: Array, walking: Array) -> None:
-    """Mark the cells (H,W) whose middle lies within `BESIDE_M` of something at a place, of a reach (n,3) m."""
+def mark_discs(cells: Bools, corner: Array, walking: Array) -> None:
+    """Mark the cells (H,W) whose middle lies within `BESIDE_M` of a dynamic obstacle: place and reach (n,3) m."""
     for i in range(walking.shape[0]):
         x, y = (walking[i, 0] - corner[0]) / CELL_M, (walking[i, 1] - corner[1]) / CELL_M
-        mark_disc(visited_by_obstacles, x, y, (walking[i, 2] + BESIDE_M) / CELL_M)
-
-
-@compiled
-def mark_disc(cells: Bools, x: float, y: float, radius: float) -> None:
-    """Mark the cells (H,W) whose middle lies in the disc around (x, y), in cells."""
-    for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
-        for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
-            if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius:
-                cells[row, column] = True
-
-
-@compiled
-def count_marked(visited_by_obstacles: Bools, corner: Array, p_world: Array) -> int:
-    """How many points (n,2) lie on marked cells."""
-    count = 0
-    for i in range(p_world.shape[0]):
-        column = math.floor((p_world[i, 0] - corner[0]) / CELL_M)
-        row = math.floor((p_world[i, 1] - corner[1]) / CELL_M)
-        if 0 <= row < visited_by_obstacles.shape[0] and 0 <= column < visited_by_obstacles.shape[1]:
-            count += visited_by_obstacles[row, column]
-    return count
+        radius = (walking[i, 2] + BESIDE_M) / CELL_M
+        for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
+            for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
+                if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius:
+                    cells[row, column] = True

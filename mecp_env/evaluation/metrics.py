@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.se2 import to_map
+from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth, identify
 from mecp_env.evaluation.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
@@ -45,9 +45,12 @@ class AssociationLog:
         """Add a scan whose corners have the true identities `truth` (n,)."""
         match, landmarks = output.match, output.belief.ids
         rows = self._new_rows(len(match.ids))
-        most = metric_arrays.note_scan(rows, output.step, truth, match.ids, match.decision, landmarks)
-        self._reserve(most)
-        metric_arrays.score_scan(self.votes, self.features, rows, self.counts, landmarks, output.step)
+        rows[:, 1] = truth
+        scan = match.ids, match.decision, landmarks, output.step
+        most = metric_arrays.score_scan(self.votes, self.features, rows, self.counts, *scan)
+        if most >= len(self.features):
+            self._reserve(most)
+            metric_arrays.score_scan(self.votes, self.features, rows, self.counts, *scan)
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
@@ -140,7 +143,7 @@ class EpisodeMetrics:
 
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
-        T_map_robot: Array = metric_arrays.pose_between(self.T_world_map, T_world_robot)
+        T_map_robot: Array = compose(inverse(self.T_world_map), T_world_robot)
         return T_map_robot
 
     def _sweep(self, truth: GroundTruth, T_world_robot: Array) -> None:
@@ -168,7 +171,7 @@ class EpisodeMetrics:
             return 0
         p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
         nameless = self.association.features[belief.ids, 0] < 0
-        return int(metric_arrays.count_marked(self.visited_by_obstacles, truth.corner, p_world[nameless]))
+        return truth.count_cells(self.visited_by_obstacles, p_world[nameless])
 
     def _compare_pose(self, belief: Belief) -> None:
         errors = metric_arrays.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)

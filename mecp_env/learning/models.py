@@ -17,7 +17,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.episode.observations import GOALS, Observer
+from mecp_env.episode.observation_arrays import GOALS
+from mecp_env.episode.observations import Observer
 from mecp_env.learning import files
 from mecp_env.learning.compact import compact_space
 from mecp_env.learning.config import TrainConfig

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.env import MecpEnv
-from mecp_env.episode.observations import GOALS
+from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.rewards import TERMS
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst

@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import inverse, to_map
-from mecp_env.episode.observations import GOALS
+from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.messages import Cell

@@ -69,6 +69,13 @@ def test_pooling_against_a_plain_twin(width):
             assert pooled[i, j] == np.bitwise_or.reduce(padded[i : i + width, j : j + width], axis=None)
 
 
+def window_of(codes, pose, size, path=()):
+    """(n,n) the codes that a window shows, its layers packed again."""
+    points = np.array(path, np.float64).reshape(-1, 2)
+    layers = observation_arrays.window_layers(codes, np.zeros(2), 0.1, pose, size, points)
+    return sum((layer == 255).astype(np.uint8) << bit for bit, layer in enumerate(layers))
+
+
 def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_column():
     codes = np.zeros((100, 100), np.uint8)
     ahead, left, n = observation_arrays.OCCUPIED, observation_arrays.DOOR, 9
@@ -78,25 +85,22 @@ def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_c
         codes[50 + 4 * s, 50 + 4 * c] = ahead
         codes[50 + 3 * c, 50 - 3 * s] = left
         pose = np.array([5.05, 5.05, heading])
-        window = observation_arrays.sample_window(codes, np.zeros(2), 0.1, pose, (n, 0.1))
+        window = window_of(codes, pose, (n, 0.1))
         assert window[0, 4] == ahead
         assert window[4, 1] == left
         assert np.count_nonzero(window) == 2
 
 
 def test_outside_the_grid_everything_is_unknown():
-    window = observation_arrays.sample_window(
-        np.zeros((5, 5), np.uint8), np.zeros(2), 0.1, np.array([50.0, 50.0, 1.0]), (8, 0.2)
-    )
+    window = window_of(np.zeros((5, 5), np.uint8), np.array([50.0, 50.0, 1.0]), (8, 0.2))
     assert (window == observation_arrays.UNKNOWN).all()
 
 
 def test_the_path_lies_where_the_window_shows_it():
-    window = np.zeros((96, 96), np.uint8)
     pose = np.array([1.0, 2.0, 0.7])
     points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
-    observation_arrays.mark_path(window, points, pose, 0.2)
-    rows, cols = np.nonzero(window)
+    window = window_of(np.zeros((5, 5), np.uint8), pose, (96, 0.2), points)
+    rows, cols = np.nonzero(window & observation_arrays.PATH)
     assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
     assert set(cols.tolist()) <= {47, 48}
 

@@ -11,10 +11,8 @@ from mecp_env.episode.rewards import (
     RewardInputs,
     RewardMemory,
     apply_weights,
-    drawing_sigma,
     events,
-    half_log_det,
-    landmark_information,
+    information,
     measured_terms,
     remember,
 )
@@ -24,6 +22,7 @@ from tests.env.helpers import drive, make
 CONFIG = RewardConfig()
 CELL_M2 = 0.25
 SURE, LOST = 1e-4, 1.0  # variances of a pose, m^2 and rad^2
+NO_COVS = np.empty((0, 2, 2))
 
 
 def grid_of(known: int, version: int) -> SemanticGrid:
@@ -80,9 +79,9 @@ def test_area_drawn_from_a_pose_that_is_not_known_counts_once_it_is_known_again(
 
 
 def test_how_well_is_drawn():
-    assert drawing_sigma(np.diag([0.04, 0.09, 0.0]), 5.0) == pytest.approx(0.3)
-    assert drawing_sigma(np.diag([0.0, 0.0, 1e-4]), 5.0) == pytest.approx(0.05)
-    assert drawing_sigma(np.full((3, 3), np.nan), 5.0) == drawing_sigma(-np.eye(3), 5.0) == np.inf
+    assert information(np.diag([0.04, 0.09, 0.0]), NO_COVS)[0] == pytest.approx(0.3)
+    assert information(np.diag([0.0, 0.0, 1e-4]), NO_COVS)[0] == pytest.approx(0.05)  # 5 m ahead
+    assert information(np.full((3, 3), np.nan), NO_COVS)[0] == information(-np.eye(3), NO_COVS)[0] == np.inf
     unsure = moment(60, 2, pose=0.01)
     assert sums(moment(10, 1), unsure)["area"] == 0.0
     assert sums(moment(10, 1), unsure, config=RewardConfig(area_sigma_m=1.0))["area"] > 0.0
@@ -144,18 +143,22 @@ def test_landmark_information_against_a_plain_twin(seed):
     rng = np.random.default_rng(seed)
     factors = rng.normal(size=(7, 2, 2)) * 0.1
     covs = factors @ factors.transpose(0, 2, 1) + 1e-4 * np.eye(2)
-    assert landmark_information(covs) == pytest.approx(np.mean([-0.5 * np.linalg.slogdet(P)[1] for P in covs]))
-    assert landmark_information(covs[:0]) == 0.0
-    assert landmark_information(-covs[:1]) == landmark_information(np.full((1, 2, 2), np.nan)) == -60.0
+
+    def mean_nat(covs: np.ndarray) -> float:
+        return information(np.eye(3), covs)[2]
+
+    assert mean_nat(covs) == pytest.approx(np.mean([-0.5 * np.linalg.slogdet(P)[1] for P in covs]))
+    assert mean_nat(covs[:0]) == 0.0
+    assert mean_nat(-covs[:1]) == mean_nat(np.full((1, 2, 2), np.nan)) == -60.0
 
 
-def test_half_log_det_is_finite_and_right():
+def test_the_information_of_a_pose_is_finite_and_right():
     rng = np.random.default_rng(0)
     a = rng.normal(size=(3, 3))
     cov = a @ a.T + np.eye(3)
-    assert half_log_det(cov) == pytest.approx(0.5 * np.linalg.slogdet(cov)[1])
-    assert half_log_det(np.eye(3) * 1e-300) == -60.0
-    assert half_log_det(-np.eye(3)) == half_log_det(np.full((3, 3), np.nan)) == 60.0
+    assert information(cov, NO_COVS)[1] == pytest.approx(-0.5 * np.linalg.slogdet(cov)[1])
+    assert information(np.eye(3) * 1e-300, NO_COVS)[1] == 60.0
+    assert information(-np.eye(3), NO_COVS)[1] == information(np.full((3, 3), np.nan), NO_COVS)[1] == -60.0
 
 
 def test_events():

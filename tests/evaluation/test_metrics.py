@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import compose, inverse, to_map
+from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
@@ -95,23 +95,30 @@ def test_the_sweep_is_its_plain_twin(truth):
     assert metric_arrays.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
 
 
+def identities(seen, true, segments, pose, gate):
+    """What `identify_corners` makes of points (n,2) of the world."""
+    p_robot = to_robot(pose, seen)
+    z = np.stack([np.hypot(*p_robot.T), np.arctan2(p_robot[:, 1], p_robot[:, 0])], axis=1)
+    return metric_arrays.identify_corners(z, pose, true, segments, gate)
+
+
 def test_identities_of_exact_corners_are_their_own(truth):
     pose = truth.outline.starts[0]
     corners = truth.outline.corners.p_world
     visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
     args = (corners, truth.outline.segments, pose, 0.3)
     seen = corners[visible] + 0.01
-    assert np.array_equal(metric_arrays.pair_corners(seen, *args), np.flatnonzero(visible))
-    assert (metric_arrays.pair_corners(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
-    assert not (metric_arrays.pair_corners(corners[~visible], *args) == np.flatnonzero(~visible)).any()
-    assert metric_arrays.pair_corners(np.empty((0, 2)), *args).shape == (0,)
+    assert np.array_equal(identities(seen, *args), np.flatnonzero(visible))
+    assert (identities(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
+    assert not (identities(corners[~visible], *args) == np.flatnonzero(~visible)).any()
+    assert identities(np.empty((0, 2)), *args).shape == (0,)
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_pairs_are_nearest_first_and_one_to_one(seed):
     rng = np.random.default_rng(seed)
     seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
-    got = metric_arrays.pair_corners(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
+    got = identities(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
     expected = np.full(len(seen), -1)
     for row, column in nearest_pairs(distances(seen, true), 0.3):
         expected[row] = column
@@ -160,14 +167,18 @@ def test_duplicates():
     assert log.duplicates(np.empty(0, np.int64)) == 0
 
 
+def nees(error, cov):
+    return metric_arrays.pose_errors(error, np.zeros(3), cov)[2]
+
+
 def test_nees_of_the_pose():
     rng = np.random.default_rng(0)
     a = rng.normal(size=(3, 3))
     cov, error = a @ a.T + np.eye(3), rng.normal(size=3)
-    assert metric_arrays.pose_nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
-    assert metric_arrays.pose_nees(np.zeros(3), np.zeros((3, 3))) == 0.0
-    assert metric_arrays.pose_nees(error, -cov) == metric_arrays.pose_nees(error, np.zeros((3, 3))) == 1e9
-    assert metric_arrays.pose_nees(error, np.full((3, 3), np.nan)) == 1e9
+    assert nees(error, cov) == pytest.approx(error @ np.linalg.solve(cov, error))
+    assert nees(np.zeros(3), np.zeros((3, 3))) == 0.0
+    assert nees(error, -cov) == nees(error, np.zeros((3, 3))) == 1e9
+    assert nees(error, np.full((3, 3), np.nan)) == 1e9
 
 
 def test_the_pose_error_is_measured_in_the_map_frame(truth):
