@@ -19,7 +19,7 @@ from mecp_env.registration import make
 from mecp_env.wrappers import GoalActions
 
 EXPLORERS = {
-    "breadth first": "mecp_env.policies.bfs:BreadthFirstAgent",
+    "breadth first": "mecp_env.policies.bfs:BreadthFirstPolicy",
     "random walk": "mecp_env.policies.random_walk:RandomWalk",
 }
 SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}

@@ -1,4 +1,4 @@
-"""What every command of `mecp-env` is."""
+"""The base class of the commands of `mecp-env`, and checks of the paths that they write to."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from typing import ClassVar, Self
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
-from mecp_env.core.text import readable
-
-FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # exit codes beside 0
 
 
 class Command(ABC):
@@ -44,11 +41,6 @@ class Command(ABC):
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
-
-
-def say(line: str) -> None:
-    """Print a line that may hold names of strangers (buildings, files), without signs that a terminal would obey."""
-    print(readable(line))
 
 
 def check_writable(path: Path) -> Path:

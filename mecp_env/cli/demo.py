@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from mecp_env.cli.base import INTERRUPTED, Command, check_folder
+from mecp_env.cli.base import Command, check_folder
+from mecp_env.cli.exit_codes import INTERRUPTED
 from mecp_env.cli.fields import Fields, configuration
 
 

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.text import Text
 
 from mecp_env.cli import doctor_machine, doctor_trial
-from mecp_env.cli.base import FAILED, Command
+from mecp_env.cli.base import Command
+from mecp_env.cli.exit_codes import FAILED
 from mecp_env.cli.findings import Finding
 from mecp_env.core.errors import ConfigError
 
@@ -41,7 +42,7 @@ class Doctor(Command):
             raise ConfigError(f"seconds: {self.seconds:g}, from {SECONDS[0]:g} to {SECONDS[1]:g}")
         counts = dict.fromkeys(COLOURS, 0)
         for finding in examine((*CHECKS, lambda: doctor_trial.self_test(self.seconds))):
-            say(finding)
+            echo(finding)
             counts[finding.verdict] += 1
         print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
         return FAILED if counts["FAIL"] else 0
@@ -57,7 +58,7 @@ def examine(checks: Sequence[Callable[[], Iterator[Finding]]]) -> Iterator[Findi
             yield Finding("FAIL", name, f"{type(error).__name__}: {error}", "install mecp_env anew, or report this")
 
 
-def say(finding: Finding) -> None:
+def echo(finding: Finding) -> None:
     """Print a finding, and below it what to do."""
     console = Console()
     verdict = Text(f"{finding.verdict}  ", COLOURS[finding.verdict])

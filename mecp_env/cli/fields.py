@@ -1,4 +1,4 @@
-"""Fields of the environment's configuration as options: only those that the line names are set."""
+"""Fields of a configuration as options: only those that the command line names are set."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from mecp_env.config import EnvConfig, merge
+from mecp_env.core.settings import Settings
 from mecp_env.world.schema import Layout
-
-PREFIX = "--config."
 
 
 class Fields(EnvConfig):
@@ -22,17 +21,25 @@ class Fields(EnvConfig):
 
 def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
     """The configuration in which only those fields are set that the command line names, to a default or not."""
-    given = fields.model_dump(mode="json")
-    chosen: dict[str, Any] = {}
+    return EnvConfig.build(named_fields(fields, line, "--config."), layout=layout)
+
+
+def named_fields(fields: Settings, line: Sequence[str], prefix: str = "--") -> dict[str, Any]:
+    """Those of the fields that the command line names, as a tree; options that are no field are left out."""
+    given, chosen = fields.model_dump(mode="json"), dict[str, Any]()
     for option in line:
-        if option.startswith(PREFIX):
-            chosen = merge(chosen, named(given, option.removeprefix(PREFIX).partition("=")[0]))
-    return EnvConfig.build(chosen, layout=layout)
+        path = option.removeprefix(prefix).partition("=")[0].replace("-", "_")
+        if option.startswith(prefix) and _name(given, path) in given:
+            chosen = merge(chosen, _at(given, path))
+    return chosen
 
 
-def named(fields: Mapping[str, Any], path: str) -> dict[str, Any]:
-    """Of all fields the one at `path` (`laser.max-range-m`; a switch also as `slam.polygon.no-check-walls`)."""
-    first, _, rest = path.partition(".")
-    name = first.replace("-", "_")
-    name = name if name in fields else name.removeprefix("no_")
-    return {name: named(fields[name], rest) if rest else fields[name]}
+def _at(fields: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Of all fields the one at `path` (`laser.max_range_m`; a switch also as `slam.polygon.no_check_walls`)."""
+    name, rest = _name(fields, path), path.partition(".")[2]
+    return {name: _at(fields[name], rest) if rest else fields[name]}
+
+
+def _name(fields: Mapping[str, Any], path: str) -> str:
+    first = path.partition(".")[0]
+    return first if first in fields else first.removeprefix("no_")

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import os
 import sys
 import textwrap
 from typing import Any
 
 import mecp_env
-from mecp_env.cli.base import INTERRUPTED, WRONG_INPUT, Command
-from mecp_env.core.errors import MecpError
-from mecp_env.core.text import readable
+from mecp_env.cli.base import Command
+from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
+    "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
+    "train": ("train", "Train", "train a policy, or resume a run"),
     "play": ("play", "Play", "drive by keyboard: left the world, right the belief"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
@@ -34,19 +35,7 @@ WIDEST = max(map(len, COMMANDS))
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     words, line = split(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return parse(words, line).run(line)
-    except MecpError as error:
-        print(f"mecp-env: {readable(str(error))}", file=sys.stderr)
-        return WRONG_INPUT
-    except BrokenPipeError:  # whoever reads the output has seen enough, as in `mecp-env ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        print(f"mecp-env: {readable(str(error.filename or 'output'))}: {error.strerror}", file=sys.stderr)
-        return WRONG_INPUT
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    return run_command(lambda: parse(words, line).run(line))
 
 
 def split(line: list[str]) -> tuple[str, list[str]]:
@@ -75,7 +64,7 @@ def refuse(words: str, group: str) -> int:
     nearest = difflib.get_close_matches(words, COMMANDS, n=1)
     guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
     print(overview(group) + "\n", file=sys.stderr)
-    print(f"mecp-env: {words!r} is no command{guess}" if words else "mecp-env: a command is missing", file=sys.stderr)
+    print_error(f"unknown command {words!r}{guess}" if words else "a command is missing")
     return WRONG_INPUT
 
 
@@ -102,7 +91,7 @@ def parse(words: str, line: list[str]) -> Command:
     kind = load(words)
     line = kind.completed(line)
     for hint in kind.hints(line):
-        print(f"mecp-env: {readable(hint)}", file=sys.stderr)
+        print_error(hint)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class

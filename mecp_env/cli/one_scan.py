@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.cli.base import Command, check_folder, say
+from mecp_env.cli.base import Command, check_folder
+from mecp_env.cli.exit_codes import echo
 from mecp_env.config import EnvConfig
 
 
@@ -33,5 +34,5 @@ class OneScan(Command):
 
         folder, config = check_folder(self.out), EnvConfig.build({}, layout=resolve(self.layout))
         for path in draw(config, self.seed, self.step, folder):
-            say(str(path))
+            echo(str(path))
         return 0

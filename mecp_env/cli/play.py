@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from mecp_env.cli.base import Command, check_folder, say
+from mecp_env.cli.base import Command, check_folder
 from mecp_env.cli.buildings import SERIES, expand, resolve
+from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.fields import Fields, configuration
 from mecp_env.core.errors import ConfigError
 
@@ -59,7 +60,7 @@ class Play(Command):
             loop(game, window, self.rate)
         finally:
             window.close()
-        say(game.result)
+        echo(game.result)
         return 0
 
     def _check(self) -> None:

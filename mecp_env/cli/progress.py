@@ -14,7 +14,7 @@ from rich.table import Table
 
 from mecp_env.cli.exploration import FILES, Run
 from mecp_env.cli.stopwatch import Stopwatch
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 
 EVERY = 10  # steps between two updates
 BAR_WIDTH = 6  # what is left of 80 columns
@@ -39,7 +39,7 @@ class Progress:
 
     def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
         self.watch = watch
-        self.title = f"exploring {readable(_name(run))}"
+        self.title = f"exploring {sanitised(_name(run))}"
         self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
         self.task = self.bar.add_task("preparing", total=1.0)
 
@@ -83,4 +83,4 @@ def say_result(metrics: dict[str, Any], folder: Path) -> None:
         table.add_row(name, form.format(**metrics))
     console = Console()
     console.print(table)
-    console.print(f"{', '.join(FILES)} in {readable(str(folder))}/", markup=False)
+    console.print(f"{', '.join(FILES)} in {sanitised(str(folder))}/", markup=False)

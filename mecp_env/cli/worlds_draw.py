@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from mecp_env.cli.base import Command, check_writable, folder_of, say
+from mecp_env.cli.base import Command, check_writable, folder_of
 from mecp_env.cli.buildings import Buildings, Reading, ReadingOptions, expand_all, load, spare_sources, stem
+from mecp_env.cli.exit_codes import echo
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.schema import Layout
 
@@ -44,7 +45,7 @@ class Draw(Command):
         path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
         spare_sources([path], words)
         buildings = [(title(word), load(word, self.reading)) for word in words]
-        say(str(draw(buildings, path, self.dpi)))
+        echo(str(draw(buildings, path, self.dpi)))
         return 0
 
 

@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mecp_env.cli.base import WRONG_INPUT, Command, check_writable, folder_of, say
+from mecp_env.cli.base import Command, check_writable, folder_of
 from mecp_env.cli.buildings import (
     NONE_GIVEN,
     Buildings,
@@ -23,6 +23,7 @@ from mecp_env.cli.buildings import (
     load,
     spare_sources,
 )
+from mecp_env.cli.exit_codes import WRONG_INPUT, echo
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
@@ -74,9 +75,9 @@ def sound(word: str, reading: Reading) -> bool:
         singles = expand(word, reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
-        say(f"ok     {word}: {counted(load(word, reading))}")
+        echo(f"ok     {word}: {counted(load(word, reading))}")
     except MecpError as error:
-        say(f"wrong  {error}")
+        echo(f"wrong  {error}")
         return False
     return True
 
@@ -109,7 +110,7 @@ class Convert(Command):
         layout = load(source, self.reading)
         with folder_of(check_writable(self.target)):
             write(layout, self.target, self.map_resolution_m)
-        say(f"{self.target}: {layout.name}, {counted(layout)}")
+        echo(f"{self.target}: {layout.name}, {counted(layout)}")
         return 0
 
 

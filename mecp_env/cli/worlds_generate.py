@@ -9,8 +9,9 @@ from typing import ClassVar, Literal, Self, get_args
 
 import tyro
 
-from mecp_env.cli.base import Command, check_folder, check_writable, say
+from mecp_env.cli.base import Command, check_folder, check_writable
 from mecp_env.cli.buildings import counted
+from mecp_env.cli.exit_codes import echo
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator.spec import (
     DIFFICULTIES,
@@ -76,12 +77,12 @@ class Generate(Command):
         for path, layout in self._buildings():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(layout.to_json())
-            say(f"{path}: {counted(layout)}")
+            echo(f"{path}: {counted(layout)}")
             drawn += [(path.stem, layout)] if self.sheet else []
         if self.sheet:
             from mecp_env.cli.worlds_draw import draw
 
-            say(str(draw(drawn, self.sheet)))
+            echo(str(draw(drawn, self.sheet)))
         return 0
 
     def _check(self) -> None:

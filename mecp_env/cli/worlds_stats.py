@@ -16,7 +16,7 @@ from rich.text import Text
 
 from mecp_env.cli.base import Command
 from mecp_env.cli.buildings import Buildings, Reading, ReadingOptions, expand, load
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 
 COLUMNS = {  # figure -> heading, format; the median of an even number of counts may end in a half
     "rooms": ("rooms", "{:g}"),
@@ -97,7 +97,7 @@ def _print_table(measured: Mapping[str, Sequence[Figures]]) -> None:
         table.add_column(heading, justify="right", no_wrap=True)
     for word, figures in measured.items():
         entries = (_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items())
-        table.add_row(Text(readable(word)), *entries)
+        table.add_row(Text(sanitised(word)), *entries)
     Console().print(table)
 
 

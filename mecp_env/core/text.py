@@ -1,8 +1,8 @@
-"""What is shown to a user, who may have got files and names from strangers."""
+"""Text from untrusted files (names of buildings, rooms and files), before it is shown to a user."""
 
 from __future__ import annotations
 
 
-def readable(words: str) -> str:
-    """Names come from files of strangers: what cannot be printed becomes a question mark."""
+def sanitised(words: str) -> str:
+    """`words` with a question mark for every character that cannot be printed, such as terminal control codes."""
     return "".join(sign if sign.isprintable() else "?" for sign in words)

@@ -20,7 +20,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 from mecp_env.slam.messages import Cell, SemanticGrid
 from mecp_env.world.layout import Layout
 from mecp_env.world.outline import Outline, build_outline, door_ring, thin_walls_m
@@ -154,7 +154,7 @@ def _colour(index: int) -> str:
 def _path(area: BaseGeometry, fill: str, title: str) -> str:
     parts = [part for part in shapely.get_parts(area) if isinstance(part, Polygon)]
     edge = " ".join(map(_outline_path, parts))
-    return f'<path d="{edge}" fill="{fill}" fill-rule="evenodd"><title>{escape(readable(title))}</title></path>\n'
+    return f'<path d="{edge}" fill="{fill}" fill-rule="evenodd"><title>{escape(sanitised(title))}</title></path>\n'
 
 
 def _outline_path(area: Polygon) -> str:

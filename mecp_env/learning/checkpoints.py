@@ -1,9 +1,9 @@
-"""Checkpoints: all that a run needs to go on, in one file that is written whole; the last few are kept."""
+"""Checkpoints: everything that a run needs to continue, as tensors and JSON; loading one runs no code."""
 
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,128 +13,137 @@ import torch
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import Tensor
 
-from mecp_env.core.exit_codes import complain
 from mecp_env.learning import files
 from mecp_env.learning.files import WeightError
 
-FORMAT, VERSION = "mecp_env/checkpoint", 1
-ENDING, SUM_ENDING = ".safetensors", ".sha256"
+VERSION = 2
 
 
 @dataclass(slots=True)
-class Progress:
-    """How far a run has come."""
+class TrainingState:
+    """The counters of a run."""
 
     decisions: int = 0
-    steps: int = 0
+    periods: int = 0  # control steps
     episodes: int = 0
     updates: int = 0
     seconds: float = 0.0  # of training, over all resumptions
     best_score: float = -1.0  # the largest area under the curve on the validation split
     next_evaluation: int = 0  # in decisions
-    evaluated: int = -1  # after so many decisions, the last time
-    return_mean: float = 0.0  # the running figures by which rewards are normalised
+    evaluated: int = -1  # decisions at the last evaluation
+    return_mean: float = 0.0  # running statistics by which rewards are normalised
     return_var: float = 1.0
     return_count: float = 1e-4
 
 
 class Checkpoints:
-    """The checkpoints in a folder."""
+    """The checkpoints in a folder: `DECISIONS.safetensors`, and `DECISIONS.json`, which is written last."""
 
     def __init__(self, folder: Path, keep: int) -> None:
         self.folder, self.keep = folder, keep
 
-    def save(self, model: OnPolicyAlgorithm, progress: Progress) -> Path:
+    def save(self, model: OnPolicyAlgorithm, state: TrainingState) -> Path:
         """Write a checkpoint, then remove the oldest ones. Raises `NotFiniteError` before anything is written."""
         files.check_finite(model.policy)
-        data = files.tensor_bytes(tensors_of(model, progress))
-        path = self.folder / f"{progress.decisions:012d}{ENDING}"
-        files.write_whole(path.with_suffix(SUM_ENDING), files.checksum(data).encode())
-        files.write_whole(path, data)
+        data = files.tensor_bytes(tensors_of(model))
+        path = self.folder / f"{state.decisions:012d}.json"
+        position = random_state()[2]
+        about = {"version": VERSION, "sha256": files.checksum(data), "numpy_position": position, "state": asdict(state)}
+        files.write_atomic(path.with_suffix(".safetensors"), data)
+        files.write_json(path, about)
         for old in self.paths()[: -self.keep]:
             old.unlink()
-            old.with_suffix(SUM_ENDING).unlink(missing_ok=True)
+            old.with_suffix(".safetensors").unlink(missing_ok=True)
         return path
 
     def paths(self) -> list[Path]:
         """The checkpoints, the oldest first."""
-        return sorted(self.folder.glob(f"[0-9]*{ENDING}"))
+        return sorted(path for path in self.folder.glob("*.json") if path.stem.isdecimal())
 
     def decisions(self) -> int:
-        """After so many decisions the newest sound checkpoint was written; 0 where there is none."""
+        """The decisions of the newest valid checkpoint; 0 without one."""
         for path in reversed(self.paths()):
-            with suppress(WeightError, ValueError):  # damaged; a file of somebody else, whose name is no number
-                read(path)
+            try:
+                read_checkpoint(path)
                 return int(path.stem)
+            except WeightError:
+                continue
         return 0
 
-    def load(self, model: OnPolicyAlgorithm) -> Progress | None:
-        """Put the newest sound checkpoint into a model; None where there is no file.
+    def load(self, model: OnPolicyAlgorithm, report: Callable[[str], None]) -> TrainingState | None:
+        """Restore the newest valid checkpoint into a model; None where there is no file.
 
-        A damaged one is passed over with a line on stderr. Raises `WeightError` when none is sound.
+        Damaged ones are skipped, and reported. Raises `WeightError` when none is valid.
         """
         problem: WeightError | None = None
         for path in reversed(self.paths()):
             try:
-                return put(model, read(path), path)
+                return restore(model, *read_checkpoint(path), path)
             except WeightError as error:
                 problem = error
-                complain("resume", f"passed over {error}")
+                report(f"skipped {error}")
         if problem is not None:
             raise problem
         return None
 
 
-def read(path: Path) -> dict[str, Tensor]:
-    """The tensors of a checkpoint. Raises `WeightError`."""
+def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The JSON part and the tensors of a checkpoint. Raises `WeightError`."""
     try:
-        sha256 = path.with_suffix(SUM_ENDING).read_text().strip()
+        about = json.loads(path.read_bytes()[: files.MOST_BYTES])
+        if about["version"] != VERSION:
+            raise WeightError(f"{path}: checkpoint version {about['version']!r:.20}, expected {VERSION}")
+        return about, files.read_tensors(path.with_suffix(".safetensors"), about["sha256"])
     except OSError as error:
-        raise WeightError(f"{path}: its checksum cannot be read: {error.strerror}") from None
-    return files.tensors_in(files.read_checked(path, sha256), path)
+        raise WeightError(f"{path}: {error.strerror}") from None
+    except (KeyError, TypeError, RecursionError) as error:
+        raise WeightError(f"{path}: not a checkpoint: {error!r}") from None
+    except json.JSONDecodeError as error:
+        raise WeightError(f"{path}: not JSON: {error}") from None
 
 
-def tensors_of(model: OnPolicyAlgorithm, progress: Progress) -> dict[str, Tensor]:
-    """Weights, the optimiser's memory, random numbers and progress, as tensors."""
-    kind, keys, position, *_ = np.random.get_state(legacy=True)  # noqa: NPY002 (it is what Stable-Baselines3 draws from)
-    assert kind == "MT19937"
-    state = {"format": FORMAT, "version": VERSION, "numpy_position": position, "progress": asdict(progress)}
+def tensors_of(model: OnPolicyAlgorithm) -> dict[str, Tensor]:
+    """Weights, the optimiser's moments, and the states of the random generators."""
+    keys = random_state()[1]
     tensors = {f"policy.{name}": tensor for name, tensor in files.weights_of(model.policy).items()}
     tensors |= {"random.torch": torch.get_rng_state(), "random.numpy": torch.from_numpy(keys.astype(np.int64))}
-    for index, memory in model.policy.optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{name}": torch.as_tensor(value) for name, value in memory.items()}
-    return tensors | {"state": torch.tensor(list(json.dumps(state).encode()), dtype=torch.uint8)}
+    for index, moments in model.policy.optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+    return tensors
 
 
-def put(model: OnPolicyAlgorithm, tensors: dict[str, Tensor], path: Path) -> Progress:
-    """Put a checkpoint's tensors into a model. Raises `WeightError`; the model is then to be thrown away."""
+def random_state() -> Any:
+    """The state of NumPy's global generator, from which Stable-Baselines3 draws."""
+    return np.random.get_state(legacy=True)  # noqa: NPY002
+
+
+def restore(model: OnPolicyAlgorithm, about: dict[str, Any], tensors: dict[str, Tensor], path: Path) -> TrainingState:
+    """Put a checkpoint into a model. Raises `WeightError`; the model must not be used then."""
     try:
-        state = json.loads(bytes(tensors["state"].tolist()))
-        if (state["format"], state["version"]) != (FORMAT, VERSION):
-            raise WeightError(f"{path}: {state['format']} {state['version']}, this is {FORMAT} {VERSION}")
-        progress = Progress(**state["progress"])
-        keys, position = tensors["random.numpy"].numpy().astype(np.uint32), state["numpy_position"]
-    except (KeyError, ValueError, TypeError) as error:
-        raise WeightError(f"{path}: no checkpoint of this version: {error!r}") from None
-    files.put_weights(model.policy, part(tensors, "policy."), path)
-    put_optimizer(model, part(tensors, "optimizer."))
-    torch.set_rng_state(tensors["random.torch"])
-    np.random.set_state(("MT19937", keys, position))  # noqa: NPY002
-    model.num_timesteps = progress.decisions
-    model._n_updates = progress.updates
-    return progress
+        state = TrainingState(**about["state"])
+        keys, position = tensors["random.numpy"].numpy().astype(np.uint32), about["numpy_position"]
+        files.put_weights(model.policy, part(tensors, "policy."), path)
+        put_moments(model, part(tensors, "optimizer."))
+        torch.set_rng_state(tensors["random.torch"])
+        np.random.set_state(("MT19937", keys, position, 0, 0.0))  # noqa: NPY002
+    except WeightError:
+        raise
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise WeightError(f"{path}: not a checkpoint of this version: {error!r}") from None
+    model.num_timesteps, model._n_updates = state.decisions, state.updates
+    return state
 
 
-def put_optimizer(model: OnPolicyAlgorithm, tensors: dict[str, Tensor]) -> None:
-    """Give the optimiser its memory back: `index.name` -> tensor."""
+def put_moments(model: OnPolicyAlgorithm, tensors: dict[str, Tensor]) -> None:
+    """Restore the moments of the optimiser: `index.name` -> tensor."""
     optimizer = model.policy.optimizer
-    memory: dict[int, dict[str, Any]] = {}
+    moments: dict[int, dict[str, Any]] = {}
     for name, tensor in tensors.items():
         index, _, key = name.partition(".")
-        memory.setdefault(int(index), {})[key] = tensor
-    optimizer.load_state_dict(optimizer.state_dict() | {"state": memory})
+        moments.setdefault(int(index), {})[key] = tensor
+    optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
 
 
 def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """The tensors whose names begin so, without that beginning."""
+    """The tensors whose names start with the prefix, without it."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

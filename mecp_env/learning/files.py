@@ -1,9 +1,10 @@
-"""Files that are whole or not there, with checksums; weights as tensors only, never as code."""
+"""Files that are complete or absent, with checksums; weights as tensors only, never as code."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -14,55 +15,54 @@ from torch import Tensor, nn
 
 from mecp_env.core.errors import ConfigError, MecpError
 
+fcntl: Any
 try:
     import fcntl
 except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None
 
 MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy; `mecp_env.learning.learned` loads no larger file
-MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two means that Adam keeps of each, and the rest
-NAME_LENGTH = 12  # of the checksum in a file's name
+MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two moments of Adam, and the rest
 
 
 class WeightError(ConfigError):
-    """A file of weights is damaged, too large, changed, or of another network."""
+    """A file of weights is damaged, too large, modified, or of another network."""
 
 
 class NotFiniteError(MecpError):
     """Training made a weight infinite or NaN: such weights are not kept."""
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that after a crash at any time the old or the new one is there, never a part."""
+def write_atomic(path: Path, data: bytes) -> None:
+    """Write a file so that after a crash at any time the old or the new one exists, never a part."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with beside.open("wb") as file:
+        with temporary.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        beside.replace(path)
+        temporary.replace(path)
     finally:
-        beside.unlink(missing_ok=True)
-    sync_folder(path.parent)
+        temporary.unlink(missing_ok=True)
+    if os.name == "posix":  # make the name last, too
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder last, where the system can."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON, atomically."""
+    write_atomic(path, (json.dumps(value, indent=2) + "\n").encode())
 
 
 def lock(path: Path) -> Any:
-    """Hold a file for this process, until what comes back is closed or the process has gone, killed or not.
+    """Hold a file for this process, until the returned object is closed or the process has ended, killed or not.
 
-    Raises `BlockingIOError` when another process holds it. Where the system has no such locks it holds nothing. (Locks
-    of `flock` would be inherited by forked workers, which outlive a killed process for a while.)
+    Raises `BlockingIOError` when another process holds it. Without such locks on a system it holds nothing. (`flock`
+    locks would be inherited by forked workers, which outlive a killed process for a while.)
     """
     file = path.open("a")
     if fcntl is None:
@@ -70,8 +70,10 @@ def lock(path: Path) -> Any:
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
+        file.close()
         if error.errno in (errno.EACCES, errno.EAGAIN):
             raise BlockingIOError(*error.args) from None
+        raise
     return file
 
 
@@ -80,8 +82,8 @@ def checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read_checked(path: Path, sha256: str, most_bytes: int = MOST_BYTES) -> bytes:
-    """The bytes of a file. Raises `WeightError` when it is missing, too large, or not the one of that checksum."""
+def read_tensors(path: Path, sha256: str, most_bytes: int = MOST_BYTES) -> dict[str, Tensor]:
+    """The tensors in a file. Raises `WeightError` when it is missing, too large, or has another checksum or format."""
     try:
         size = path.stat().st_size
         if size > most_bytes:
@@ -90,22 +92,18 @@ def read_checked(path: Path, sha256: str, most_bytes: int = MOST_BYTES) -> bytes
     except OSError as error:
         raise WeightError(f"{path}: {error.strerror}") from None
     if checksum(data) != sha256:
-        raise WeightError(f"{path}: its SHA-256 is {checksum(data)}, expected {sha256}: damaged or exchanged")
-    return data
-
-
-def tensors_in(data: bytes, path: Path) -> dict[str, Tensor]:
-    """The tensors in the bytes of a safetensors file. Raises `WeightError`."""
+        raise WeightError(f"{path}: its SHA-256 is {checksum(data)}, expected {sha256}: damaged or modified")
     try:
-        return safetensors.torch.load(data)
+        tensors: dict[str, Tensor] = safetensors.torch.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as error:
-        raise WeightError(f"{path}: no safetensors file: {error}") from None
+        raise WeightError(f"{path}: not a safetensors file: {error}") from None
+    return tensors
 
 
-def tensor_bytes(tensors: dict[str, Tensor], metadata: dict[str, str] | None = None) -> bytes:
+def tensor_bytes(tensors: dict[str, Tensor]) -> bytes:
     """A safetensors file of some tensors."""
     plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
-    return bytes(safetensors.torch.save(plain, metadata))
+    return bytes(safetensors.torch.save(plain))
 
 
 def weights_of(policy: nn.Module) -> dict[str, Tensor]:
@@ -114,7 +112,7 @@ def weights_of(policy: nn.Module) -> dict[str, Tensor]:
 
 
 def check_finite(policy: nn.Module) -> None:
-    """Raise `NotFiniteError` for a policy with a weight that is no number."""
+    """Raise `NotFiniteError` for a policy with a weight that is infinite or NaN."""
     for name, weight in weights_of(policy).items():
         if not bool(weight.isfinite().all()):
             raise NotFiniteError(f"weights: {name} is not finite any more; a smaller ppo.learning_rate?")
@@ -129,7 +127,7 @@ def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> No
     for name, parameter in mine.items():
         given = weights[name]
         if given.shape != parameter.shape or given.dtype != parameter.dtype:
-            found, expected = describe(given), describe(parameter)
+            found, expected = describe_tensor(given), describe_tensor(parameter)
             raise WeightError(f"{path}: of another architecture, {name} is {found}, expected {expected}")
         if not bool(given.isfinite().all()):
             raise WeightError(f"{path}: {name} is not finite")
@@ -137,6 +135,6 @@ def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> No
         parameter.copy_(weights[name])
 
 
-def describe(tensor: Any) -> str:
+def describe_tensor(tensor: Tensor) -> str:
     """Shape and type of a tensor."""
     return f"{tuple(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"

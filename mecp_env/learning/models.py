@@ -1,4 +1,4 @@
-"""The algorithms of Stable-Baselines3 with the networks made for this observation."""
+"""The algorithms of Stable-Baselines3 with the networks for this observation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from gymnasium import spaces
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.buffers import MaskableDictRolloutBuffer
 from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
@@ -20,8 +19,8 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import Observer
 from mecp_env.learning import files
-from mecp_env.learning.compact import compact_space
 from mecp_env.learning.config import TrainConfig
+from mecp_env.learning.downsampled import downsampled_space
 from mecp_env.learning.encoder import ObservationEncoder
 from mecp_env.learning.pointer import GoalPointerPolicy
 
@@ -29,49 +28,49 @@ CLASSES: dict[str, type[OnPolicyAlgorithm]] = {"ppo": PPO, "maskable_ppo": Maska
 FIRST_LOG_STD = -0.7  # of velocities: half of the largest
 
 
-class DriveBuffer(MaskableDictRolloutBuffer):
-    """Advantages of decisions that take differently long: each is followed by its own discount.
+class OptionBuffer(MaskableDictRolloutBuffer):
+    """Advantages of options (macro-actions) of different durations: each is followed by its own discount.
 
-    GAE (Schulman et al. 2016) with gamma replaced by the discount of the drive; set `coming` before each `add`.
+    GAE (Schulman et al. 2016) with gamma replaced by the discount of the option; set `next_discounts` before `add`.
     """
 
     discounts: np.ndarray
-    coming: np.ndarray  # (n_envs,) of the decisions that are added next
+    next_discounts: np.ndarray  # (n_envs,) of the options that are added next
 
     def reset(self) -> None:
         self.discounts = np.ones((self.buffer_size, self.n_envs), np.float32)
-        self.coming = np.full(self.n_envs, self.gamma, np.float32)
+        self.next_discounts = np.full(self.n_envs, self.gamma, np.float32)
         super().reset()
 
     def add(self, *args: Any, **kwargs: Any) -> None:
-        """As of the buffer below."""
-        self.discounts[self.pos] = self.coming
+        """As of the base class."""
+        self.discounts[self.pos] = self.next_discounts
         super().add(*args, **kwargs)
 
     def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
         """Write `advantages` and `returns` (steps, n_envs)."""
         values = np.concatenate([self.values, last_values.cpu().numpy().reshape(1, -1)])
-        over = np.concatenate([self.episode_starts[1:], dones.astype(np.float32).reshape(1, -1)])
-        ahead = self.discounts * (1.0 - over)
+        ended = np.concatenate([self.episode_starts[1:], dones.astype(np.float32).reshape(1, -1)])
+        discounts = self.discounts * (1.0 - ended)
         advantage = np.zeros(self.n_envs, np.float32)
         for step in reversed(range(self.buffer_size)):
-            surprise = self.rewards[step] + ahead[step] * values[step + 1] - values[step]
-            advantage = surprise + ahead[step] * self.gae_lambda * advantage
+            error = self.rewards[step] + discounts[step] * values[step + 1] - values[step]
+            advantage = error + discounts[step] * self.gae_lambda * advantage
             self.advantages[step] = advantage
         self.returns = self.advantages + self.values
 
 
-def value_cut_off(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str, Any]]) -> None:
-    """Add to `rewards` (n_envs,) what would have come after drives in which the time ran out, by their own discount.
+def bootstrap_truncated(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str, Any]]) -> None:
+    """Add to `rewards` (n_envs,) the value after options that a step limit truncated, by their own discount.
 
-    sb3-contrib would add it by the discount of a decision, which is that of a drive of no length.
+    sb3-contrib would use the constant discount, that of an option without metres.
     """
-    for row in [row for row, info in enumerate(infos) if info["TimeLimit.truncated"]]:
-        info = infos[row]
-        info["TimeLimit.truncated"] = False  # it is accounted for
-        with torch.no_grad():
-            value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
-        rewards[row] += info["discount"] * float(value)
+    for row, info in enumerate(infos):
+        if info["TimeLimit.truncated"]:
+            info["TimeLimit.truncated"] = False  # it is added here
+            with torch.no_grad():
+                value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
+            rewards[row] += info["discount"] * float(value)
 
 
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
@@ -93,7 +92,7 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
     """The algorithm of a configuration on some environments; the policy's weights follow from the seed."""
     ppo = config.ppo
     policy, keywords = policy_arguments(config)
-    driven = {"rollout_buffer_class": DriveBuffer} if config.algorithm == "maskable_ppo" else {}
+    buffer = {"rollout_buffer_class": OptionBuffer} if config.algorithm == "maskable_ppo" else {}
     return CLASSES[config.algorithm](
         policy,
         venv,
@@ -111,12 +110,12 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
         policy_kwargs=keywords,
         seed=seed,
         device="cpu",
-        **driven,
+        **buffer,
     )
 
 
-def make_policy(config: TrainConfig) -> BasePolicy:
-    """The policy of a configuration, without environment and algorithm; its weights are yet to be put in."""
+def make_network(config: TrainConfig) -> BasePolicy:
+    """The network of a configuration, without environment and algorithm; its weights are still random."""
     policy, keywords = policy_arguments(config)
     if isinstance(policy, str):
         policy = CLASSES[config.algorithm].policy_aliases[policy]
@@ -126,9 +125,9 @@ def make_policy(config: TrainConfig) -> BasePolicy:
 
 
 def check_size(config: TrainConfig) -> None:
-    """Raise `ConfigError` for a network whose weights would be refused when they are loaded."""
-    use_threads(1)  # workers may be forked after this, which threads of PyTorch would not survive
-    size = len(files.tensor_bytes(files.weights_of(make_policy(config))))
+    """Raise `ConfigError` for a network whose weights would be refused at loading."""
+    use_threads(1)  # workers may be forked later, which threads of PyTorch would not survive
+    size = len(files.tensor_bytes(files.weights_of(make_network(config))))
     network = config.network
     if size > files.MOST_POLICY_BYTES:
         raise ConfigError(
@@ -138,23 +137,17 @@ def check_size(config: TrainConfig) -> None:
 
 
 def observation_space(config: TrainConfig) -> spaces.Dict:
-    """The space of what the network is given."""
-    return compact_space(Observer().space, goals=config.actions == "goal")
+    """The observation space of the network."""
+    return downsampled_space(Observer().space, goals=config.actions == "goal")
 
 
 def action_space(config: TrainConfig) -> spaces.Space[Any]:
-    """The space of what the agent does."""
+    """The action space of the policy."""
     if config.actions == "goal":
         return spaces.Discrete(GOALS)
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 def use_threads(count: int) -> None:
-    """Let PyTorch compute in so many threads."""
+    """Let PyTorch compute in that many threads."""
     torch.set_num_threads(count)
-
-
-def is_same(model: BaseAlgorithm, policy: BasePolicy) -> bool:
-    """True when a model has the weights of a policy."""
-    mine, other = model.policy.state_dict(), policy.state_dict()
-    return mine.keys() == other.keys() and all(torch.equal(mine[name], other[name]) for name in mine)

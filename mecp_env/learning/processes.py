@@ -24,7 +24,7 @@ class Processes(SubprocVecEnv):
             super().__init__(list(makers))
         except GONE:  # it asks the first one for its spaces
             raise self.died(0) from None
-        self.remotes = tuple(Line(remote, self, index) for index, remote in enumerate(self.remotes))
+        self.remotes: tuple[Any, ...] = tuple(Line(remote, self, index) for index, remote in enumerate(self.remotes))
 
     def died(self, index: int) -> WorkerDied:
         """What to say of the process that died; all others are ended."""

@@ -1,16 +1,15 @@
-"""The folder of a run: all that is needed to repeat it, and what came of it."""
+"""The folder of a run: everything that is needed to repeat it, and its results."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,9 +22,11 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.learning import files
 from mecp_env.learning.checkpoints import Checkpoints
 from mecp_env.learning.config import TrainConfig, read_config
+from mecp_env.learning.files import write_json
 
 PACKAGES = ("gymnasium", "numpy", "numba", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "safetensors")
 CONFIG, ABOUT, POLICY, LOCK = "config.json", "run.json", "policy.json", ".lock"
+NAME_LENGTH = 12  # of the checksum in the name of a file of weights
 
 
 class RunFolder:
@@ -37,54 +38,54 @@ class RunFolder:
         self.held: Any = None
 
     def hold(self) -> None:
-        """Let no other process train here until `close`. Raises `ConfigError` when one does."""
+        """Exclude other processes from this folder until `close`. Raises `ConfigError` when one trains here."""
         try:
             self.held = files.lock(self.folder / LOCK)
         except BlockingIOError:
             raise ConfigError(f"out: {self.folder} is being trained by another process") from None
 
-    def take_up(self) -> None:
-        """Hold the folder of a run that goes on.
+    def close(self) -> None:
+        """Release the folder."""
+        if self.held is not None:
+            self.held.close()
 
-        Raises `ConfigError`, with nothing written, when another process trains there, or for fewer steps than it has
-        made; a run that ended as it was configured may have made a few more, those of its last update.
+    def start(self) -> None:
+        """Create the folder and hold it. Raises `ConfigError` if it has a run already, or cannot be written to."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self.hold()
+            if (self.folder / CONFIG).exists():  # after the lock: another process may have started meanwhile
+                raise ConfigError(f"out: {self.folder} has a run already; --resume {self.folder} continues it")
+            write_json(self.folder / CONFIG, self.config.to_dict())
+        except OSError as error:
+            raise ConfigError(f"out: {self.folder}: {error.strerror}; choose another place with --out") from None
+        self.add_event("begun")
+
+    def resume(self) -> None:
+        """Hold the folder of a run that continues, and write its configuration.
+
+        Raises `ConfigError`, with nothing written, when another process trains there, or for fewer steps than the run
+        has made; a finished run may have made a few more, those of its last update.
         """
         self.hold()
         made, steps = self.checkpoints.decisions(), self.config.steps
         if steps < made and steps != TrainConfig.build(read_config(self.folder / CONFIG)).steps:
             raise ConfigError(f"steps: {steps}, but the run in {self.folder} has made {made} decisions already")
-
-    def close(self) -> None:
-        """Let others train here."""
-        if self.held is not None:
-            self.held.close()
-
-    def begin(self) -> None:
-        """Make the folder and hold it. Raises `ConfigError` where a run is already, or nothing can be written."""
-        if (self.folder / CONFIG).exists():
-            raise ConfigError(f"out: {self.folder} holds a run; --resume {self.folder} goes on with it")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self.hold()
-            self.keep_config()
-        except OSError as error:
-            raise ConfigError(f"out: {self.folder}: {error.strerror}; choose another place with --out") from None
-        self.note("begun")
-
-    def keep_config(self) -> None:
-        """Write the configuration."""
         write_json(self.folder / CONFIG, self.config.to_dict())
+        self.add_event("resumed")
 
-    def note(self, what: str) -> None:
-        """Add a line to `run.json`: when, by which command, with which versions something was done."""
+    def add_event(self, event: str) -> None:
+        """Add an entry to `run.json`: the time, the command, and the versions."""
         path = self.folder / ABOUT
-        known = json.loads(path.read_text()) if path.exists() else []
-        write_json(path, [*known, {"event": what, **surroundings()}])
+        known: list[Any] = []
+        with suppress(OSError, ValueError):  # none yet, or damaged
+            known = list(json.loads(path.read_text()))
+        write_json(path, [*known, {"event": event, **provenance()}])
 
     def keep_policy(self, policy: nn.Module, facts: Mapping[str, Any]) -> None:
-        """Make these the weights that are loaded from this folder; `facts` say where they come from.
+        """Make these the weights that are loaded from this folder; `facts` describe their origin.
 
-        Raises `NotFiniteError`; the weights from before then stay.
+        Raises `NotFiniteError`; the previous weights then stay.
         """
         files.check_finite(policy)
         save_policy(self.folder, policy, self.config.algorithm, facts)
@@ -94,33 +95,27 @@ def save_policy(folder: Path, policy: nn.Module, algorithm: str, facts: Mapping[
     """Write weights, then `policy.json`, which names them with their checksum, then remove older ones."""
     data = files.tensor_bytes(files.weights_of(policy))
     sha256 = files.checksum(data)
-    name = f"policy-{sha256[: files.NAME_LENGTH]}.safetensors"
-    files.write_whole(folder / name, data)
-    about = {"algorithm": algorithm, "file": name, "sha256": sha256, "bytes": len(data), **facts}
-    write_json(folder / POLICY, about)
+    name = f"policy-{sha256[:NAME_LENGTH]}.safetensors"
+    files.write_atomic(folder / name, data)
+    write_json(folder / POLICY, {"algorithm": algorithm, "file": name, "sha256": sha256, "bytes": len(data), **facts})
     for old in folder.glob("policy-*.safetensors"):
         if old.name != name:
             old.unlink()
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON, whole."""
-    files.write_whole(path, (json.dumps(value, indent=2) + "\n").encode())
-
-
-def surroundings() -> dict[str, Any]:
-    """When, how and with what this process runs."""
+def provenance() -> dict[str, Any]:
+    """When, by which command, on which machine and with which versions this process runs."""
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": shlex.join(["python", "-m", "mecp_env.learning.train", *sys.argv[1:]]),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "commit": commit(),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "versions": {"mecp_env": mecp_env.__version__} | {name: installed(name) for name in PACKAGES},
+        "versions": {"mecp_env": mecp_env.__version__} | {name: installed_version(name) for name in PACKAGES},
     }
 
 
-def installed(package: str) -> str:
+def installed_version(package: str) -> str:
     """The version of a package."""
     try:
         return version(package)
@@ -129,46 +124,13 @@ def installed(package: str) -> str:
 
 
 def commit() -> str:
-    """The commit of the clone that this runs from, with a `+` when something was changed since; "" elsewhere."""
-    here = Path(__file__).parent
+    """The commit of the clone that this runs from, with a `+` if tracked files have changed; "" elsewhere."""
+    git = ["git", "-C", str(Path(__file__).parent)]
     try:
-        name = git(here, "rev-parse", "HEAD")
-        return name + ("+" if git(here, "status", "--porcelain", "--untracked-files=no") else "")
+        head, changes = (
+            subprocess.run([*git, *words], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        )
     except (OSError, subprocess.SubprocessError):
         return ""
-
-
-def git(folder: Path, *words: str) -> str:
-    """What git says."""
-    done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=10, check=True)
-    return done.stdout.strip()
-
-
-class Table:
-    """A CSV file that grows by a row at a time; a row goes to the disk at once."""
-
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        self.path, self.columns = path, list(columns)
-
-    def cut(self, decisions: int) -> None:
-        """Forget the rows beyond so many decisions: they will be made again."""
-        rows = [row for row in self.rows() if float(row["decisions"]) <= decisions]
-        text = io.StringIO()
-        writer = csv.DictWriter(text, self.columns, extrasaction="ignore", restval="")
-        writer.writeheader()
-        writer.writerows(rows)
-        files.write_whole(self.path, text.getvalue().encode())
-
-    def add(self, values: Mapping[str, float]) -> None:
-        """Append a row; a column without a value stays empty."""
-        row = {name: f"{values[name]:.6g}" for name in self.columns if name in values}
-        with self.path.open("a", newline="") as file:
-            csv.DictWriter(file, self.columns, restval="").writerow(row)
-
-    def rows(self) -> list[dict[str, str]]:
-        """All rows that are whole."""
-        if not self.path.exists():
-            return []
-        with self.path.open(newline="", errors="replace") as file:  # after a power failure a tail may be cut or zeros
-            whole = [line for line in file if line.endswith("\n") and "\0" not in line]
-        return [row for row in csv.DictReader(whole) if row.get("decisions")]
+    return head + ("+" if changes else "")

@@ -1,63 +1,107 @@
-"""Train an agent: `python -m mecp_env.learning.train ALGO [options]`; `--help` lists every option."""
+"""Training with Stable-Baselines3: from a configuration to a run folder."""
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
-import sys
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from multiprocessing import forkserver
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Self
 
-if TYPE_CHECKING:  # imports take seconds; here nothing would catch a Ctrl-C that comes in them
-    from mecp_env.learning.line import Order
-    from mecp_env.learning.run_folder import RunFolder
-    from mecp_env.learning.trainer import Trainer
+import numpy as np
+from stable_baselines3.common.vec_env import VecNormalize
 
-FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
-ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTED: "stopped"}
-INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
+from mecp_env.learning import models
+from mecp_env.learning.callbacks import EvaluationCallback, OptionCallback, SafeCheckpointCallback, StatisticsCallback
+from mecp_env.learning.checkpoints import TrainingState
+from mecp_env.learning.config import TrainConfig
+from mecp_env.learning.environments import make_env, make_many
+from mecp_env.learning.run_folder import RunFolder
+from mecp_env.learning.run_log import RunLog
+from mecp_env.learning.warm_start import check_teacher, warm_start
+
+MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 
 
-def main(words: list[str]) -> int:
-    """Train; the exit code: 0, 2 for wrong input, 130 after Ctrl-C.
+def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
+    """Train in a folder, or continue the run there: True at its end, False after Ctrl-C, which saves everything.
 
-    It is 1 when a worker died, a weight is no number any more, or the disk is full.
+    Raises `ConfigError` before anything is written, `WorkerDied`, and `NotFiniteError`.
     """
-    try:
-        return attempt(words)
-    except KeyboardInterrupt:
-        print("train: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    check(config)
+    with closing(RunFolder(folder, config)) as run_folder:
+        run_folder.resume() if resume else run_folder.start()
+        if "forkserver" in multiprocessing.get_all_start_methods():
+            workers_ignore_ctrl_c()
+        log = RunLog(folder, config.steps, config.log.tensorboard)
+        with TrainingRun(run_folder, log) as run, log, stopped_by_ctrl_c(run):  # the log starts threads after the forks
+            if resume:
+                run.resume()
+            return run.train()
 
 
-def attempt(words: list[str]) -> int:
-    """As `main`; what is wrong is said on stderr. Raises `KeyboardInterrupt` outside the training itself."""
-    from mecp_env.core.errors import MecpError
-    from mecp_env.core.exit_codes import complain
-    from mecp_env.vector import WorkerDied
-
-    try:
-        from mecp_env.learning.line import parse
-        from mecp_env.learning.output import enduring_output
-
-        with enduring_output():
-            return train(parse(words))
-    except MecpError as error:
-        complain("train", error)
-    except ModuleNotFoundError as error:
-        print(f"train: needs {error.name}: {INSTALL}", file=sys.stderr)
-    except WorkerDied as error:
-        complain("train", error)
-        return FAILED
-    except OSError as error:
-        print(f"train: {error.filename or 'files'}: {error.strerror}", file=sys.stderr)
-        return FAILED
-    return WRONG_INPUT
+def check(config: TrainConfig) -> None:
+    """Raise `ConfigError` for a configuration that cannot be trained."""
+    check_teacher(config)
+    models.check_size(config)
+    for index in range(len(config.buildings.difficulty)):
+        make_env(config, index).close()
 
 
-def workers_leave_ctrl_c() -> None:
-    """Have the process that starts workers ignore Ctrl-C: each of them then does from its first moment on."""
+class TrainingRun:
+    """Environments, algorithm and callbacks of a run; a context manager that ends its workers."""
+
+    def __init__(self, folder: RunFolder, log: RunLog) -> None:
+        self.config, self.folder, self.log = folder.config, folder, log
+        self.state = TrainingState()
+
+    def __enter__(self) -> Self:
+        config = self.config
+        models.use_threads(config.threads)
+        timed = make_many(config, config.seed)
+        gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
+        self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
+        self.model = models.make_model(config, self.venv, config.seed)
+        self.statistics = StatisticsCallback(self.state, self.log, timed)
+        self.evaluation = EvaluationCallback(self.folder, self.log, self.statistics)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.evaluation.validation.close()
+        self.venv.close()
+
+    def resume(self) -> None:
+        """Continue from the newest checkpoint, if there is one. Raises `WeightError`."""
+        found = self.folder.checkpoints.load(self.model, self.log.echo)
+        if found is None:
+            self.log.echo("resumed from the beginning: no checkpoint yet")
+            return
+        self.state = self.statistics.state = found
+        returns = self.venv.ret_rms
+        returns.mean, returns.var = np.array(found.return_mean), np.array(found.return_var)
+        returns.count = found.return_count
+        self.venv.seed(int(np.random.SeedSequence([self.config.seed, found.decisions]).generate_state(1)[0]) // 2)
+        self.log.echo(f"resumed after {found.decisions:,} decisions")
+
+    def train(self) -> bool:
+        """Train to the end, or until `stop`; then everything is saved. An interrupted warm start is not."""
+        self.log.start(self.state.decisions)
+        self.model.set_logger(self.log.training)
+        teacher = self.config.warm_start.teacher and not self.state.decisions
+        if teacher and not warm_start(self.model, self.venv, self.config, self.log, lambda: self.statistics.stop):
+            self.log.echo("nothing is saved yet: an interrupted warm start starts again")
+            return False
+        saving = SafeCheckpointCallback(self.folder, self.venv, self.statistics)
+        callbacks = [OptionCallback(), self.statistics, self.evaluation, saving]
+        left = max(0, self.config.steps - self.state.decisions)
+        self.model.learn(left, callback=callbacks, reset_num_timesteps=False)
+        return not self.statistics.stop
+
+
+def workers_ignore_ctrl_c() -> None:
+    """Let the process that starts workers ignore Ctrl-C: then each of them does from its start."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         forkserver.ensure_running()
@@ -65,73 +109,17 @@ def workers_leave_ctrl_c() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def train(order: Order) -> int:
-    """Begin a run, or go on with one; the exit code. Raises `ConfigError`."""
-    from mecp_env.learning.environments import make_env
-    from mecp_env.learning.models import check_size
-    from mecp_env.learning.run_folder import RunFolder
-    from mecp_env.learning.warm_start import check_teacher
-
-    check_teacher(order.config)
-    check_size(order.config)
-    for index in range(len(order.config.buildings.difficulty)):  # what is wrong is said before anything is written
-        make_env(order.config, index).close()
-    with closing(RunFolder(order.folder, order.config)) as folder:
-        folder.take_up() if order.resume else folder.begin()
-        code = train_in(folder, order)
-    print(f"{ENDS[code]}: {order.folder}")
-    if code:
-        print(f"go on with: python -m mecp_env.learning.train --resume {order.folder}")
-    return code
-
-
-def train_in(folder: RunFolder, order: Order) -> int:
-    """Train in a folder that is held; the exit code."""
-    from mecp_env.learning.report import Report
-    from mecp_env.learning.trainer import Trainer
-
-    if "forkserver" in multiprocessing.get_all_start_methods():
-        workers_leave_ctrl_c()
-    report = Report(order.folder, order.config)
-    with Trainer(folder, report) as trainer, report:  # workers are forked only where no thread runs yet
-        if order.resume:
-            go_on(trainer)
-        return run(trainer)
-
-
-def go_on(trainer: Trainer) -> None:
-    """Take up a run again."""
-    trainer.folder.keep_config()
-    trainer.folder.note("resumed")
-    found = trainer.resume()
-    where = f"after {trainer.progress.decisions:,} decisions" if found else "from the beginning: no checkpoint yet"
-    trainer.report.say(f"resumed {where}")
-
-
-def run(trainer: Trainer) -> int:
-    """Train until the end, Ctrl-C, the death of a worker, or weights that are no numbers; the exit code."""
-    from mecp_env.learning.files import NotFiniteError
-    from mecp_env.vector import WorkerDied
-
-    stop_on_interrupt(trainer)
-    try:
-        trainer.run()
-    except (WorkerDied, NotFiniteError) as error:
-        trainer.report.say(f"train: {error}")
-        return FAILED
-    return INTERRUPTED if trainer.stop else 0
-
-
-def stop_on_interrupt(trainer: Trainer) -> None:
-    """Let the first Ctrl-C end the run in order, a second one at once."""
+@contextmanager
+def stopped_by_ctrl_c(run: TrainingRun) -> Iterator[None]:
+    """Within it the first Ctrl-C ends the run in order, a second one at once."""
 
     def stop(number: int, frame: Any) -> None:
-        trainer.stop = True
-        trainer.report.say("stopping: what is running is finished and saved; Ctrl-C again ends at once")
+        run.statistics.stop = True
+        run.log.echo("stopping: everything is saved after this step; Ctrl-C again ends at once")
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    signal.signal(signal.SIGINT, stop)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

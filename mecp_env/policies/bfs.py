@@ -5,11 +5,10 @@ from __future__ import annotations
 from mecp_env.planning.breadth_first import BreadthFirst
 
 
-class BreadthFirstAgent(BreadthFirst):
-    """`BreadthFirst` as an agent: it chooses goals, planner and controller of the environment drive there."""
+class BreadthFirstPolicy(BreadthFirst):
+    """`BreadthFirst` as a policy: it selects goals, planner and controller of the environment drive there."""
 
     actions = "goal"
 
     def reset(self, seed: int = 0) -> None:
-        """Begin an episode; nothing here is random."""
-        super().reset()
+        """Start an episode; nothing here is random."""

@@ -1,8 +1,8 @@
-"""From episodes to figures: one row a policy, each figure with its 95 % interval, differences building by building."""
+"""From episodes to metrics: one row per policy, with 95 % intervals and paired differences by building."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,31 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.intervals import estimate, ratio, share
-from mecp_env.policies.episode import Episode
+from mecp_env.policies.rollout import EpisodeResult
 
 Array = NDArray[np.float64]
 Figures = dict[str, Any]
 
 MEANS = (
-    "auc",
-    "metres_to_90%",
-    "metres_to_99%",
-    "periods_to_90%",
-    "periods_to_99%",
-    "coverage",
-    "metres",
-    "periods",
-    "decisions",
-    "pose_error_mean_m",
-    "pose_error_final_m",
-    "log_det_mean",
-    "landmarks",
-    "duplicates",
-    "contacts",
+    *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "periods_to_99%", "coverage", "metres", "periods"),
+    *("decisions", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "landmarks", "duplicates", "contacts"),
 )
 SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "diverged")
 COMPARED = ("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete")
-SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is given
+SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +30,10 @@ class Row:
 
     policy: str
     estimator: str
-    episodes: tuple[Episode, ...]
+    episodes: tuple[EpisodeResult, ...]
 
     def values(self, name: str) -> Array:
-        """(n,) one figure, building by building."""
+        """(n,) one metric, building by building."""
         return np.array([episode.figures[name] for episode in self.episodes])
 
     def curves(self) -> Array:
@@ -54,22 +41,22 @@ class Row:
         return np.array([e.curve.at(SHARES_OF_BUDGET * e.figures["budget_m"]) for e in self.episodes])
 
 
-def rows_of(episodes: Iterable[Episode], order: Sequence[tuple[str, str]]) -> list[Row]:
-    """A row for each policy and estimator of `order`, over the buildings that all those with any episode have done."""
-    done: dict[tuple[str, str], dict[int, Episode]] = {key: {} for key in order}
+def rows_of(episodes: Iterable[EpisodeResult], order: Sequence[tuple[str, str]]) -> list[Row]:
+    """A row per policy and estimator of `order`, over the buildings that all those with any episode have finished."""
+    found: dict[tuple[str, str], dict[int, EpisodeResult]] = {key: {} for key in order}
     for episode in episodes:
-        done[episode.task.policy, episode.task.setting.estimator][episode.task.building] = episode
-    begun = {key: those for key, those in done.items() if those}
-    common = sorted(set.intersection(*(set(those) for those in begun.values()))) if begun else []
-    return [Row(*key, tuple(those[number] for number in common)) for key, those in begun.items() if common]
+        found[episode.task.policy, episode.task.setting.estimator][episode.task.building] = episode
+    started = {key: results for key, results in found.items() if results}
+    common = sorted(set.intersection(*map(set, started.values()))) if started else []
+    return [Row(*key, tuple(results[building] for building in common)) for key, results in started.items() if common]
 
 
 def figures_of(row: Row) -> Figures:
-    """All figures of a row."""
+    """All metrics of a row."""
     figures: Figures = {name: estimate(row.values(name)) for name in MEANS}
     figures |= {name: share(row.values(name) > 0.5) for name in SHARES}
     if row.estimator == "truth":
-        figures["log_det_mean"] = estimate([])  # a pose that is known has no covariance
+        figures["log_det_mean"] = estimate([])  # a known pose has no covariance
     return figures | {
         "rooms_found": ratio(row.values("rooms_found"), row.values("rooms")),
         "doors_found": ratio(row.values("doors_found"), row.values("doors")),
@@ -78,38 +65,33 @@ def figures_of(row: Row) -> Figures:
 
 
 def difference(row: Row, other: Row) -> Figures:
-    """What `row` has more than `other` in the same buildings: means of paired differences with their intervals."""
+    """`row` minus `other` in the same buildings: means of paired differences with their intervals."""
     return {name: estimate(row.values(name) - other.values(name)) for name in COMPARED}
 
 
-def find(rows: Sequence[Row], wanted: Callable[[Row], bool]) -> Row | None:
-    """The first of the rows that is wanted."""
-    return next((row for row in rows if wanted(row)), None)
-
-
 def compare(rows: Sequence[Row], reference: str) -> list[Figures]:
-    """Each row as plain data: its figures, its difference to the reference, and what uncertainty costs it.
+    """Each row as JSON data: its metrics, its difference to the reference, and the cost of uncertainty.
 
-    The reference is the row of that policy with the same estimator; the cost of uncertainty, of rows with
-    `estimator="truth"`, is that row minus the row of the same policy that had to find out where it is.
+    The reference is the row of that policy with the same estimator; the cost of uncertainty, in rows with
+    `estimator="truth"`, is that row minus the row of the same policy without the ground-truth pose.
     """
-    return [describe(row, rows, reference) for row in rows]
+    return [with_differences(row, rows, reference) for row in rows]
 
 
-def describe(row: Row, rows: Sequence[Row], reference: str) -> Figures:
-    """One row as plain data."""
+def with_differences(row: Row, rows: Sequence[Row], reference: str) -> Figures:
+    """One row as JSON data."""
     page: Figures = {"policy": row.policy, "estimator": row.estimator, "figures": figures_of(row)}
-    first = find(rows, lambda other: other.policy == reference and other.estimator == row.estimator)
-    if first is not None and first is not row:
+    first = next((other for other in rows if (other.policy, other.estimator) == (reference, row.estimator)), row)
+    if first is not row:
         page["against_reference"] = difference(row, first)
-    unsure = find(rows, lambda other: other.policy == row.policy and other.estimator != "truth")
-    if row.estimator == "truth" and unsure is not None:
-        page["with_the_pose_known"] = difference(row, unsure)
+    estimated = next((other for other in rows if other.policy == row.policy and other.estimator != "truth"), row)
+    if estimated is not row and row.estimator == "truth":
+        page["with_the_pose_known"] = difference(row, estimated)
     return page | {"curve": [estimate(column) for column in row.curves().T]}
 
 
 def timing(rows: Sequence[Row]) -> dict[str, float]:
-    """Decisions a second of processor time, by policy; the only figures that another run does not repeat."""
+    """Decisions per second of CPU time, by policy: the only figures that another run does not repeat."""
     rates: dict[str, float] = {}
     for row in rows:
         seconds = sum(episode.act_s for episode in row.episodes)

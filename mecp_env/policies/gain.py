@@ -1,49 +1,44 @@
-"""Most new floor for the way there, and a preference for known ground when the pose grows unsure.
-
-`python -m mecp_env.policies.gain --layout medium:test:3`
-"""
+"""Most new floor per path length, and a preference for well-mapped places while the pose is uncertain."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.policies.one_episode import main
 from mecp_env.policies.policy import KIND, PATH, Array, Mask, X, Y, choices
 
 CELLS, CELL_M = 96, 0.2  # of the observation's grid, the robot in the middle, its heading up
 FREE, OCCUPIED, UNKNOWN = 0, 2, 3  # layers of it
 DOOR = 3  # kind of a goal
-BEAMS, STEP_M, START_M = 90, 0.2, 0.3  # of the imagined scan; a wall nearer than START_M is the goal's own
+BEAMS, STEP_M, START_M = 90, 0.2, 0.3  # of the imaginary scan; a wall nearer than START_M belongs to the goal itself
 LANDMARK_XX, LANDMARK_YY, LANDMARK_VALID = 2, 4, 7  # columns of `landmarks`
 
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What the explorer goes by; tuned on 40 buildings of the validation split of `medium`."""
+    """Parameters; tuned on 40 buildings of the validation split of `medium`."""
 
-    sight_m: float = 6.0  # unknown floor further from a goal than this is not expected to be seen from there
-    power: float = 0.7  # of the area: a room twice as large is not worth twice the way
-    start_m: float = 2.0  # added to every way, so that what lies at hand is not worth all
-    winding: float = 1.3  # the way from one goal to the next, times the straight line
+    sight_m: float = 6.0  # range of the imaginary scan
+    power: float = 0.7  # of the area: twice the area is worth less than twice the path
+    start_m: float = 2.0  # added to every path, so that the nearest goal does not always win
+    winding: float = 1.3  # path length from one goal to the next, per straight-line distance
     beyond_m2: float = 12.0  # expected behind a door that lies outside the grid of the observation
-    least_m2: float = 0.3  # where no goal promises as much, only the ways count
-    sure_m: float = 0.05  # standard deviation of the position up to which nothing but floor counts
-    caution: float = 1.0  # how fast a goal on unknown ground loses its worth beyond that
+    least_m2: float = 0.3  # where no goal has this gain, only path lengths count
+    sure_m: float = 0.05  # standard deviation of the position up to which only floor counts
+    caution: float = 1.0  # rate at which a goal away from known landmarks loses value beyond that
 
 
 class Gain:
-    """Drives to the goal with the most expected new floor for the way, area^0.7 / (way + 2 m), looking one goal ahead.
+    """Drives to the goal with the most expected new floor per path, area^0.7 / (path + 2 m), one goal ahead.
 
-    A goal counts as much as the best pair that it begins: the floor of both for the way to the one and on to the other.
-    The area is what an imagined scan from the goal would see of the unknown cells of the observation's grid, walls
-    known so far in its way (next best view: Gonzalez-Banos and Latombe 2002). When the position's standard deviation
-    exceeds `sure_m`, goals are preferred that lie near landmarks known better than the pose: seen again, they make it
-    sure (Stachniss, Grisetti and Burgard 2005 close loops for that).
+    The value of a goal is that of the best pair that starts with it: the floor of both, for the path to the first and
+    on to the second. The area is that of the unknown cells of the observation's grid that an imaginary scan from the
+    goal would see, up to the walls known so far (next best view: Gonzalez-Banos and Latombe 2002). When the position's
+    standard deviation exceeds `sure_m`, goals near landmarks that are known better than the pose are preferred: seeing
+    these again reduces the uncertainty (Stachniss, Grisetti and Burgard 2005 close loops for that).
     """
 
     actions = "goal"
@@ -52,7 +47,7 @@ class Gain:
         self.weights = weights or Weights()
 
     def reset(self, seed: int = 0) -> None:
-        """Begin an episode; nothing here is random and nothing is kept."""
+        """Start an episode; nothing here is random, and no state is kept."""
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
         """Row of the goal to drive to; 0 when there is none."""
@@ -63,10 +58,10 @@ class Gain:
         area = self.expected_area(observation["grid"], goals)
         if area.max() < self.weights.least_m2:
             area = np.ones(len(rows))
-        return int(rows[np.argmax(self.worth(area, goals) * self.trust(observation, goals))])
+        return int(rows[np.argmax(self.value_of(area, goals) * self.certainty(observation, goals))])
 
-    def worth(self, area: Array, goals: Array) -> Array:
-        """(k,) worth of the goals (k,9) for the way, each alone or together with the best one to go on to."""
+    def value_of(self, area: Array, goals: Array) -> Array:
+        """(k,) value of the goals (k,9) per path, each alone or together with the best second goal."""
         weights, value = self.weights, area**self.weights.power
         way = goals[:, PATH] + weights.start_m
         straight = np.hypot(*(goals[:, None, [X, Y]] - goals[None, :, [X, Y]]).transpose(2, 0, 1))
@@ -82,8 +77,8 @@ class Gain:
         area[outside & (goals[:, KIND] == DOOR)] = self.weights.beyond_m2
         return area
 
-    def trust(self, observation: dict[str, Any], goals: Array) -> Array:
-        """(k,) factors up to 1 of the goals (k,9): 1 while the pose is sure, less on ground that is not well known."""
+    def certainty(self, observation: dict[str, Any], goals: Array) -> Array:
+        """(k,) factors up to 1 of the goals (k,9): 1 while the pose is certain, less away from well-known landmarks."""
         sigma_m = float(np.sqrt(0.5 * (observation["pose_cov"][0] + observation["pose_cov"][3])))
         excess = max(0.0, sigma_m / self.weights.sure_m - 1.0)
         if excess == 0.0:
@@ -94,7 +89,7 @@ class Gain:
 
 
 def unseen_area(grid: NDArray[np.uint8], places: Array, sight_m: float) -> Array:
-    """(k,) m^2 of unknown cells of `grid` (8,96,96) in sight of places (k,2) m, robot frame; nothing is seen outside.
+    """(k,) m^2 of unknown cells of `grid` (8,96,96) visible from places (k,2) m, robot frame; none outside.
 
     The integral of r dr da over beams that end at the first wall.
     """
@@ -112,14 +107,10 @@ def unseen_area(grid: NDArray[np.uint8], places: Array, sight_m: float) -> Array
 
 
 def well_known(landmarks: NDArray[np.float32], places: Array, sigma_m: float) -> Array:
-    """(k,) how well places (k,2) m are known, 0 to 1: three landmarks within 4 m, twice as sure as the pose, are 1."""
+    """(k,) how well places (k,2) m are mapped: 1 with three landmarks within 4 m, twice as certain as the pose."""
     table = np.asarray(landmarks, np.float64)
     theirs = np.sqrt(0.5 * (table[:, LANDMARK_XX] + table[:, LANDMARK_YY]))
     good = table[(table[:, LANDMARK_VALID] > 0.5) & (theirs < 0.5 * sigma_m)]
     far = np.hypot(places[:, 0, None] - good[:, X], places[:, 1, None] - good[:, Y])
     known: Array = np.minimum((far < 4.0).sum(axis=1) / 3.0, 1.0)
     return known
-
-
-if __name__ == "__main__":
-    sys.exit(main("gain"))

@@ -11,30 +11,30 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from mecp_env.policies.episode import Episode, Task, play
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, run_episode
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class FailedTask:
     """A task that came to nothing, and why."""
 
-    task: Task
+    task: EpisodeTask
     reason: str
 
     def __str__(self) -> str:
         return f"{self.task}: {self.reason}"
 
 
-def attempt(task: Task) -> Episode | Failure:
+def attempt(task: EpisodeTask) -> EpisodeResult | FailedTask:
     """The episode of a task, or what went wrong in it: the error, and the line that raised it."""
     try:
-        return play(task)
+        return run_episode(task)
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        return Failure(task, f"{type(error).__name__}: {error} ({place.name}, line {place.lineno})")
+        return FailedTask(task, f"{type(error).__name__}: {error} ({place.name}, line {place.lineno})")
 
 
-def finished(tasks: Sequence[Task], jobs: int) -> Iterator[Episode | Failure]:
+def finished(tasks: Sequence[EpisodeTask], jobs: int) -> Iterator[EpisodeResult | FailedTask]:
     """Each episode or failure as it comes, of `jobs` processes; with one job all is done here.
 
     After an exception at the `yield`, Ctrl-C among them, the processes are ended.
@@ -50,7 +50,7 @@ def finished(tasks: Sequence[Task], jobs: int) -> Iterator[Episode | Failure]:
             worker.stop()
 
 
-def work(crew: Sequence[Worker], waiting: Iterator[Task]) -> Iterator[Episode | Failure]:
+def work(crew: Sequence[Worker], waiting: Iterator[EpisodeTask]) -> Iterator[EpisodeResult | FailedTask]:
     """Keep the workers busy; each result as it comes."""
     for worker in crew:
         worker.begin(next(waiting, None))
@@ -64,7 +64,7 @@ class Worker:
     """A process that plays one task after the other; one that dies is replaced, and its task has failed."""
 
     def __init__(self) -> None:
-        self.task: Task | None = None
+        self.task: EpisodeTask | None = None
         self._start()
 
     def _start(self) -> None:
@@ -79,21 +79,21 @@ class Worker:
         assert self._process.pid is not None
         return self._process.pid
 
-    def begin(self, task: Task | None) -> None:
+    def begin(self, task: EpisodeTask | None) -> None:
         """Send the next task; None: there is none."""
         self.task = task
         if task is not None:
             with suppress(OSError):  # a process that is gone says so at the end
                 self.line.send(task)
 
-    def end(self) -> Episode | Failure:
+    def end(self) -> EpisodeResult | FailedTask:
         """What came of the task."""
         assert self.task is not None
         try:
-            result: Episode | Failure = self.line.recv()
+            result: EpisodeResult | FailedTask = self.line.recv()
         except (EOFError, OSError):
             self._process.join()
-            result = Failure(self.task, f"its process ended with code {self._process.exitcode}")
+            result = FailedTask(self.task, f"its process ended with code {self._process.exitcode}")
             self._start()
         return result
 

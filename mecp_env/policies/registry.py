@@ -1,61 +1,73 @@
-"""The policies by name. A line here is all that another explorer needs to be evaluated beside the rest."""
+"""Policies by name: shipped explorers, trained policies, run folders, and classes as `module:Class`."""
 
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
-from mecp_env.policies.policy import Agent
+from mecp_env.policies.policy import Policy
 
-EXPLORERS = {  # name -> "module:Class", made without arguments
-    "bfs": "mecp_env.policies.bfs:BreadthFirstAgent",
+EXPLORERS = {  # name -> "module:Class", constructed without arguments
+    "bfs": "mecp_env.policies.bfs:BreadthFirstPolicy",
     "nearest": "mecp_env.policies.nearest:Nearest",
     "gain": "mecp_env.policies.gain:Gain",
     "random_goal": "mecp_env.policies.random_goal:RandomGoal",
     "random_walk": "mecp_env.policies.random_walk:RandomWalk",
 }
-LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # what `mecp_env.learning.train` trains
+LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
-INSTALL = 'pip install -e ".[rl]" (PyTorch first, see the README)'
+INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
+CLASS_PATH = re.compile(r"([A-Za-z_][\w.]*):([A-Za-z_]\w*)")
 
 
-def make_agent(name: str, trust: bool = False) -> Agent:
-    """The policy of that name, or the trained one in the run folder or, with `trust`, the model file `name`.
+def make_policy(name: str, trust: bool = False) -> Policy:
+    """The policy of that name, a class `module:Class`, or the trained one in the run folder or model file `name`.
 
-    Raises `ConfigError` for an unknown name, with all there are, for a trained policy without PyTorch, and for a model
-    file of Stable-Baselines3 that is not trusted: it may run any code while it is loaded.
+    Raises `ConfigError` for an unknown name, with a suggestion, for a trained policy without PyTorch, and for a model
+    file of Stable-Baselines3 without `trust`: it may run arbitrary code while it is loaded.
     """
-    if name in EXPLORERS:
-        module, _, class_name = EXPLORERS[name].partition(":")
-        agent: Agent = getattr(importlib.import_module(module), class_name)()
-        return agent
+    found = CLASS_PATH.fullmatch(EXPLORERS.get(name, name))
+    if found:
+        return import_policy(found[1], found[2])
     if name in LEARNED or Path(name).exists():
         return load_learned(name, trust)
-    raise ConfigError(unknown_policy(name))
+    known = policy_names()
+    raise ConfigError(f"policy: {name!r:.80}, expected one of {', '.join(known)}, or a run folder{guess(name, known)}")
 
 
-def load_learned(name: str, trust: bool = False) -> Agent:
+def import_policy(module: str, class_name: str) -> Policy:
+    """An instance of a class; modules in the working directory are found, too. Raises `ConfigError`."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    try:
+        policy: Policy = getattr(importlib.import_module(module), class_name)()
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ConfigError(f"policy: '{module}:{class_name}' cannot be constructed: {error}") from None
+    missing = [name for name in ("actions", "reset", "act") if not hasattr(policy, name)]
+    if missing:
+        raise ConfigError(f"policy: '{module}:{class_name}' has no {missing[0]!r}, which every policy needs")
+    return policy
+
+
+def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
     try:
-        agent: Agent = importlib.import_module("mecp_env.learning.learned").load(name, trust)
+        policy: Policy = importlib.import_module("mecp_env.learning.learned").load(name, trust)
     except ModuleNotFoundError as error:
-        raise ConfigError(f"policy: {name!r} is a trained one and needs {error.name}: {INSTALL}") from None
-    return agent
+        raise ConfigError(f"policy: {name!r} is a trained policy and needs {error.name}; {INSTALL}") from None
+    return policy
 
 
 def shipped() -> list[str]:
-    """The names of the trained policies that come with the repository."""
+    """The names of the trained policies that the package contains."""
     return [name for name in LEARNED if (WEIGHTS / name / "policy.json").is_file()]
 
 
-def policies() -> list[str]:
-    """The names that there are: explorers, and the trained policies that come with the repository."""
+def policy_names() -> list[str]:
+    """The known names: explorers, and the trained policies that the package contains."""
     return [*EXPLORERS, *shipped()]
-
-
-def unknown_policy(name: str) -> str:
-    """What to say about a name that is none: the nearest one, and all of them."""
-    known = policies()
-    return f"policy: {name!r:.80} is none of {', '.join(known)}, and no folder of a training run{guess(name, known)}"

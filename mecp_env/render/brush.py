@@ -10,7 +10,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 from mecp_env.render.palette import INK, RGB
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ class Brush:
     def text(self, words: str, place: Place, size: int, colour: RGB = INK, align: float = 0.0) -> float:
         """Words whose left end (align 0), middle (0.5) or right end (1) is at `place`; returns their width."""
         font = self._fonts.setdefault(size, pygame.font.Font(None, FINER * size))
-        drawn = font.render(readable(words), True, colour)
+        drawn = font.render(sanitised(words), True, colour)
         self.canvas.blit(drawn, (FINER * place[0] - align * drawn.get_width(), FINER * place[1]))
         return float(drawn.get_width() / FINER)
 

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import to_map
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.text import summary
@@ -57,7 +57,7 @@ def map_figure(view: SceneView) -> Figure:
     _name_rooms(axes, view)
     _draw_scale(axes, view.bounds)
     _plain(axes, view.bounds)
-    caption = readable(_caption(view))
+    caption = sanitised(_caption(view))
     size = min(13.0, max(7.0, CAPTION_POINTS / len(caption)))
     figure.suptitle(caption, x=0.01, ha="left", fontsize=size, parse_math=False)
     figure.legend(handles=_map_legend(view), loc="outside lower left", ncols=7, frameon=False, fontsize=9)

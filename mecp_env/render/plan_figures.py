@@ -17,7 +17,7 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 from mecp_env.render import palette
 from mecp_env.render.figures import boxes_for_missing_glyphs
 from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
@@ -158,7 +158,7 @@ def _name_room(cell: PlanAxes, room: PlanRoom) -> None:
     ink = unit(palette.mix(palette.ROOMS[room.colour % len(palette.ROOMS)], palette.INK, 0.6))
     angle = math.radians(room.label_turn_deg)
     up = np.array([-math.sin(angle), math.cos(angle)])
-    for words, lift, points in ((readable(room.name), 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, 0.75 * size)):
+    for words, lift, points in ((sanitised(room.name), 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, 0.75 * size)):
         dx, dy = lift * size * up
         text = cell.axes.annotate(words, room.label, (dx, dy), textcoords="offset points", fontsize=points, color=ink)
         text.set(ha="center", va="center_baseline", rotation=room.label_turn_deg, rotation_mode="anchor")
@@ -180,7 +180,7 @@ def _write_title(figure: Figure, plan: FloorPlan, place: Array, alone: bool) -> 
     big, small = (14.0, 9.0) if alone else (10.0, 7.0)
     x, y = place
     line = big * 1.45 / POINTS_PER_INCH / figure.get_figheight()
-    name = figure.text(x, y, readable(plan.name), fontsize=big, fontweight="bold", va="top", color=unit(palette.INK))
+    name = figure.text(x, y, sanitised(plan.name), fontsize=big, fontweight="bold", va="top", color=unit(palette.INK))
     name.set_parse_math(False)
     figure.text(
         x, y - line, plan.summary, fontsize=small, va="top", color=unit(palette.mix(palette.INK, palette.FREE, 0.4))

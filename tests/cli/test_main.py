@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,8 +23,6 @@ from mecp_env.cli.progress import Progress, say_result, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.floorplans import load_plan
-from mecp_env.policies.one_episode import Args
-from mecp_env.policies.one_episode import main as one_episode
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
 
@@ -271,15 +268,6 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("mecp_env.cli.scan_stages.draw", stop)
     assert cli.main(["one-scan"]) == 130
-
-
-@pytest.mark.parametrize(
-    ("args", "named"),
-    [(Args(layout="nope"), "nope"), (Args(layout="two_rooms", steps=0), "max_steps"), (Args(seed=-1), "-1")],
-)
-def test_wrong_input_of_the_random_walk_ends_with_2(args: Args, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode("random_walk", args) == 2
-    assert re.fullmatch(rf"random_walk: .*{named}.*\n", capsys.readouterr().err)
 
 
 def test_a_folder_that_cannot_be_made_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

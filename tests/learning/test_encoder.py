@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
-from mecp_env.learning.compact import compact, compact_space  # noqa: E402
-from mecp_env.learning.models import make_policy, observation_space  # noqa: E402
+from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
+from mecp_env.learning.models import make_network, observation_space  # noqa: E402
 from mecp_env.policies.gain import Gain  # noqa: E402
 from mecp_env.policies.nearest import Nearest  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
@@ -27,7 +27,7 @@ def seen():
 
 
 def batch(observation, goals=True):
-    return {name: torch.as_tensor(values[None]) for name, values in compact(observation, goals).items()}
+    return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals).items()}
 
 
 def scores(policy, observation):
@@ -38,19 +38,19 @@ def scores(policy, observation):
 def shaken(algorithm="maskable_ppo"):
     """A policy in which every input has an influence."""
     torch.manual_seed(0)
-    policy = make_policy(quick(algorithm))
+    policy = make_network(quick(algorithm))
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
     return policy
 
 
-def test_compact_observations_are_in_their_space_and_means_of_the_grid(seen):
+def test_downsampled_observations_are_in_their_space_and_means_of_the_grid(seen):
     env = gym.make("mecp_env/Rooms-v0", difficulty="easy")
-    space = compact_space(env.observation_space, goals=True)
+    space = downsampled_space(env.observation_space, goals=True)
     assert space == observation_space(quick())
     for observation in seen:
-        made = compact(observation, goals=True)
+        made = downsample(observation, goals=True)
         assert space.contains(made)
         blocks = observation["grid"].reshape(8, 24, 4, 24, 4).astype(float).mean((2, 4))
         assert np.abs(made["coarse"] - blocks).max() <= 1.0
@@ -95,10 +95,10 @@ def test_rows_that_hold_nothing_have_no_influence(algorithm, seen):
 
 @pytest.mark.parametrize(("prior", "explorer"), [("nearest", Nearest()), ("gain", Gain())])
 def test_an_untrained_policy_does_as_the_explorer_it_begins_with(prior, explorer, seen):
-    policy = make_policy(quick(network={"width": 16, "grid_channels": 4, "prior": prior}))
+    policy = make_network(quick(network={"width": 16, "grid_channels": 4, "prior": prior}))
     for observation in seen:
         valid = observation["goals"][:, 8] > 0.5
-        row, _ = policy.predict(compact(observation, goals=True), action_masks=valid, deterministic=True)
+        row, _ = policy.predict(downsample(observation, goals=True), action_masks=valid, deterministic=True)
         assert row == explorer.act(observation, valid)
 
 
@@ -108,9 +108,9 @@ def test_the_grid_is_read_where_the_goal_lies():
     grid[3, 48 - 15 - 2 : 48 - 15 + 2, 48 - 10 - 2 : 48 - 10 + 2] = 255
     goals = np.zeros((1, 32, 9), np.float32)
     goals[0, :3, :2] = (3.0, 2.0), (3.0, -2.0), (30.0, 0.0)
-    coarse = compact({"grid": grid, **dict.fromkeys(("pose", "pose_cov", "landmarks", "goals"), goals)}, goals=False)[
-        "coarse"
-    ]
+    coarse = downsample(
+        {"grid": grid, **dict.fromkeys(("pose", "pose_cov", "landmarks", "goals"), goals)}, goals=False
+    )["coarse"]
     shown = tables.at_goals(torch.as_tensor(coarse[None] / 255.0).float(), torch.as_tensor(goals))[0, :3]
     assert shown[0, 3] > 0.5
     assert shown[1, 3] == 0.0

@@ -11,12 +11,13 @@ torch = pytest.importorskip("torch")
 contrib = pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
+from mecp_env.cli import main as cli  # noqa: E402
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.learning import files  # noqa: E402
-from mecp_env.learning.files import WeightError  # noqa: E402
-from mecp_env.learning.learned import Args, load, main  # noqa: E402
-from mecp_env.learning.models import make_policy  # noqa: E402
-from mecp_env.learning.run_folder import save_policy, write_json  # noqa: E402
+from mecp_env.learning.files import WeightError, write_json  # noqa: E402
+from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.learning.models import make_network  # noqa: E402
+from mecp_env.learning.run_folder import save_policy  # noqa: E402
 from mecp_env.policies.registry import WEIGHTS, shipped  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
@@ -26,8 +27,13 @@ def folder(tmp_path):
     """The folder of a run with an untrained policy."""
     config = quick()
     write_json(tmp_path / "config.json", config.to_dict())
-    save_policy(tmp_path, make_policy(config), config.algorithm, {})
+    save_policy(tmp_path, make_network(config), config.algorithm, {})
     return tmp_path
+
+
+def explore(policy):
+    """The exit code of an exploration."""
+    return cli.main(["explore", str(policy), "--layout", "easy:validation:0", "--start", "random"])
 
 
 def weights(folder):
@@ -36,9 +42,9 @@ def weights(folder):
 
 def test_weights_survive_the_way_through_a_file(folder):
     torch.manual_seed(1)
-    policy = make_policy(quick())
+    policy = make_network(quick())
     save_policy(folder, policy, "maskable_ppo", {})
-    again = load(folder).policy
+    again = load(folder).network
     assert all(torch.equal(a, b) for a, b in zip(policy.parameters(), again.parameters(), strict=True))
     assert len(list(folder.glob("policy-*.safetensors"))) == 1
 
@@ -73,7 +79,7 @@ def test_weights_of_another_algorithm_are_refused(folder):
 
 
 def test_weights_that_are_not_finite_are_refused(folder):
-    policy = make_policy(quick())
+    policy = make_network(quick())
     with torch.no_grad():
         next(policy.parameters()).fill_(float("nan"))
     save_policy(folder, policy, "maskable_ppo", {})
@@ -86,14 +92,14 @@ def test_bytes_that_are_no_tensors_are_refused_whatever_their_checksum(folder):
         (folder / "policy-0.safetensors").write_bytes(data)
         about = {"algorithm": "maskable_ppo", "file": "policy-0.safetensors", "sha256": files.checksum(data)}
         write_json(folder / "policy.json", about)
-        with pytest.raises(WeightError, match="no safetensors file"):
+        with pytest.raises(WeightError, match="not a safetensors file"):
             load(folder)
 
 
 @pytest.mark.parametrize("name", ["../x.safetensors", "/x", None, 3, "a\0b.safetensors", "\ud800.safetensors", "x.zip"])
 def test_policy_json_may_name_only_a_file_beside_it(name, folder):
     write_json(folder / "policy.json", {"algorithm": "maskable_ppo", "file": name, "sha256": "0"})
-    with pytest.raises(WeightError, match="no file of this folder"):
+    with pytest.raises(WeightError, match="expected the name of a file in this folder"):
         load(folder)
 
 
@@ -106,7 +112,7 @@ def test_a_typo_in_the_configuration_of_a_run_is_refused_with_the_nearest_name(f
 
 
 def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
-    with pytest.raises(ConfigError, match="no folder of a run"):
+    with pytest.raises(ConfigError, match="or a run folder"):
         load("nothing")
     with pytest.raises(ConfigError, match=r"config\.json"):
         load(tmp_path)
@@ -115,13 +121,13 @@ def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
         load(tmp_path)
     with pytest.raises(ConfigError, match="name the folder"):
         load(tmp_path / "policy-0.safetensors")
-    assert main(Args("nothing")) == 2
+    assert explore("nothing") == 2
     assert "nothing" in capsys.readouterr().err
     assert shipped()
 
 
 def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
-    assert main(Args(str(folder), difficulty="easy")) == 0
+    assert explore(folder) == 0
     assert "coverage" in capsys.readouterr().out
 
 
@@ -131,7 +137,7 @@ def test_the_policy_that_comes_with_the_repository_loads_and_is_small(capsys):
     assert len(found) == 1
     assert found[0].stat().st_size < 1.9e6
     assert load("maskable_ppo").actions == "goal"
-    assert main(Args("maskable_ppo", difficulty="easy")) == 0
+    assert explore("maskable_ppo") == 0
 
 
 class Payload:
@@ -161,7 +167,7 @@ def test_a_crafted_zip_does_not_run(tmp_path):
     path = crafted(tmp_path, mark)
     with pytest.raises(ConfigError, match="--trust"):
         load(path)
-    assert main(Args(str(path))) == 2
+    assert explore(path) == 2
     renamed = path.rename(tmp_path / "weights.bin")
     with pytest.raises(ConfigError, match="--trust"):
         load(renamed)
@@ -182,11 +188,11 @@ def test_a_crafted_zip_in_the_place_of_weights_does_not_run(folder):
 def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "model.zip"
     path.write_bytes(b"no zip")
-    with pytest.raises(WeightError, match="no model file"):
+    with pytest.raises(WeightError, match="not a model file"):
         load(path, trust=True)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("data", "[" * 200_000)
-    with pytest.raises(WeightError, match="no model file"):
+    with pytest.raises(WeightError, match="not a model file"):
         load(path, trust=True)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
@@ -205,13 +211,13 @@ def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
     env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal")
     model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
     model.save(tmp_path / "model.zip")
-    agent = load(tmp_path / "model.zip", trust=True)
+    policy = load(tmp_path / "model.zip", trust=True)
     observation, _ = env.reset(seed=0)
     mask = env.get_wrapper_attr("action_masks")()
-    assert mask[agent.act(observation, mask)]
-    assert agent.actions == "goal"
+    assert mask[policy.act(observation, mask)]
+    assert policy.actions == "goal"
 
 
 def test_a_trained_policy_that_there_is_not_gets_a_guess():
-    with pytest.raises(ConfigError, match=r"maskable_pp is none of maskable_ppo.*did you mean 'maskable_ppo'\?"):
+    with pytest.raises(ConfigError, match=r"maskable_pp, expected one of maskable_ppo.*did you mean 'maskable_ppo'\?"):
         load("maskable_pp")

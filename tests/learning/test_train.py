@@ -17,14 +17,14 @@ pytest.importorskip("safetensors")
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.learning import files, learned  # noqa: E402
-from mecp_env.learning.checkpoints import Checkpoints, Progress, read  # noqa: E402
+from mecp_env.learning.callbacks import OptionCallback  # noqa: E402
+from mecp_env.learning.checkpoints import Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.models import DriveBuffer, check_size, make_model  # noqa: E402
-from mecp_env.learning.report import Report  # noqa: E402
-from mecp_env.learning.trainer import Trainer  # noqa: E402
-from mecp_env.learning.warm_start import imitate  # noqa: E402
+from mecp_env.learning.models import OptionBuffer, check_size, make_model  # noqa: E402
+from mecp_env.learning.run_log import RunLog  # noqa: E402
+from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.learning.training import QUICK, quick, run, start, write_config  # noqa: E402
 
 
@@ -46,13 +46,13 @@ def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path
     assert [int(float(row["decisions"])) for row in updates] == [12, 24]
     assert all(float(row["periods_per_s"]) > 0 and 0 <= float(row["waiting_share"]) <= 1 for row in updates)
     assert all(float(row[name]) == float(row[name]) for row in evaluations for name in FIGURES)
-    agent = load(folder)
-    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions=agent.actions)
+    policy = load(folder)
+    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions=policy.actions)
     observation, _ = env.reset(seed=0)
-    agent.reset(0)
+    policy.reset(0)
     for _ in range(2):
-        mask = env.get_wrapper_attr("action_masks")() if agent.actions == "goal" else None
-        action = agent.act(observation, mask)
+        mask = env.get_wrapper_attr("action_masks")() if policy.actions == "goal" else None
+        action = policy.act(observation, mask)
         assert mask is None or mask[action]
         observation, *_ = env.step(action)
 
@@ -63,7 +63,7 @@ def test_the_same_seed_trains_the_same_policy(tmp_path):
         (tmp_path / name).mkdir()
         folders.append(run(tmp_path / name)[0])
     checks = [json.loads((folder / "policy.json").read_text())["sha256"] for folder in folders]
-    last = [read(Checkpoints(folder / "checkpoints", 3).paths()[-1]) for folder in folders]
+    last = [read_checkpoint(Checkpoints(folder / "checkpoints", 3).paths()[-1])[1] for folder in folders]
     assert checks[0] == checks[1]
     assert all(torch.equal(last[0][name], last[1][name]) for name in last[0] if name.startswith("policy."))
 
@@ -82,8 +82,8 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
     model = make_model(config, venv, 0)
     before = model.policy.mlp_extractor.score[-1].weight.clone()
     untrained = model.policy.value_net.weight.clone()
-    with Report(tmp_path, config) as report:
-        imitate(model, venv, config, report)
+    with RunLog(tmp_path, config.steps, tensorboard=False) as log:
+        warm_start(model, venv, config, log)
     assert torch.equal(model.policy.mlp_extractor.score[-1].weight, before)
     assert not torch.equal(model.policy.value_net.weight, untrained)
     assert float(venv.ret_rms.var) > 0.0
@@ -94,7 +94,7 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
     ("fields", "said"),
     [
         ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
-        ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs chooses goals, ppo velocities"),
+        ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs selects goals, ppo velocities"),
         ({"buildings": {"difficulty": ["mediun"]}}, "none of"),
         ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
         ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
@@ -121,11 +121,11 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     model = make_model(config, venv, 0)
     sum(weight.sum() for weight in model.policy.parameters()).backward()
     model.policy.optimizer.step()  # from now on Adam has its memory
-    path = Checkpoints(tmp_path, 1).save(model, Progress())
+    path = Checkpoints(tmp_path, 1).save(model, TrainingState())
     size = sum(weight.numel() * 4 for weight in model.policy.parameters())
     assert size > 0.9 * files.MOST_POLICY_BYTES
-    assert path.stat().st_size < files.MOST_BYTES
-    assert read(path)
+    assert path.with_suffix(".safetensors").stat().st_size < files.MOST_BYTES
+    assert read_checkpoint(path)
     venv.close()
 
 
@@ -207,19 +207,21 @@ def test_ctrl_c_saves_and_says_where(tmp_path):
     assert Checkpoints(folder / "checkpoints", 3).paths()
 
 
-def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path, capsys):
+def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path):
     folder, _ = run(tmp_path, steps=60)
     paths = Checkpoints(folder / "checkpoints", 3).paths()
     assert len(paths) == 3
     assert not list((folder / "checkpoints").glob(".*"))
-    paths[-1].write_bytes(paths[-1].read_bytes()[:-100])
+    newest = paths[-1].with_suffix(".safetensors")
+    newest.write_bytes(newest.read_bytes()[:-100])
     config = quick(steps=60)
     venv = make_many(config, 0)
     model = make_model(config, venv, 0)
-    progress = Checkpoints(folder / "checkpoints", 3).load(model)
-    assert progress is not None
-    assert progress.decisions == int(paths[-2].stem)
-    assert "SHA-256" in capsys.readouterr().err
+    skipped: list[str] = []
+    state = Checkpoints(folder / "checkpoints", 3).load(model, skipped.append)
+    assert state is not None
+    assert state.decisions == int(paths[-2].stem)
+    assert "SHA-256" in skipped[0]
     venv.close()
 
 
@@ -263,11 +265,12 @@ def onward(venv):
 def test_what_comes_after_a_time_limit_is_discounted_by_the_drive_and_added_once(tmp_path, monkeypatch):
     """The reward that the buffer gets is that of the environment and the value there, by the discount of the drive."""
     steps, added = [], []
-    plain, add = Trainer.note, DriveBuffer.add
+    plain, add = OptionCallback._on_step, OptionBuffer.add
 
-    def note(self, rewards, infos):
+    def on_step(self):
+        rewards, infos = self.locals["rewards"], self.locals["infos"]
         before, cut = rewards.copy(), [info["TimeLimit.truncated"] for info in infos]
-        onward = plain(self, rewards, infos)
+        onward = plain(self)
         for row in np.flatnonzero(cut):
             there = self.model.policy.obs_to_tensor(infos[row]["terminal_observation"])[0]
             value = float(self.model.policy.predict_values(there).detach())
@@ -281,8 +284,8 @@ def test_what_comes_after_a_time_limit_is_discounted_by_the_drive_and_added_once
         added.append(args[2].copy())
         add(self, *args, **kwargs)
 
-    monkeypatch.setattr(Trainer, "note", note)
-    monkeypatch.setattr(DriveBuffer, "add", keep)
+    monkeypatch.setattr(OptionCallback, "_on_step", on_step)
+    monkeypatch.setattr(OptionBuffer, "add", keep)
     run(tmp_path, env=QUICK["env"] | {"max_steps": 40}, log=QUICK["log"] | {"evaluate_buildings": 0})
     assert any(cut for _, cut in steps)
     np.testing.assert_allclose(added, [rewards for rewards, _ in steps], rtol=1e-6)
@@ -293,7 +296,7 @@ def test_advantages_of_drives_are_those_of_the_definition():
     config = quick()
     venv = make_many(config, 0)
     rng = np.random.default_rng(0)
-    buffer = DriveBuffer(6, venv.observation_space, venv.action_space, "cpu", 0.9, 1.0, n_envs=2)
+    buffer = OptionBuffer(6, venv.observation_space, venv.action_space, "cpu", 0.9, 1.0, n_envs=2)
     venv.close()
     buffer.rewards, buffer.values = (rng.normal(size=(6, 2)).astype(np.float32) for _ in range(2))
     buffer.discounts = rng.uniform(0.5, 1.0, (6, 2)).astype(np.float32)
@@ -313,18 +316,18 @@ def test_advantages_of_drives_are_those_of_the_definition():
 
 
 def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch):
-    from mecp_env.learning.trainer import Trainer
+    from mecp_env.learning.train import TrainingRun
     from mecp_env.vector import WorkerDied
 
     def run_into_trouble(self):
         raise WorkerDied("worker 0 (environments 0 to 1) was killed by SIGKILL")
 
-    monkeypatch.setattr(Trainer, "run", run_into_trouble)
+    monkeypatch.setattr(TrainingRun, "train", run_into_trouble)
     folder, code = run(tmp_path)
-    said = capsys.readouterr().out.replace("\n", "")
+    said = capsys.readouterr()
     assert code == 1
-    assert "killed by SIGKILL" in said
-    assert f"--resume {folder}" in said
+    assert "killed by SIGKILL" in said.err
+    assert f"mecp-env train --resume {folder}\n" in said.out
 
 
 def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsys, monkeypatch):
@@ -335,7 +338,7 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
     monkeypatch.setattr("sb3_contrib.MaskablePPO.train", ruin)
     folder, code = run(tmp_path)
     assert code == 1
-    assert "is not finite any more" in capsys.readouterr().out.replace("\n", " ")
+    assert "is not finite any more" in capsys.readouterr().err
     assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()] == ["000000000000"]
     assert load(folder)
 
@@ -348,5 +351,5 @@ def test_workers_learn_the_same_as_one_process(workers, tmp_path):
         (tmp_path / name).mkdir()
         folder, code = run(tmp_path / name, workers=name, steps=12)
         assert code == 0
-        checks.append(read(Checkpoints(folder / "checkpoints", 3).paths()[-1]))
+        checks.append(read_checkpoint(Checkpoints(folder / "checkpoints", 3).paths()[-1])[1])
     assert all(torch.equal(checks[0][key], checks[1][key]) for key in checks[0] if key.startswith("policy."))

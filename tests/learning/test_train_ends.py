@@ -22,38 +22,39 @@ pytest.importorskip("safetensors")
 from mecp_env.learning import train, warm_start  # noqa: E402
 from mecp_env.learning.checkpoints import Checkpoints  # noqa: E402
 from mecp_env.learning.processes import Processes  # noqa: E402
-from mecp_env.learning.run_folder import RunFolder, Table  # noqa: E402
+from mecp_env.learning.run_folder import RunFolder  # noqa: E402
+from mecp_env.learning.run_log import CsvTable  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
-from tests.learning.training import QUICK, ROOT, quick, run  # noqa: E402
+from tests.learning.training import QUICK, ROOT, quick, resume, run  # noqa: E402
 
 
 def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
-    def interrupted(order):
+    def interrupted(config, folder, resume):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(train, "train", interrupted)
     assert run(tmp_path)[1] == 130
-    assert capsys.readouterr().err == "train: interrupted\n"
+    assert capsys.readouterr().err == "mecp-env: interrupted\n"
 
 
 @pytest.mark.parametrize("after", [1, 3])
 def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path, capsys, monkeypatch):
     """While the teacher plays, and between two epochs: a resumed run starts the warm start again."""
-    asked, imitate = count(), warm_start.imitate
+    asked, plain = count(), warm_start.warm_start
 
-    def stopped(model, venv, config, report, stop):
+    def stopped(model, venv, config, log, stop):
         def pressed():
             if next(asked) == after:
                 signal.raise_signal(signal.SIGINT)
             return stop()
 
-        return imitate(model, venv, config, report, pressed)
+        return plain(model, venv, config, log, pressed)
 
-    monkeypatch.setattr("mecp_env.learning.trainer.imitate", stopped)
+    monkeypatch.setattr(train, "warm_start", stopped)
     folder, code = run(tmp_path, warm_start={"teacher": "bfs", "decisions": 16, "epochs": 2})
     said = capsys.readouterr().out.replace("\n", " ")
     assert code == 130
-    assert "a warm start is whole or begins again" in said
+    assert "an interrupted warm start starts again" in said
     assert not Checkpoints(folder / "checkpoints", 3).paths()
     assert not (folder / "policy.json").exists()
 
@@ -67,13 +68,13 @@ def test_results_come_in_order_until_somebody_stops():
 
 
 def test_a_teacher_whose_process_dies_is_named(monkeypatch):
-    def die(begun, ahead, stop):
+    def die(submitted, ahead, stop):
         raise warm_start.BrokenProcessPool("a child process terminated abruptly")
         yield
 
     monkeypatch.setattr(warm_start, "in_order", die)
     with pytest.raises(WorkerDied, match="of the warm start: a child process terminated"):
-        list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), warm_start.never))
+        list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
 
 
 @pytest.fixture
@@ -125,7 +126,7 @@ def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
 
 
 def test_a_broken_pipe_from_elsewhere_is_a_failure(tmp_path, capsys, monkeypatch):
-    def broken(order):
+    def broken(config, folder, resume):
         raise BrokenPipeError(32, "Broken pipe")
 
     monkeypatch.setattr(train, "train", broken)
@@ -142,7 +143,7 @@ def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(
     words = [sys.executable, "-c", HOLD, str(folder / ".lock")]
     other = subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert other.stdout.readline() == "held\n"
-    assert train.main(["--resume", str(folder)]) == 2
+    assert resume(folder) == 2
     assert "is being trained by another process" in capsys.readouterr().err
     other.kill()
     other.communicate()
@@ -160,7 +161,7 @@ def test_an_evaluation_in_one_building_is_said_without_an_error(tmp_path, capsys
 def test_a_finished_run_that_is_resumed_is_not_evaluated_again(tmp_path):
     folder, _ = run(tmp_path, steps=12)
     before = (folder / "evaluation.csv").read_text()
-    assert train.main(["--resume", str(folder)]) == 0
+    assert resume(folder) == 0
     assert (folder / "evaluation.csv").read_text() == before
 
 
@@ -168,8 +169,8 @@ def test_a_run_that_is_resumed_for_less_than_it_has_made_is_refused_and_stays_as
     """Seen: it printed "48/10 ... done" and kept 10 in its configuration."""
     folder, _ = run(tmp_path, steps=12)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    assert train.main(["--resume", str(folder), "--steps", "10"]) == 2
-    assert capsys.readouterr().err == f"train: steps: 10, but the run in {folder} has made 12 decisions already\n"
+    assert resume(folder, "--steps", "10") == 2
+    assert capsys.readouterr().err == f"mecp-env: steps: 10, but the run in {folder} has made 12 decisions already\n"
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
@@ -177,8 +178,8 @@ def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_
     folder, _ = run(tmp_path, steps=10)
     checkpoints = Checkpoints(folder / "checkpoints", 3)
     assert checkpoints.decisions() == 12
-    assert train.main(["--resume", str(folder), "--steps", "10"]) == 0
-    (checkpoints.folder / "9x.safetensors").write_bytes(b"of another program")
+    assert resume(folder, "--steps", "10") == 0
+    (checkpoints.folder / "9x.json").write_bytes(b"of another program")
     for path in checkpoints.paths():
         path.write_bytes(b"damaged")
     assert checkpoints.decisions() == 0
@@ -186,10 +187,10 @@ def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_
 
 @pytest.mark.parametrize("tail", ["\0" * 40, "3,1", "3,1\0\0\n"], ids=["zeros", "cut", "both"])
 def test_a_table_with_a_torn_tail_keeps_its_whole_rows(tail, tmp_path):
-    table = Table(tmp_path / "table.csv", ["decisions", "auc"])
+    table = CsvTable(tmp_path / "table.csv", ["decisions", "auc"])
     table.cut(0)
     for decisions in (1, 2):
-        table.add({"decisions": decisions, "auc": 0.5})
+        table.write({"rollout/auc": 0.5}, {}, decisions)
     with table.path.open("a") as file:
         file.write(tail)
     table.cut(5)

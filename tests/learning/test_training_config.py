@@ -1,13 +1,29 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
+from mecp_env.cli import main as cli
+from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.learning.line import parse
 from mecp_env.world.generator.spec import GeneratorSpec
+
+
+@dataclass
+class Parsed:
+    config: TrainConfig
+    folder: Path
+
+
+def parse(line: list[str]) -> Parsed:
+    """Configuration and folder of `mecp-env train` with a line of options."""
+    command = cli.parse("train", line)
+    assert isinstance(command, Train)
+    return Parsed(*(command.resumed(line) if command.resume else command.new(line)))
 
 
 def test_every_field_of_environment_and_algorithm_is_an_option():

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
-from mecp_env.learning import train
+from mecp_env.cli import main as cli
 from mecp_env.learning.config import TrainConfig
 
 ROOT = Path(__file__).parent.parent.parent
@@ -39,18 +38,19 @@ def write_config(path: Path, **fields: object) -> Path:
 def run(tmp_path: Path, *words: str, **fields: object) -> tuple[Path, int]:
     """A run in this process; its folder and exit code."""
     config = write_config(tmp_path / "given.json", **fields)
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        code = train.main(["--config", str(config), "--out", str(tmp_path / "run"), *words])
-    finally:
-        signal.signal(signal.SIGINT, before)
+    code = cli.main(["train", "--config", str(config), "--out", str(tmp_path / "run"), *words])
     return tmp_path / "run", code
 
 
+def resume(folder: Path, *words: str) -> int:
+    """The exit code of a run that continues in this process."""
+    return cli.main(["train", "--resume", str(folder), *words])
+
+
 def start(*words: str) -> subprocess.Popen[str]:
-    """`python -m mecp_env.learning.train` with these arguments, in a separate process."""
+    """`mecp-env train` with these arguments, in a separate process."""
     return subprocess.Popen(
-        [sys.executable, "-m", "mecp_env.learning.train", *words],
+        [sys.executable, "-m", "mecp_env", "train", *words],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"},
         stdout=subprocess.PIPE,

@@ -8,7 +8,9 @@ import multiprocessing
 import os
 import re
 import signal
+import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,43 +18,73 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mecp_env.cli import main as cli
+from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
-from mecp_env.policies import evaluate, pool
+from mecp_env.policies import pool
 from mecp_env.policies.comparison import Row, compare, difference, rows_of
-from mecp_env.policies.episode import LEAST_LOG_DET, End, Episode, Log, Task, is_complete, log_det, measure, play
-from mecp_env.policies.evaluate import Args, main, result_of, tasks_of
-from mecp_env.policies.page import cell, page
-from mecp_env.policies.pool import Failure, attempt, finished
-from mecp_env.policies.worlds import Setting
+from mecp_env.policies.evaluation import Evaluation
+from mecp_env.policies.pool import FailedTask, attempt, finished
+from mecp_env.policies.report_table import cell, page
+from mecp_env.policies.rollout import (
+    LEAST_LOG_DET,
+    EpisodeEnd,
+    EpisodeResult,
+    EpisodeTask,
+    Setting,
+    StepLog,
+    is_complete,
+    log_det,
+    metrics,
+    run_episode,
+)
 
 EASY = Setting("easy", "validation", "slam", 150)
 
 
-def args_of(tmp_path: Path, *policies: str, **options: Any) -> Args:
-    small: dict[str, Any] = {"split": "validation", "difficulty": "easy", "episodes": 2, "max_steps": 150}
-    return Args(policies or ("nearest", "random_goal"), out=tmp_path / "out", **(small | options))
+def evaluate(tmp_path: Path, *policies: str, **options: Any) -> int:
+    """The exit code of `mecp-env evaluate` on two small buildings."""
+    small = {"split": "validation", "difficulty": "easy", "episodes": 2, "max_steps": 150, "out": tmp_path / "out"}
+    return cli.main(["evaluate", *(policies or ("nearest", "random_goal")), *words(**(small | options))])
 
 
-def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> Episode:
+def words(**options: Any) -> list[str]:
+    """Options as on a command line."""
+    line: list[str] = []
+    for name, value in options.items():
+        option = name.replace("_", "-")
+        line += (
+            [f"--{option}" if value else f"--no-{option}"] if isinstance(value, bool) else [f"--{option}", str(value)]
+        )
+    return line
+
+
+def evaluation_of(*policies: str, **options: Any) -> Evaluation:
+    """An evaluation of two small buildings."""
+    names = policies or ("nearest", "random_goal")
+    return Evaluation(names, **({"setting": EASY, "episodes": 2} | options))
+
+
+def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> EpisodeResult:
     """An episode of which only the area under the curve matters."""
-    log, final = Log(), dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0)
+    log, final = StepLog(), dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0)
     log.curve.add(0.0, 0, auc)
     log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
     final |= {"coverage": auc, "metres": 5.0, "periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0}
     final |= {"duplicates": 0.0, "contacts": 1.0}
-    figures = measure(log, End(terminated=True, decisions=3, act_s=0.5), final, 100)
-    return Episode(Task(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
+    figures = metrics(log, EpisodeEnd(terminated=True, decisions=3, act_s=0.5), final, 100)
+    return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
 
 
 def test_the_same_task_gives_the_same_bits_and_another_seed_another_start() -> None:
-    first, again, other = (play(Task("random_goal", building, EASY)) for building in (0, 0, 1))
+    first, again, other = (run_episode(EpisodeTask("random_goal", building, EASY)) for building in (0, 0, 1))
     assert first.figures == again.figures
     assert (first.curve.metres, first.curve.coverage) == (again.curve.metres, again.curve.coverage)
     assert first.curve.coverage[0] != other.curve.coverage[0]
 
 
 def test_all_policies_begin_in_the_same_building_at_the_same_place() -> None:
-    episodes = [play(Task(name, 1, EASY)) for name in ("bfs", "random_goal", "random_walk")]
+    episodes = [run_episode(EpisodeTask(name, 1, EASY)) for name in ("bfs", "random_goal", "random_walk")]
     assert len({episode.figures["free_area_m2"] for episode in episodes}) == 1
     assert len({episode.figures["budget_m"] for episode in episodes}) == 1
     assert len({episode.curve.coverage[0] for episode in episodes}) == 1
@@ -61,17 +93,18 @@ def test_all_policies_begin_in_the_same_building_at_the_same_place() -> None:
 def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) -> None:
     results = []
     for jobs in (1, 2):
-        args = args_of(tmp_path, "gain", "nearest", jobs=jobs, max_steps=60)
-        evaluation = evaluate.evaluate(args)
-        result = result_of(evaluation, rows_of(evaluation.episodes, evaluation.order))
+        evaluation = evaluation_of("gain", "nearest", setting=replace(EASY, max_steps=60))
+        for episode in finished(evaluation.tasks(), jobs):
+            evaluation.add(episode)
+        result = evaluation.figures(evaluation.rows(), "")
         results.append({name: result[name] for name in set(result) - {"timing", "date", "command"}})
     assert json.dumps(results[0], sort_keys=True) == json.dumps(results[1], sort_keys=True)
 
 
 def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    args = args_of(tmp_path, record=True, json=tmp_path / "kept" / "policies.json", max_steps=80)
-    assert main(args) == 0
-    assert {path.name for path in args.out.iterdir()} == {
+    out = tmp_path / "out"
+    assert evaluate(tmp_path, record=True, json=tmp_path / "kept" / "policies.json", max_steps=80) == 0
+    assert {path.name for path in out.iterdir()} == {
         "results.json",
         "page.md",
         "episodes.csv",
@@ -86,19 +119,20 @@ def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.
         ("random_goal", "truth"),
     ]
     assert (tmp_path / "kept/policies.md").read_text() in capsys.readouterr().out
-    with (args.out / "episodes.csv").open() as file:
+    with (out / "episodes.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == 8
+    assert result["command"].startswith("mecp-env evaluate nearest random_goal --split validation")
     mean = np.mean([float(line["auc"]) for line in lines if (line["policy"], line["estimator"]) == ("nearest", "slam")])
     assert result["rows"][0]["figures"]["auc"]["value"] == pytest.approx(mean)
-    assert (args.out / "side_by_side.gif").stat().st_size < 2e6
-    with Image.open(args.out / "side_by_side.gif") as film:
+    assert (out / "side_by_side.gif").stat().st_size < 2e6
+    with Image.open(out / "side_by_side.gif") as film:
         assert film.n_frames > 3
         assert film.size == (640, 290)
 
 
-def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
-    episode = play(Task("nearest", 0, Setting("easy", "validation", "truth", 100)))
+def test_with_a_known_pose_there_is_no_pose_error() -> None:
+    episode = run_episode(EpisodeTask("nearest", 0, Setting("easy", "validation", "truth", 100)))
     assert episode.figures["pose_error_mean_m"] < 1e-6
     assert episode.figures["log_det_mean"] <= -50.0
 
@@ -106,11 +140,13 @@ def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"policies": ("nearst",)}, "nearst.*nearest"),
-        ({"policies": ()}, "policies"),
-        ({"split": "tests"}, "train, validation, test"),
+        ({"policies": ("nearst",)}, "nearst.*did you mean 'nearest'"),
+        ({"policies": ()}, "policies: expected at least one of bfs"),
+        ({"policies": ("nowhere:Policy",)}, "'nowhere:Policy' cannot be constructed: No module named 'nowhere'"),
+        ({"policies": ("random:Policy",)}, "random:Policy' cannot be constructed: .*'Policy'"),
+        ({"policies": ("random:Random",)}, "'random:Random' has no 'actions'"),
+        ({"split": "tests"}, "train, validation, test; did you mean 'test'"),
         ({"difficulty": "medum"}, "medium"),
-        ({"estimator": "slm"}, "estimator"),
         ({"episodes": 0}, "episodes: 0"),
         ({"episodes": 1001}, "1000"),
         ({"episodes": 5000}, "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
@@ -119,6 +155,8 @@ def test_with_a_known_pose_there_is_no_pose_error(tmp_path: Path) -> None:
         ({"max_steps": 0}, "max_steps"),
         ({"reference": "nerest"}, "reference: 'nerest'"),
         ({"json": Path(__file__).parent}, "json: .*policies: expected the name of a file"),
+        ({"json": Path(__file__) / "a.json"}, "test_evaluate.py is a file, not a folder"),
+        ({"out": Path(__file__) / "out"}, "test_evaluate.py is a file, not a folder"),
         ({"json": Path("page.md")}, "json: page.md: expected"),
     ],
 )
@@ -126,49 +164,55 @@ def test_wrong_input_is_refused_before_anything_is_written(
     options: dict[str, Any], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policies = options.pop("policies", ("nearest",))
-    args = Args(policies, **({"out": tmp_path / "out", "difficulty": "easy"} | options))
-    assert main(args) == 2
-    said = capsys.readouterr().err
-    assert re.search(named, said), said
+    line = words(**({"out": tmp_path / "out", "difficulty": "easy"} | options))
+    assert cli.main(["evaluate", *policies, *line]) == 2
+    message = capsys.readouterr().err
+    assert re.search(named, message), message
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    assert main(Args(("nearest",), out=tmp_path / "file" / "out", difficulty="easy", episodes=1)) == 2
-    assert "out" in capsys.readouterr().err
-    assert main(Args(("nearest",), out=tmp_path, json=tmp_path / "file" / "a.json", difficulty="easy", episodes=1)) == 2
+def test_a_mistyped_estimator_gets_a_suggestion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        evaluate(tmp_path, estimator="slm")
+    assert "--estimator slm; did you mean 'slam'?" in capsys.readouterr().err
 
 
-def test_without_the_reference_it_says_that_nothing_is_compared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(Args(("gain",), out=tmp_path, difficulty="easy", episodes=1, max_steps=10, truth=False)) == 0
+def test_without_the_reference_nothing_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(tmp_path, "gain", episodes=1, max_steps=10, truth=False) == 0
     assert "nearest is not among the policies" in capsys.readouterr().err
+
+
+def test_a_class_of_the_working_directory_is_a_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own_policy.py").write_text("from mecp_env.policies.nearest import Nearest as Own\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    assert evaluate(tmp_path, "own_policy:Own", "nearest", episodes=1, max_steps=40, truth=False) == 0
+    assert "| own_policy:Own | 0.000 [0.000, 0.000] |" in capsys.readouterr().out.partition("Against `nearest`")[2]
 
 
 def test_ctrl_c_before_the_first_episode_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(args: Args) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(evaluate, "check", interrupted)
-    assert main(args_of(tmp_path)) == 130
-    assert capsys.readouterr().err == "evaluate: interrupted\n"
+    monkeypatch.setattr(Evaluate, "_check", interrupted)
+    assert evaluate(tmp_path) == 130
+    assert capsys.readouterr().err == "mecp-env: interrupted\n"
 
 
 def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fragile(task: Task) -> Episode:
+    def fragile(task: EpisodeTask) -> EpisodeResult:
         if task.building == 1 and task.policy == "random_goal":
             raise RuntimeError("no way")
-        return play(task)
+        return run_episode(task)
 
-    monkeypatch.setattr(pool, "play", fragile)
-    args = args_of(tmp_path, truth=False, episodes=3, max_steps=40)
-    assert main(args) == 1
+    monkeypatch.setattr(pool, "run_episode", fragile)
+    assert evaluate(tmp_path, truth=False, episodes=3, max_steps=40) == 1
     said = capsys.readouterr()
     assert "policy random_goal" in said.err
     assert "building and seed 1" in said.err
@@ -178,16 +222,16 @@ def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
 
 
 def test_a_process_that_dies_is_named_and_replaced() -> None:
-    tasks = [Task("nearest", number, Setting("easy", "validation", "slam", 20)) for number in range(3)]
+    tasks = [EpisodeTask("nearest", number, Setting("easy", "validation", "slam", 20)) for number in range(3)]
     results = run_and_kill(tasks)
-    killed = [result for result in results if isinstance(result, Failure)]
+    killed = [result for result in results if isinstance(result, FailedTask)]
     assert [result.task.building for result in results] == [0, 1, 2]
     assert len(killed) == 1
     assert "ended with code" in str(killed[0])
     assert "policy nearest" in str(killed[0])
 
 
-def run_and_kill(tasks: list[Task]) -> list[Episode | Failure]:
+def run_and_kill(tasks: list[EpisodeTask]) -> list[EpisodeResult | FailedTask]:
     """Play on one worker process that is killed once, while it works."""
     worker, results = pool.Worker(), []
     for row, task in enumerate(tasks):
@@ -203,26 +247,25 @@ def run_and_kill(tasks: list[Task]) -> list[Episode | Failure]:
 def test_ctrl_c_keeps_what_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(tasks: list[Task], jobs: int) -> Iterator[Episode]:
+    def interrupted(tasks: list[EpisodeTask], jobs: int) -> Iterator[EpisodeResult]:
         yield from (toy(task.policy, task.building, 0.5) for task in tasks[:5])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(evaluate, "finished", interrupted)
-    args = args_of(tmp_path, truth=False, episodes=9)
-    assert main(args) == 130
-    result = json.loads((args.out / "results.json").read_text())
+    monkeypatch.setattr(pool, "finished", interrupted)
+    assert evaluate(tmp_path, truth=False, episodes=9) == 130
+    result = json.loads((tmp_path / "out" / "results.json").read_text())
     assert result["interrupted"]
     assert result["buildings"] == 2  # the third was finished by one policy only
     said = capsys.readouterr()
     assert "| nearest | 0.500" in said.out
-    assert "evaluate: 4 of 18 episodes" in said.err
+    assert "mecp-env: 4 of 18 episodes" in said.err
 
 
 def test_an_exception_ends_the_processes() -> None:
     before = set(multiprocessing.active_children())
-    tasks = [Task("nearest", number, Setting("easy", "validation", "slam", 5)) for number in range(6)]
+    tasks = [EpisodeTask("nearest", number, Setting("easy", "validation", "slam", 5)) for number in range(6)]
     results = finished(tasks, 2)
-    assert isinstance(next(results), Episode)
+    assert isinstance(next(results), EpisodeResult)
     assert len(set(multiprocessing.active_children()) - before) == 2
     with pytest.raises(KeyboardInterrupt):
         results.throw(KeyboardInterrupt)
@@ -269,10 +312,10 @@ def test_the_bootstrap_interval_of_a_paired_difference_covers_it_about_95_times_
 
 def test_complete_is_found_seen_and_ended_by_itself() -> None:
     final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97}
-    assert is_complete(End(terminated=True), final)
-    assert not is_complete(End(terminated=False), final)
+    assert is_complete(EpisodeEnd(terminated=True), final)
+    assert not is_complete(EpisodeEnd(terminated=False), final)
     for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}):
-        assert not is_complete(End(terminated=True), final | lacking)
+        assert not is_complete(EpisodeEnd(terminated=True), final | lacking)
 
 
 def test_the_log_det_is_that_of_the_matrix() -> None:
@@ -292,8 +335,8 @@ def test_a_building_never_seen_to_90_percent_counts_with_three_budgets_and_is_no
     assert (at_once["reached_90%"], at_once["metres_to_90%"], at_once["reached_99%"]) == (1.0, 0.0, 0.0)
 
 
-def test_tasks_go_building_by_building_and_a_policy_named_twice_plays_once(tmp_path: Path) -> None:
-    tasks = tasks_of(args_of(tmp_path, "bfs", "nearest", "bfs"))
+def test_tasks_go_building_by_building_and_a_policy_named_twice_runs_once() -> None:
+    tasks = evaluation_of("bfs", "nearest", "bfs").tasks()
     assert [(task.building, task.setting.estimator, task.policy) for task in tasks[:5]] == [
         (0, "slam", "bfs"),
         (0, "slam", "nearest"),
@@ -301,16 +344,17 @@ def test_tasks_go_building_by_building_and_a_policy_named_twice_plays_once(tmp_p
         (0, "truth", "nearest"),
         (1, "slam", "bfs"),
     ]
-    assert {task.setting.estimator for task in tasks_of(args_of(tmp_path, estimator="truth"))} == {"truth"}
+    known = evaluation_of(setting=replace(EASY, estimator="truth"))
+    assert {task.setting.estimator for task in known.tasks()} == {"truth"}
 
 
-def test_the_page_has_a_line_a_row_and_readable_intervals(tmp_path: Path) -> None:
+def test_the_page_has_a_line_per_row_with_intervals() -> None:
     assert cell({"value": 0.5, "low": 0.25, "high": 0.75}, ".0f", 100.0) == "50 [25, 75]"
     assert cell({"value": 1e-9, "low": -1e-9, "high": 2.0}, "+.1f", 1.0) == "0.0 [0.0, +2.0]"
     assert cell({"value": None, "low": None, "high": None}, ".0f", 1.0) == "-"
-    evaluation = evaluate.Evaluation(args_of(tmp_path), [("nearest", "slam"), ("x", "truth")])
-    evaluation.episodes = [toy("nearest", 0, 0.5), toy("x", 0, 0.6, "truth")]
-    text = page(result_of(evaluation, rows_of(evaluation.episodes, evaluation.order)))
+    evaluation = evaluation_of("nearest", "x")
+    evaluation.results = [toy("nearest", 0, 0.5), toy("x", 0, 0.6, "truth")]
+    text = page(evaluation.figures(evaluation.rows(), ""))
     assert "| nearest | 0.500 [0.500, 0.500] |" in text
     assert "| x, pose known | 0.600" in text
     assert "1 buildings of the validation split of `easy`" in text
@@ -319,17 +363,16 @@ def test_the_page_has_a_line_a_row_and_readable_intervals(tmp_path: Path) -> Non
 def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    evaluation = evaluate.Evaluation(args_of(tmp_path), [("a\x1b[31mb", "slam")])
-    evaluation.args.out.mkdir()
-    evaluation.episodes = [toy("a\x1b[31mb", 0, 0.5)]
-    evaluate.write(evaluation)
+    evaluation = evaluation_of("a\x1b[31mb")
+    evaluation.results = [toy("a\x1b[31mb", 0, 0.5)]
+    Evaluate(("a\x1b[31mb",), out=tmp_path / "out")._write(evaluation, "")
     said = capsys.readouterr().out
     assert "| a?[31mb | 0.500" in said
     assert "\x1b" not in said
 
 
 def test_failures_are_told_with_their_place() -> None:
-    failure = attempt(Task("nearest", 2_000_000, EASY))
-    assert isinstance(failure, Failure)
+    failure = attempt(EpisodeTask("nearest", 2_000_000, EASY))
+    assert isinstance(failure, FailedTask)
     assert "ConfigError: building: 2000000" in str(failure)
     assert next(iter(finished([failure.task], 1))).task == failure.task

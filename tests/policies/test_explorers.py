@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.exit_codes import ended
 from mecp_env.policies.gain import Gain, Weights, unseen_area, well_known
 from mecp_env.policies.nearest import Nearest
-from mecp_env.policies.one_episode import Args
-from mecp_env.policies.one_episode import main as one_episode
 from mecp_env.policies.policy import VALID
 from mecp_env.policies.random_goal import RandomGoal
-from mecp_env.policies.registry import EXPLORERS, make_agent
+from mecp_env.policies.registry import EXPLORERS, make_policy
 from tests.policies.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 
 DOOR = 3
@@ -31,22 +23,22 @@ def bar(*rows: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", EXPLORERS)
 def test_every_explorer_chooses_among_the_goals_and_begins_anew(name: str) -> None:
-    agent = make_agent(name)
+    policy = make_policy(name)
     seen = observation(goal(1, 0, 4.0), goal(2, 0, 3.0), goal(3, 0, 5.0))
-    agent.reset(7)
-    first = [agent.act(seen, bar(1)) for _ in range(30)]
-    agent.reset(7)
-    assert np.array_equal(first, [agent.act(seen, bar(1)) for _ in range(30)])
-    if agent.actions == "goal":
+    policy.reset(7)
+    first = [policy.act(seen, bar(1)) for _ in range(30)]
+    policy.reset(7)
+    assert np.array_equal(first, [policy.act(seen, bar(1)) for _ in range(30)])
+    if policy.actions == "goal":
         assert set(first) <= {0, 2}
-        assert agent.act(observation(), np.zeros(32, bool)) == 0
+        assert policy.act(observation(), np.zeros(32, bool)) == 0
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
 def test_no_explorer_changes_what_it_is_shown(name: str) -> None:
     seen = observation(goal(1, 0, 4.0), goal(2, 0, 3.0))
     before = {part: values.copy() for part, values in seen.items()}
-    make_agent(name).act(seen, np.ones(32, bool))
+    make_policy(name).act(seen, np.ones(32, bool))
     assert all(np.array_equal(before[part], seen[part]) for part in seen)
 
 
@@ -63,8 +55,8 @@ def test_rows_that_are_no_goals_are_never_chosen() -> None:
 
 
 def test_random_goals_are_drawn_evenly() -> None:
-    agent, seen = RandomGoal(), observation(*(goal(x, 0, x) for x in range(1, 5)))
-    counts = np.bincount([agent.act(seen, bar(2)) for _ in range(3000)], minlength=4)
+    policy, seen = RandomGoal(), observation(*(goal(x, 0, x) for x in range(1, 5)))
+    counts = np.bincount([policy.act(seen, bar(2)) for _ in range(3000)], minlength=4)
     assert counts[2] == 0
     assert np.all(np.abs(counts[[0, 1, 3]] - 1000) < 4 * np.sqrt(3000 * 2 / 9))
 
@@ -111,8 +103,8 @@ def test_gain_looks_one_goal_ahead() -> None:
     paint(seen, UNKNOWN, (-5.0, -3.0), (2.0, 3.0))
     area = Gain().expected_area(seen["grid"], seen["goals"][:3].astype(float))
     goals = seen["goals"][:3].astype(float)
-    assert Gain().worth(area, goals).argmax() == 1
-    alone = Gain(Weights(winding=1e9)).worth(area, goals)
+    assert Gain().value_of(area, goals).argmax() == 1
+    alone = Gain(Weights(winding=1e9)).value_of(area, goals)
     assert alone == pytest.approx(area**0.7 / (goals[:, 2] + 2.0))
 
 
@@ -140,71 +132,3 @@ def test_ground_is_known_by_landmarks_that_are_surer_than_the_pose() -> None:
     places = np.array([[0.0, 0.0], [9.0, 0.0], [-9.0, 0.0]])
     assert well_known(seen["landmarks"], places, 0.1).tolist() == pytest.approx([1.0, 1 / 3, 0.0])
     assert well_known(seen["landmarks"], places, 0.05).tolist() == [0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("policy", EXPLORERS)
-def test_every_explorer_has_a_command_with_a_readable_end(policy: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode(policy, Args(layout="two_rooms", steps=60)) == 0
-    said = capsys.readouterr().out
-    assert "control steps" in said
-    assert "coverage" in said
-
-
-def test_a_generated_building_is_chosen_by_its_number(capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode("nearest", Args(layout="easy:test:3", steps=5)) == 0
-    assert "out of steps after 5" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("layout", "named"),
-    [("easy:test", "easy:test:3"), ("easy:test:x", "layout"), ("esy:test:1", "esy"), ("easy:tst:1", "tst")],
-)
-def test_a_building_that_there_is_not_is_refused(layout: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode("nearest", Args(layout=layout)) == 2
-    assert named.partition(":")[0] in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "said"),
-    [
-        (ConfigError("plan: a\x1b[31mb"), 2, "it: plan: a?[31mb\n"),
-        (FileNotFoundError(2, "No such file", "x\x07.json"), 2, "it: x?.json: No such file\n"),
-        (KeyboardInterrupt(), 130, "it: interrupted\n"),
-    ],
-)
-def test_a_command_ends_in_a_line_that_a_terminal_can_show(
-    error: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail() -> int:
-        raise error
-
-    assert ended("it", fail) == code
-    assert capsys.readouterr().err == said
-
-
-def test_the_name_of_a_layout_does_not_colour_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    assert one_episode("nearest", Args(layout="a\x1b[31mb")) == 2
-    assert "a?[31mb: no such file" in capsys.readouterr().err
-
-
-def test_a_reader_who_has_seen_enough_gets_no_traceback() -> None:
-    command = [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--steps", "20"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=Path(__file__).parents[2]
-    ) as running:
-        assert running.stdout is not None
-        assert running.stderr is not None
-        running.stdout.close()
-        assert b"Traceback" not in running.stderr.read()
-    assert running.returncode == 0
-
-
-def test_the_command_runs_from_the_clone() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "mecp_env.policies.nearest", "--layout", "two_rooms", "--steps", "20"],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[2],
-    )
-    assert done.returncode == 0, done.stderr
-    assert "steps" in done.stdout

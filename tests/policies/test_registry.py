@@ -12,25 +12,24 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies import registry
-from mecp_env.policies.episode import Task, play
 from mecp_env.policies.nearest import Nearest
-from mecp_env.policies.registry import make_agent
-from mecp_env.policies.worlds import Setting
+from mecp_env.policies.registry import make_policy
+from mecp_env.policies.rollout import EpisodeTask, Setting, run_episode
 
 
 @pytest.mark.parametrize("name", registry.EXPLORERS)
 def test_every_explorer_is_made_by_its_name(name: str) -> None:
-    agent = make_agent(name)
-    assert agent.actions in ("goal", "velocity", "discrete")
+    policy = make_policy(name)
+    assert policy.actions in ("goal", "velocity", "discrete")
 
 
 def test_an_unknown_policy_is_told_what_there_is_and_the_nearest_guess() -> None:
-    with pytest.raises(ConfigError, match=r"none of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"):
-        make_agent("nearst")
+    with pytest.raises(ConfigError, match=r"expected one of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"):
+        make_policy("nearst")
     with pytest.raises(ConfigError, match=r"did you mean 'maskable_ppo'\?"):
-        make_agent("maskable_pp")
+        make_policy("maskable_pp")
     with pytest.raises(ConfigError) as error:
-        make_agent("qqqqqq")
+        make_policy("qqqqqq")
     assert "did you mean" not in str(error.value)
 
 
@@ -42,8 +41,8 @@ def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytes
         return Nearest()
 
     monkeypatch.setitem(sys.modules, "mecp_env.learning.learned", types.SimpleNamespace(load=load))
-    make_agent("maskable_ppo")
-    make_agent(str(tmp_path))
+    make_policy("maskable_ppo")
+    make_policy(str(tmp_path))
     assert asked == ["maskable_ppo", str(tmp_path)]
 
 
@@ -52,13 +51,13 @@ def test_without_pytorch_a_trained_policy_says_what_to_install(monkeypatch: pyte
         raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
     monkeypatch.setitem(sys.modules, "mecp_env.learning.learned", types.SimpleNamespace(load=load))
-    with pytest.raises(ConfigError, match=r"'ppo' is a trained one and needs torch: pip install"):
-        make_agent("ppo")
+    with pytest.raises(ConfigError, match=r"'ppo' is a trained policy and needs torch; install the extra `rl`"):
+        make_policy("ppo")
 
 
 def test_explorers_load_nothing_of_learning() -> None:
     code = (
-        "import sys; from mecp_env.policies.registry import *; [make_agent(n) for n in EXPLORERS]; print(*sys.modules)"
+        "import sys; from mecp_env.policies.registry import *; [make_policy(n) for n in EXPLORERS]; print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr
@@ -72,8 +71,7 @@ def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatc
     made = types.ModuleType("farthest")
     exec(code[1], made.__dict__)
     monkeypatch.setitem(sys.modules, "farthest", made)
-    monkeypatch.setitem(registry.EXPLORERS, "farthest", "farthest:Farthest")
-    episode = play(Task("farthest", 0, Setting("easy", "validation", "slam", 60)))
+    episode = run_episode(EpisodeTask("farthest:Farthest", 0, Setting("easy", "validation", "slam", 60)))
     assert episode.figures["coverage"] > 0.3
 
 
@@ -86,6 +84,6 @@ def test_a_model_file_must_be_trusted(tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
     (tmp_path / "model.zip").write_bytes(b"no zip")
     with pytest.raises(ConfigError, match="--trust"):
-        make_agent(str(tmp_path / "model.zip"))
+        make_policy(str(tmp_path / "model.zip"))
     with pytest.raises(ConfigError, match=r"model\.zip"):
-        make_agent(str(tmp_path / "model.zip"), trust=True)
+        make_policy(str(tmp_path / "model.zip"), trust=True)

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mecp_env.core.intervals import Figures
-from mecp_env.core.text import readable
+from mecp_env.core.text import sanitised
 from mecp_env.policies.comparison import SHARES_OF_BUDGET
-from mecp_env.policies.curve import BUDGET_M_PER_M2
+from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 
 COLOURS = ("#1f5ac8", "#e08c00", "#148c5a", "#b01830", "#784aa0", "#46afaa", "#96765a", "#5a6978")
 INK, FAINT = "#262c36", "#8c929c"
@@ -19,7 +19,7 @@ INK, FAINT = "#262c36", "#8c929c"
 def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
     """Write the mean coverage over the metres driven as a PNG.
 
-    The first row of each policy has a band, its 95 % interval; the other one, with the pose known, is dashed.
+    The first row of each policy has a band, its 95 % interval; the row with the pose known is dashed.
     """
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     axes = figure.add_subplot()
@@ -35,7 +35,7 @@ def draw_policy(axes: Axes, rows: list[Figures], colour: str) -> None:
     """The curves of one policy, the first with its band and the areas under both."""
     low, value, high = ([point[end] for point in rows[0]["curve"]] for end in ("low", "value", "high"))
     area, *known = (f"{row['figures']['auc']['value']:.3f}" for row in rows)
-    label = f"{readable(rows[0]['policy'])}  {area}" + "".join(f" ({other})" for other in known)
+    label = f"{sanitised(rows[0]['policy'])}  {area}" + "".join(f" ({other})" for other in known)
     axes.plot(SHARES_OF_BUDGET, value, color=colour, linewidth=2.0, label=label)
     axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
     for row in rows[1:]:
@@ -45,7 +45,7 @@ def draw_policy(axes: Axes, rows: list[Figures], colour: str) -> None:
 def dress(axes: Axes, title: str) -> None:
     """Axes, legend and title."""
     axes.set_title(title, loc="left", fontsize=11, color=INK)
-    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m on a m² of floor)")
+    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m per m² of floor)")
     axes.set_ylabel("floor seen")
     axes.set_xlim(0.0, float(SHARES_OF_BUDGET[-1]))
     axes.set_ylim(0.0, 1.02)

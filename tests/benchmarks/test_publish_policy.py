@@ -7,10 +7,11 @@ import pytest
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
+from benchmarks.publish_policy import PublishOptions, main
+from mecp_env.learning.files import write_json
 from mecp_env.learning.learned import load
-from mecp_env.learning.models import make_policy
-from mecp_env.learning.publish import Args, main
-from mecp_env.learning.run_folder import save_policy, write_json
+from mecp_env.learning.models import make_network
+from mecp_env.learning.run_folder import save_policy
 from tests.learning.training import quick
 
 HEAD = "decisions,seconds,auc,auc_error\n"
@@ -20,7 +21,7 @@ FILES = {"config.json", "run.json", "evaluation.csv", "progress.csv", "policy.js
 def make_run(folder, areas, algorithm="maskable_ppo", width=16):
     config = quick(algorithm, network={"width": width, "grid_channels": 4, "lstm": 8})
     write_json(folder / "config.json", config.to_dict())
-    save_policy(folder, make_policy(config), algorithm, {"note": len(areas)})
+    save_policy(folder, make_network(config), algorithm, {"note": len(areas)})
     (folder / "run.json").write_text("[]")
     (folder / "progress.csv").write_text(f"{folder.name}\n")
     (folder / "evaluation.csv").write_text(HEAD + "".join(f"{100 * i},3600,{a},0.01\n" for i, a in enumerate(areas)))
@@ -34,8 +35,8 @@ def shipped(weights):
 
 def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
     runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6, 0.7], width=24))
-    assert main(Args(runs[1:], tmp_path / "weights")) == 0
-    assert main(Args(runs, tmp_path / "weights")) == 0  # the one before goes, with its table
+    assert main(PublishOptions(runs[1:], tmp_path / "weights")) == 0
+    assert main(PublishOptions(runs, tmp_path / "weights")) == 0  # the one before goes, with its table
     found = shipped(tmp_path / "weights")
     assert found["progress.csv"] == b"a\n"
     assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
@@ -44,7 +45,7 @@ def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
 
 def test_only_the_picture(tmp_path):
     picture = tmp_path / "curve.png"
-    assert main(Args((make_run(tmp_path / "a", [0.5]),), tmp_path / "weights", picture, ship=False)) == 0
+    assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), tmp_path / "weights", picture, ship=False)) == 0
     assert picture.stat().st_size > 1000
     assert not (tmp_path / "weights").exists()
 
@@ -55,31 +56,31 @@ def test_wrong_input_is_refused(wrong, tmp_path, capsys):
     first = make_run(tmp_path / "a", areas.get(wrong, [0.5]))
     more = {"missing": (tmp_path / "none",), "mixed": (make_run(tmp_path / "b", [0.5], "ppo"),)}
     runs = () if wrong == "none" else (first, *more.get(wrong, ()))
-    assert main(Args(runs, tmp_path / "weights")) == 2
+    assert main(PublishOptions(runs, tmp_path / "weights")) == 2
     said = capsys.readouterr().err
-    assert "publish: runs: " in said
+    assert "mecp-env: runs: " in said
     assert "Error" not in said
 
 
 def test_what_is_missing_of_a_run_is_said_without_the_name_of_an_exception(tmp_path, capsys):
     run = make_run(tmp_path / "a", [0.5])
     (run / "config.json").unlink()
-    assert main(Args((run,), tmp_path / "weights")) == 2
-    said = f"publish: runs: {run} is no folder of a run: {run / 'config.json'}: No such file or directory\n"
+    assert main(PublishOptions((run,), tmp_path / "weights")) == 2
+    said = f"mecp-env: runs: {run} is not a run folder: {run / 'config.json'}: No such file or directory\n"
     assert capsys.readouterr().err == said
     (run / "config.json").write_text("{}")
-    assert main(Args((run,), tmp_path / "weights")) == 2
-    assert capsys.readouterr().err == f"publish: runs: {run} is no folder of a run: 'algorithm' is missing\n"
+    assert main(PublishOptions((run,), tmp_path / "weights")) == 2
+    assert capsys.readouterr().err == f"mecp-env: runs: {run} is not a run folder: 'algorithm' is missing\n"
 
 
 @pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
 def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
     weights = tmp_path / "weights"
-    assert main(Args((make_run(tmp_path / "a", [0.5]),), weights)) == 0
+    assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), weights)) == 0
     before = shipped(weights)
     run = make_run(tmp_path / "b", [0.6])
     if wrong == "large":
-        monkeypatch.setattr("mecp_env.learning.publish.MOST_BYTES", 100)
+        monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100)
     elif wrong == "flipped":
         path = next(run.glob("policy-*"))
         path.write_bytes(path.read_bytes()[:-1] + b"x")
@@ -88,6 +89,6 @@ def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path,
     elif wrong == "incomplete":
         (run / "run.json").unlink()
     into = run / "run.json" if wrong == "no folder" else weights
-    assert main(Args((weights / "maskable_ppo" if wrong == "itself" else run,), into)) == 2
-    assert "publish: " in capsys.readouterr().err
+    assert main(PublishOptions((weights / "maskable_ppo" if wrong == "itself" else run,), into)) == 2
+    assert "mecp-env: " in capsys.readouterr().err
     assert shipped(weights) == before

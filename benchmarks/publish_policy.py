@@ -1,6 +1,6 @@
 """Runs of one algorithm, several seeds: draw their learning curve, and ship the best policy.
 
-`python -m mecp_env.learning.publish runs/maskable_ppo-0 runs/maskable_ppo-1 runs/maskable_ppo-2`
+`python -m benchmarks.publish_policy runs/maskable_ppo-0 runs/maskable_ppo-1 runs/maskable_ppo-2`
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.exit_codes import ended
 from mecp_env.learning.config import read_config
 from mecp_env.policies.registry import WEIGHTS
 
@@ -26,18 +26,18 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Args:
+class PublishOptions:
     """Draw the learning curve of some runs, and ship the policy of the best one."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]  # folders of runs of one algorithm
-    weights: Path = WEIGHTS  # where shipped policies lie
+    weights: Path = WEIGHTS  # folder of the shipped policies
     picture: Path | None = None  # of the curve; default: beside the weights
     ship: bool = True  # no: only the picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """What a run came to on the validation split."""
+class RunResult:
+    """The results of a run on the validation split."""
 
     folder: Path
     algorithm: str
@@ -47,12 +47,12 @@ class Run:
     hours: float
 
 
-def main(args: Args) -> int:
+def main(args: PublishOptions) -> int:
     """Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
-    return ended("publish", lambda: publish(args))
+    return run_command(lambda: publish(args))
 
 
-def publish(args: Args) -> int:
+def publish(args: PublishOptions) -> int:
     """Draw, and ship. Exit code 0; raises `ConfigError`."""
     if not args.runs:
         raise ConfigError("runs: none given, expected folders of runs of one algorithm")
@@ -73,7 +73,7 @@ def publish(args: Args) -> int:
     return 0
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> RunResult:
     """The figures of a run. Raises `ConfigError` for a folder without any."""
     try:
         algorithm = read_config(folder / "config.json")["algorithm"]
@@ -81,14 +81,14 @@ def read_run(folder: Path) -> Run:
             rows = list(csv.DictReader(file))
         decisions, area, errors, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
     except OSError as error:
-        raise ConfigError(f"runs: {folder} is no folder of a run: {error.filename}: {error.strerror}") from None
+        raise ConfigError(f"runs: {folder} is not a run folder: {error.filename}: {error.strerror}") from None
     except KeyError as error:
-        raise ConfigError(f"runs: {folder} is no folder of a run: {error} is missing") from None
+        raise ConfigError(f"runs: {folder} is not a run folder: {error} is missing") from None
     except ValueError as error:
-        raise ConfigError(f"runs: {folder} is no folder of a run: {error}") from None
+        raise ConfigError(f"runs: {folder} is not a run folder: {error}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
-    return Run(folder, str(algorithm), decisions, area, errors, seconds[-1] / 3600.0)
+    return RunResult(folder, str(algorithm), decisions, area, errors, seconds[-1] / 3600.0)
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
@@ -99,12 +99,12 @@ def column(rows: list[dict[str, Any]], name: str) -> Array:
     return values
 
 
-def ship(run: Run, target: Path) -> None:
+def ship(run: RunResult, target: Path) -> None:
     """Copy the policy of a run and where it comes from; what was shipped before goes when all of it is there.
 
     Raises `ConfigError` for a policy that is too large for the repository or cannot be loaded, with nothing changed.
     """
-    from mecp_env.learning.files import write_whole
+    from mecp_env.learning.files import write_atomic
     from mecp_env.learning.learned import load  # with PyTorch, which the curve alone does not need
 
     if target.resolve() == run.folder.resolve():
@@ -115,13 +115,13 @@ def ship(run: Run, target: Path) -> None:
     if len(whole[weights]) > MOST_BYTES:
         raise ConfigError(f"{weights}: {len(whole[weights])} bytes, at most {MOST_BYTES}; a smaller network.width?")
     for name, data in whole.items():
-        write_whole(target / name, data)
+        write_atomic(target / name, data)
     for old in target.glob("policy-*.safetensors"):
         if old.name != weights:
             old.unlink()
 
 
-def draw(runs: list[Run], picture: Path) -> None:
+def draw(runs: list[RunResult], picture: Path) -> None:
     """The area under the curve over the decisions: a line a run with its standard error."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -142,4 +142,4 @@ def draw(runs: list[Run], picture: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Args)))
+    sys.exit(main(tyro.cli(PublishOptions)))

@@ -1,4 +1,4 @@
-"""The comparison as a page in Markdown, and each figure as readable text."""
+"""The comparison as a Markdown page of tables."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LOCALISATION: tuple[Column, ...] = (
     ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
     ("landmarks", "landmarks", PLAIN, 1.0),
     ("duplicates", "duplicates", ".2f", 1.0),
-    ("contacts on 100 m", "contacts_per_100_m", ".2f", 1.0),
+    ("contacts per 100 m", "contacts_per_100_m", ".2f", 1.0),
     ("diverged, %", "diverged", PLAIN, 100.0),
 )
 DIFFERENCES: tuple[Column, ...] = (
@@ -45,29 +45,29 @@ DIFFERENCES: tuple[Column, ...] = (
 
 
 def page(result: Figures) -> str:
-    """The whole page of a result of `mecp_env.policies.evaluate`."""
+    """The whole page of a result of `mecp-env evaluate`."""
     rows, setting = result["rows"], result["setting"]
     where = f"{result['buildings']} buildings of the {setting['split']} split of `{setting['difficulty']}`"
     where += "" if setting["estimator"] == "slam" else f", estimator `{setting['estimator']}`"
     head = f"{result['date']}, `{result['command']}`; {where}. Means with 95 % intervals"
     parts = [
-        f"# Policies\n\n{head}; docs/policies.md says what each column is.",
+        f"# Policies\n\n{head}; docs/policies.md defines each column.",
         table(HEADLINE, labelled(rows)),
-        section("How far it got", table(EXPLORATION, labelled(rows))),
-        section("What it knew", table(LOCALISATION, labelled(rows))),
+        section("Exploration", table(EXPLORATION, labelled(rows))),
+        section("Localisation and map", table(LOCALISATION, labelled(rows))),
         section(
             f"Against `{result['reference']}`, in the same buildings",
             table(DIFFERENCES, labelled(rows, "against_reference")),
         ),
-        section("What a known pose is worth", table(DIFFERENCES, labelled(rows, "with_the_pose_known"))),
-        section("Decisions a second of processor time", rates(result["timing"])),
+        section("The effect of a known pose", table(DIFFERENCES, labelled(rows, "with_the_pose_known"))),
+        section("Decisions per second of CPU time", rates(result["timing"])),
         section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def section(title: str, body: str) -> str:
-    """A heading with what stands below it; nothing without a body."""
+    """A heading and its body; nothing without a body."""
     return f"## {title}\n\n{body}" if body else ""
 
 
@@ -77,13 +77,13 @@ def labelled(rows: Iterable[Figures], part: str = "figures") -> list[tuple[str, 
 
 
 def name_of(row: Figures) -> str:
-    """How a row is called: the policy, and the estimator where it is told more than usual."""
-    told = {"truth": ", pose known", "known": ", identities known"}
-    return f"{row['policy']}{told.get(row['estimator'], '')}"
+    """The label of a row: the policy, and the estimator where it has some ground truth."""
+    known = {"truth": ", pose known", "known": ", known correspondences"}
+    return f"{row['policy']}{known.get(row['estimator'], '')}"
 
 
 def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str:
-    """A table with a line a policy; nothing without rows."""
+    """A table with one line per policy; nothing without rows."""
     if not rows:
         return ""
     lines = [f"| | {' | '.join(heading for heading, *_ in columns)} |", f"|{'---|' * (len(columns) + 1)}"]
@@ -94,7 +94,7 @@ def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str
 
 
 def cell(figure: Figures, form: str, factor: float) -> str:
-    """`value [low, high]` of an estimate; a dash where there is none."""
+    """`value [low, high]` of an estimate; a dash without one."""
     if figure["value"] is None:
         return "-"
     value, low, high = (number(factor * figure[end], form) for end in ("value", "low", "high"))
@@ -102,11 +102,11 @@ def cell(figure: Figures, form: str, factor: float) -> str:
 
 
 def number(value: float, form: str) -> str:
-    """A number as text; what is rounded to nothing has no sign."""
+    """A number as text; a value that is rounded to 0 has no sign."""
     text = f"{value:{form}}"
     return text if float(text) else text.lstrip("+-")
 
 
 def rates(timing: dict[str, float]) -> str:
-    """Decisions a second of each policy."""
+    """Decisions per second of each policy."""
     return ", ".join(f"{name} {rate:,.0f}" for name, rate in timing.items())

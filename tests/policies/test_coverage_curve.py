@@ -5,55 +5,55 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mecp_env.policies.curve import Curve, budget_m
+from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
 
 
 @pytest.fixture
-def curve() -> Curve:
+def curve() -> CoverageCurve:
     """0.2 at the start, 0.5 after 2 m, 0.9 after 6 m; then to 12 m without anything new."""
-    made = Curve()
+    made = CoverageCurve()
     for metres, step, coverage in [(0, 0, 0.2), (1, 3, 0.2), (2, 5, 0.5), (6, 20, 0.9), (12, 40, 0.9)]:
         made.add(metres, step, coverage)
     return made
 
 
-def test_only_what_is_more_is_kept(curve: Curve) -> None:
+def test_only_what_is_more_is_kept(curve: CoverageCurve) -> None:
     assert curve.metres == [0, 2, 6]
     assert curve.steps == [0, 5, 20]
 
 
-def test_the_area_under_the_curve_by_hand(curve: Curve) -> None:
+def test_the_area_under_the_curve_by_hand(curve: CoverageCurve) -> None:
     assert curve.area_under(10.0) == pytest.approx((2 * 0.2 + 4 * 0.5 + 4 * 0.9) / 10.0)
 
 
-def test_metres_beyond_the_budget_do_not_count(curve: Curve) -> None:
+def test_metres_beyond_the_budget_do_not_count(curve: CoverageCurve) -> None:
     assert curve.area_under(4.0) == pytest.approx((2 * 0.2 + 2 * 0.5) / 4.0)
     assert curve.area_under(2.0) == pytest.approx(0.2)
 
 
-def test_after_the_end_the_coverage_stays(curve: Curve) -> None:
+def test_after_the_end_the_coverage_stays(curve: CoverageCurve) -> None:
     assert curve.area_under(1000.0) == pytest.approx(0.9, abs=0.005)
     assert curve.at(np.array([0.0, 1.99, 2.0, 6.0, 500.0])).tolist() == [0.2, 0.2, 0.5, 0.9, 0.9]
 
 
-def test_the_area_is_that_under_the_steps_that_are_drawn(curve: Curve) -> None:
+def test_the_area_is_that_under_the_steps_that_are_drawn(curve: CoverageCurve) -> None:
     metres = (np.arange(10_000) + 0.5) * 1e-3
     assert curve.at(metres).mean() == pytest.approx(curve.area_under(10.0), abs=1e-3)
 
 
-def test_a_level_never_reached_counts_as_the_limit(curve: Curve) -> None:
+def test_a_level_never_reached_counts_as_the_limit(curve: CoverageCurve) -> None:
     assert curve.metres_to(0.9, 30.0) == 6.0
     assert curve.steps_to(0.5, 100.0) == 5.0
     assert curve.metres_to(0.99, 30.0) == 30.0
     assert curve.steps_to(0.99, 100.0) == 100.0
 
 
-def test_a_level_reached_beyond_the_limit_counts_as_the_limit_too(curve: Curve) -> None:
+def test_a_level_reached_beyond_the_limit_counts_as_the_limit_too(curve: CoverageCurve) -> None:
     assert curve.metres_to(0.9, 5.0) == 5.0
 
 
 def test_turning_on_the_spot_costs_no_metres() -> None:
-    curve = Curve()
+    curve = CoverageCurve()
     for step in range(3):
         curve.add(0.0, step, 0.1 * (step + 1))
     curve.add(1.0, 3, 0.8)

@@ -1,4 +1,4 @@
-"""How the coverage of a building grows with the metres driven, and what is read from it."""
+"""The coverage of a building as a function of the metres driven, and its metrics."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-BUDGET_M_PER_M2 = 0.5  # metres of an exploration on a square metre of floor
+BUDGET_M_PER_M2 = 0.5  # metres of an exploration per m2 of floor
 
 
 def budget_m(free_area_m2: float) -> float:
-    """The metres by which a curve is normalised: of the building alone, the same for every policy."""
+    """The metres by which a curve is normalised: a function of the building alone, the same for every policy."""
     return BUDGET_M_PER_M2 * free_area_m2
 
 
 @dataclass(slots=True, eq=False)
-class Curve:
-    """The largest coverage so far at each place on the way where it grew; a curve of steps."""
+class CoverageCurve:
+    """The largest coverage so far, at each distance where it grew; a step function."""
 
     metres: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     coverage: list[float] = field(default_factory=list)
 
     def add(self, metres: float, step: int, coverage: float) -> None:
-        """Take in the coverage after a step; only what is more than before is kept."""
+        """Add the coverage after a step; only an increase is kept."""
         if not self.coverage or coverage > self.coverage[-1]:
             self.metres.append(metres)
             self.steps.append(step)
@@ -35,8 +35,8 @@ class Curve:
     def area_under(self, limit_m: float) -> float:
         """Mean coverage over the first `limit_m` metres: (1/L) * integral of C(d) from 0 to L.
 
-        C(d) is the largest coverage that was reached within d metres. After the end of the episode it stays what it
-        was; metres beyond L do not count.
+        C(d) is the largest coverage that was reached within d metres. After the end of the episode it is constant;
+        metres beyond L do not count.
         """
         bounds = np.minimum(np.array([*self.metres, np.inf]), limit_m)
         return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit_m)
@@ -52,11 +52,11 @@ class Curve:
         return next((row for row, coverage in enumerate(self.coverage) if coverage >= level), None)
 
     def metres_to(self, level: float, otherwise: float) -> float:
-        """Metres to a coverage, at most `otherwise`, which also stands for never (a restricted mean's term)."""
+        """Metres to a coverage, at most `otherwise`, also where it was never reached (for a restricted mean)."""
         row = self.first(level)
         return otherwise if row is None else min(self.metres[row], otherwise)
 
     def steps_to(self, level: float, otherwise: float) -> float:
-        """Control steps to a coverage, at most `otherwise`, which also stands for never."""
+        """Control steps to a coverage, at most `otherwise`, also where it was never reached."""
         row = self.first(level)
         return otherwise if row is None else min(float(self.steps[row]), otherwise)

@@ -1,0 +1,162 @@
+"""`mecp-env evaluate`: compare policies in the same buildings."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
+
+import tyro
+
+from mecp_env.cli.base import Command, check_folder, check_writable
+from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import guess
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+
+if TYPE_CHECKING:
+    from mecp_env.core.intervals import Figures
+    from mecp_env.policies.evaluation import Evaluation
+
+MOST_JOBS, MOST_EPISODES, MOST_STEPS = 256, 1_000_000, 10_000_000
+Estimator = Literal["slam", "known", "truth"]
+
+
+@dataclass(frozen=True)
+class Evaluate(Command):
+    """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
+    and, with --record, a film. A policy is bfs, nearest, gain, random_goal, random_walk, maskable_ppo, the folder of a
+    training run, or a class of your own as module:Class."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
+        "mecp-env evaluate nearest runs/my-training --split validation --no-truth",
+        "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
+    )
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator)}
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
+    split: str = "test"  # of the buildings: train, validation or test
+    difficulty: str = "medium"  # easy, medium, hard or huge
+    episodes: int = 100  # buildings, one episode in each
+    jobs: int = 1  # processes at the same time
+    estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
+    truth: bool = True  # run each policy once more with the ground-truth pose
+    record: bool = False  # a film of all policies side by side, in the first building
+    reference: str = "nearest"  # the policy to which the others are compared
+    trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run arbitrary code
+    max_steps: int = 3000  # of an episode (control steps of 0.4 s)
+    json: Path | None = None  # also write the result there, and the page beside it
+    out: Path = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, side_by_side.gif
+
+    def run(self, line: Sequence[str]) -> int:
+        """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
+        from mecp_env.policies.evaluation import Evaluation
+        from mecp_env.policies.rollout import Setting
+
+        setting = Setting(self.difficulty, self.split, self.estimator, self.max_steps)
+        fields = (self.policies, setting, self.episodes, self.truth, self.reference, self.trust)
+        evaluation = Evaluation(*fields)
+        self._check(evaluation)
+        collect(evaluation, self.jobs)
+        if evaluation.results:
+            self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
+        return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
+
+    def _check(self, evaluation: Evaluation) -> None:
+        """Raise `ConfigError` for wrong options, before anything is written."""
+        from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
+
+        if not self.policies:
+            raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
+        check_within("jobs", self.jobs, MOST_JOBS)
+        check_within("max_steps", self.max_steps, MOST_STEPS)
+        check_within("episodes", self.episodes, MOST_EPISODES)
+        check_word("split", self.split, SPLITS)
+        check_word("difficulty", self.difficulty, DIFFICULTIES)
+        check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
+        policies = [make_policy(name, self.trust) for name in self.policies]
+        if self.reference not in self.policies:
+            print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
+        evaluation.check_buildings(policies[0])
+        if self.json is not None and (self.json.suffix != ".json" or self.json.is_dir()):
+            raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
+        check_folder(self.out)
+        if self.json is not None:
+            check_writable(self.json)
+
+    def _write(self, evaluation: Evaluation, command: str) -> None:
+        """Write figures, page, episodes, curves and the film; print the page."""
+        from mecp_env.policies.evaluation import write_result
+        from mecp_env.policies.report_table import page
+
+        rows = evaluation.rows()
+        if not rows:
+            print_error("no building was finished by every policy: nothing to compare")
+            return
+        self.out.mkdir(parents=True, exist_ok=True)
+        result = evaluation.figures(rows, command)
+        text = page(result)
+        write_result(result, text, self.out / "results.json", self.out / "page.md")
+        evaluation.write_episodes(self.out / "episodes.csv")
+        if self.json is not None:
+            self.json.parent.mkdir(parents=True, exist_ok=True)
+            write_result(result, text, self.json, self.json.with_suffix(".md"))
+        self._draw(result, evaluation)
+        echo(*text.split("\n"), f"written to {self.out}")
+
+    def _draw(self, result: Figures, evaluation: Evaluation) -> None:
+        """Draw the curves, and the film; matplotlib and pygame are loaded only here."""
+        from mecp_env.policies.plots import draw_curves
+
+        where = f"{result['buildings']} buildings, {self.difficulty}, {self.split} split"
+        draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
+        if self.record:
+            from mecp_env.policies.side_by_side import write_film
+
+            names = list(dict.fromkeys(self.policies))
+            write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
+
+
+def check_within(name: str, value: int, most: int) -> None:
+    """Raise `ConfigError` unless 1 <= value <= most."""
+    if not 1 <= value <= most:
+        raise ConfigError(f"{name}: {value}, expected 1 to {most}")
+
+
+def check_word(name: str, word: str, known: Mapping[str, object]) -> None:
+    """Raise `ConfigError` for a word that is not one of the known ones, with a suggestion."""
+    if word not in known:
+        raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(known)}{guess(word, known)}")
+
+
+def collect(evaluation: Evaluation, jobs: int) -> None:
+    """Run all episodes, with a progress bar; after Ctrl-C the finished ones are kept."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console, tasks = Console(stderr=True), evaluation.tasks()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("episodes", total=len(tasks))
+        try:
+            run_tasks(evaluation, jobs, lambda: progress.advance(bar))
+        except KeyboardInterrupt:
+            evaluation.interrupted = True
+
+
+def run_tasks(evaluation: Evaluation, jobs: int, advance: Callable[[], None]) -> None:
+    """Add the result of every task; without a terminal, print a line at every tenth of the way."""
+    from mecp_env.policies.pool import FailedTask, finished
+
+    tasks = evaluation.tasks()
+    for done, result in enumerate(finished(tasks, jobs), start=1):
+        evaluation.add(result)
+        advance()
+        if isinstance(result, FailedTask):
+            print_error(f"failed: {result}")
+        if not sys.stderr.isatty() and 10 * done // len(tasks) > 10 * (done - 1) // len(tasks):
+            print_error(f"{done} of {len(tasks)} episodes")

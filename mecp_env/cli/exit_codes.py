@@ -1,0 +1,51 @@
+"""How a command ends: its exit code, and one line on stderr instead of a traceback for an error of the user."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+import gymnasium as gym
+
+from mecp_env.core.errors import MecpError
+from mecp_env.core.text import sanitised
+
+FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # beside 0
+
+
+def run_command(command: Callable[[], int]) -> int:
+    """The exit code of `command`; 2 for wrong input or a file that cannot be read or written, 130 after Ctrl-C.
+
+    It is 0 when the reader of the output closed the pipe, as in `mecp-env explore nearest | head -1`.
+    """
+    try:
+        return command()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (MecpError, gym.error.Error) as error:
+        print_error(error)
+        return WRONG_INPUT
+    except OSError as error:
+        print_os_error(error)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print_error("interrupted")
+        return INTERRUPTED
+
+
+def echo(*lines: object) -> None:
+    """Print lines that may contain names from untrusted files, without control characters."""
+    for line in lines:
+        print(sanitised(str(line)))
+
+
+def print_error(what: object) -> None:
+    """Print one line on stderr, without control characters."""
+    print(f"mecp-env: {sanitised(str(what))}", file=sys.stderr)
+
+
+def print_os_error(error: OSError) -> None:
+    """Print which file failed, and why, on stderr."""
+    print_error(f"{error.filename or 'output'}: {error.strerror}")

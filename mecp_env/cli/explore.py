@@ -1,0 +1,109 @@
+"""`mecp-env explore`: one episode of a policy, option by option."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+
+import tyro
+
+from mecp_env.cli.base import Command
+from mecp_env.cli.buildings import resolve
+from mecp_env.cli.exit_codes import echo
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import guess
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+
+if TYPE_CHECKING:
+    from mecp_env.policies.policy import Policy
+    from mecp_env.policies.rollout import Env
+
+Estimator = Literal["slam", "known", "truth"]
+Start = Literal["layout", "random"]
+EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3"
+
+
+@dataclass(frozen=True)
+class Explore(Command):
+    """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest, gain,
+    random_goal, random_walk, maskable_ppo, the folder of a training run, or a class of your own as module:Class."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env explore gain --layout office",
+        "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
+        "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
+    )
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator), "--start": get_args(Start)}
+
+    policy: Annotated[str, tyro.conf.Positional]
+    layout: str = "paper"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, or the path of a plan
+    seed: int = 0  # of start, noise and policy
+    steps: int = 3000  # control steps of 0.4 s, at most
+    estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
+    start: Start = "layout"  # random: anywhere in free space
+    trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
+
+    def run(self, line: Sequence[str]) -> int:
+        """Run the episode; one line per drive, then the metrics."""
+        from mecp_env.policies.registry import make_policy
+        from mecp_env.policies.rollout import for_policy, masks
+
+        if self.seed < 0:
+            raise ConfigError(f"seed: {self.seed}, at least 0")
+        options = self._reset_options()
+        policy = make_policy(self.policy, self.trust)
+        env = for_policy(self._building(policy), policy, lambda observation, info: None)
+        observation, info = env.reset(seed=self.seed, options=options)
+        policy.reset(self.seed)
+        terminated = truncated = False
+        while not (terminated or truncated):
+            action, before = policy.act(observation, masks(env)), observation
+            observation, _, terminated, truncated, info = env.step(action)
+            if policy.actions == "goal":
+                echo(drive_line(before, int(action), info))
+        echo("", end_line(terminated, info), "")
+        echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
+        env.close()
+        return 0
+
+    def _building(self, policy: Policy) -> Env:
+        """The environment. Raises `MecpError`."""
+        import gymnasium as gym
+
+        from mecp_env.policies.rollout import options_of
+
+        fields: dict[str, Any] = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start}
+        fields |= options_of(policy)
+        if self.layout.count(":") == 2:
+            difficulty, split, _ = self.layout.split(":")
+            return gym.make("mecp_env/Rooms-v0", difficulty=difficulty, split=split, **fields)
+        return gym.make("mecp_env/Layout-v0", layout=resolve(self.layout), **fields)
+
+    def _reset_options(self) -> dict[str, int] | None:
+        """The building of DIFFICULTY:SPLIT:NUMBER, None for another layout. Raises `ConfigError`."""
+        if self.layout.count(":") != 2:
+            return None
+        difficulty, split, number = self.layout.split(":")
+        for word, known in ((difficulty, DIFFICULTIES), (split, SPLITS)):
+            if word not in known:
+                raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{guess(word, known)}")
+        if not number.isdecimal():
+            raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}")
+        return {"building": int(number)}
+
+
+def drive_line(observation: dict[str, Any], row: int, info: Mapping[str, Any]) -> str:
+    """The result of a drive to a goal."""
+    from mecp_env.policies.policy import KIND, KINDS, PATH, ROOM
+
+    goal = observation["goals"][row]
+    where = f"{KINDS[int(goal[KIND])]} of room {goal[ROOM]:.0f}, {goal[PATH]:.1f} m away"
+    result = f"{info['event']} after {info['periods']} steps"
+    return f"{where:44s}{result:28s}{info['coverage']:7.1%} seen {info['metres']:7.1f} m driven"
+
+
+def end_line(terminated: bool, info: Mapping[str, Any]) -> str:
+    """How the episode ended."""
+    reason = "no goal is left" if terminated else "the filter diverged" if info["diverged"] else "out of steps"
+    return f"{reason} after {info['period']} control steps"

@@ -1,0 +1,106 @@
+"""Policies compared in the same buildings, from the same start poses.
+
+Everything is measured in metres and simulated time, so that every machine gives the same result.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.intervals import Figures
+from mecp_env.policies.comparison import Row, compare, rows_of, timing
+from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
+from mecp_env.policies.policy import Policy
+from mecp_env.policies.pool import FailedTask
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Setting, make_rooms
+
+
+@dataclass(slots=True, eq=False)
+class Evaluation:
+    """The policies, where they are compared, and the episodes that are finished."""
+
+    policies: tuple[str, ...]
+    setting: Setting
+    episodes: int  # buildings, one episode in each
+    known_pose: bool = True  # each policy once more with the ground-truth pose
+    reference: str = "nearest"  # the policy to which the others are compared
+    trust: bool = False  # load model files that may run arbitrary code
+    results: list[EpisodeResult] = field(default_factory=list)
+    failures: list[FailedTask] = field(default_factory=list)
+    interrupted: bool = False
+
+    @property
+    def settings(self) -> list[Setting]:
+        known = self.known_pose and self.setting.estimator != "truth"
+        return [self.setting, *([replace(self.setting, estimator="truth")] if known else [])]
+
+    def tasks(self) -> list[EpisodeTask]:
+        """All episodes, building by building: after an interruption, the finished ones can be compared."""
+        return [
+            EpisodeTask(name, building, setting, self.trust)
+            for building in range(self.episodes)
+            for setting in self.settings
+            for name in dict.fromkeys(self.policies)
+        ]
+
+    def add(self, result: EpisodeResult | FailedTask) -> None:
+        """Keep the result of a task."""
+        if isinstance(result, EpisodeResult):
+            self.results.append(result)
+        else:
+            self.failures.append(result)
+
+    def rows(self) -> list[Row]:
+        """One row per policy and estimator, over the buildings that all of them have finished."""
+        names = dict.fromkeys(self.policies)
+        return rows_of(self.results, [(name, setting.estimator) for setting in self.settings for name in names])
+
+    def check_buildings(self, policy: Policy) -> None:
+        """Raise `ConfigError` for an unknown split or difficulty, or more episodes than the split has buildings."""
+        env = make_rooms(self.setting, policy)
+        try:
+            env.reset(seed=0, options={"building": self.episodes - 1})
+        except ConfigError as error:
+            raise ConfigError(
+                f"episodes: {self.episodes}, each in a building of {self.setting.split!r}; {error}"
+            ) from None
+        env.close()
+
+    def figures(self, rows: Sequence[Row], command: str) -> Figures:
+        """The result as JSON data. Apart from date, command and `timing`, every repetition gives the same."""
+        return {
+            "date": datetime.now(UTC).date().isoformat(),
+            "command": command,
+            "system": f"{platform.system()} {platform.machine()}, python {platform.python_version()}",
+            "setting": asdict(self.setting),
+            "budget_m_per_m2": BUDGET_M_PER_M2,
+            "reference": self.reference,
+            "buildings": len(rows[0].episodes),
+            "interrupted": self.interrupted,
+            "failures": sorted(str(failure) for failure in self.failures),
+            "rows": compare(rows, self.reference),
+            "timing": timing(rows),
+        }
+
+    def write_episodes(self, path: Path) -> None:
+        """Write one CSV row per episode, in the order of policy, estimator and building."""
+        ordered = sorted(self.results, key=lambda e: (e.task.policy, e.task.setting.estimator, e.task.building))
+        with path.open("w", newline="") as file:
+            lines = csv.writer(file)
+            lines.writerow(["policy", "estimator", "building", *ordered[0].figures])
+            for result in ordered:
+                task = result.task
+                lines.writerow([task.policy, task.setting.estimator, task.building, *result.figures.values()])
+
+
+def write_result(figures: Figures, text: str, json_path: Path, page_path: Path) -> None:
+    """Write the figures as JSON, and the page."""
+    json_path.write_text(json.dumps(figures, indent=1) + "\n")
+    page_path.write_text(text)

@@ -1,0 +1,196 @@
+"""One policy in one building: the environment, the episode, and its metrics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.policies.policy import Policy
+from mecp_env.policies.registry import make_policy
+from mecp_env.wrappers import GoalActions
+
+LEVELS = (0.90, 0.99)
+COMPLETE_COVERAGE = 0.95
+NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
+LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
+KEPT = (  # of the environment's own summary
+    *("coverage", "metres", "periods", "free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
+    *("pose_error_final_m", "landmarks", "duplicates", "contacts"),
+)
+
+Info = dict[str, Any]
+OnStep = Callable[[dict[str, Any], Info], None]
+Env = gym.Env[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Where policies are compared; the same for all of them."""
+
+    difficulty: str = "medium"
+    split: str = "test"
+    estimator: str = "slam"
+    max_steps: int = 3000
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeTask:
+    """An episode to run; the building's number is also the seed of start, noise and policy."""
+
+    policy: str
+    building: int
+    setting: Setting
+    trust: bool = False  # load a model file that may run arbitrary code
+
+    def __str__(self) -> str:
+        where = f"{self.setting.difficulty}, split {self.setting.split}, building and seed {self.building}"
+        return f"policy {self.policy}, {where}, estimator {self.setting.estimator}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpisodeResult:
+    """The result of a task: metrics that follow from the seed alone, and the CPU time of the policy."""
+
+    task: EpisodeTask
+    curve: CoverageCurve
+    figures: dict[str, float]
+    act_s: float  # CPU time in `act`
+
+
+@dataclass(slots=True, eq=False)
+class StepLog:
+    """What is recorded in every step."""
+
+    curve: CoverageCurve = field(default_factory=CoverageCurve)
+    pose_errors_m: list[float] = field(default_factory=list)
+    log_dets: list[float] = field(default_factory=list)
+
+    def add(self, observation: dict[str, Any], info: Info) -> None:
+        """Record one control step."""
+        self.curve.add(info["metres"], info["period"], info["coverage"])
+        self.pose_errors_m.append(info["pose_error_m"])
+        self.log_dets.append(log_det(observation["pose_cov"]))
+
+
+@dataclass(slots=True)
+class EpisodeEnd:
+    """How an episode ended, and the effort of the policy."""
+
+    terminated: bool = False
+    diverged: bool = False
+    decisions: int = 0
+    act_s: float = 0.0
+
+
+def run_episode(task: EpisodeTask) -> EpisodeResult:
+    """Run one episode; the same task gives the same metrics bit for bit."""
+    policy, log = make_policy(task.policy, task.trust), StepLog()
+    env = for_policy(make_rooms(task.setting, policy), policy, log.add)
+    end = run_policy(env, policy, log.add, task.building)
+    summary: dict[str, float] = env.get_wrapper_attr("summary")()
+    env.close()
+    return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
+
+
+def make_rooms(setting: Setting, policy: Policy, render_mode: str | None = None) -> Env:
+    """The generated buildings of a setting, with random start poses. Raises `ConfigError`."""
+    return gym.make(
+        "mecp_env/Rooms-v0",
+        render_mode=render_mode,
+        disable_env_checker=True,
+        difficulty=setting.difficulty,
+        split=setting.split,
+        estimator=setting.estimator,
+        max_steps=setting.max_steps,
+        start="random",
+        **options_of(policy),
+    )
+
+
+def options_of(policy: Policy) -> dict[str, Any]:
+    """The fields of the configuration that a policy needs, below the wrapper `GoalActions` of `for_policy`."""
+    actions = "velocity" if policy.actions == "goal" else policy.actions
+    return {"actions": actions, **getattr(policy, "settings", {})}
+
+
+def for_policy(env: Env, policy: Policy, on_step: OnStep) -> Env:
+    """`env` with the actions of the policy; `on_step` is called with observation and info of every control step."""
+    if policy.actions == "goal":
+        return GoalActions(env, callback=lambda step: on_step(step[0], step[4]))
+    return StepCallback(env, on_step)
+
+
+class StepCallback(gym.Wrapper[Any, Any, Any, Any]):
+    """Calls a function after every step, as the callback of `GoalActions` does."""
+
+    def __init__(self, env: Env, on_step: OnStep) -> None:
+        super().__init__(env)
+        self.on_step = on_step
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, Info]:
+        """The step of the wrapped environment."""
+        step = super().step(action)
+        self.on_step(step[0], step[4])
+        return step
+
+
+def masks(env: Env) -> Any:
+    """The mask of the goals; None where actions are no goals."""
+    return env.action_masks() if isinstance(env, GoalActions) else None
+
+
+def run_policy(env: Env, policy: Policy, on_step: OnStep, building: int) -> EpisodeEnd:
+    """Explore a building until the episode ends; `on_step` receives the first observation, too."""
+    end = EpisodeEnd()
+    observation, info = env.reset(seed=building, options={"building": building})
+    policy.reset(building)
+    on_step(observation, info)
+    ended = False
+    while not ended:
+        start = time.thread_time()
+        action = policy.act(observation, masks(env))
+        end.act_s += time.thread_time() - start
+        end.decisions += 1
+        observation, _, end.terminated, truncated, info = env.step(action)
+        ended = end.terminated or truncated
+    end.diverged = bool(info["diverged"])
+    return end
+
+
+def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps: int) -> dict[str, float]:
+    """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
+    curve, budget = log.curve, budget_m(summary["free_area_m2"])
+    figures = {"auc": curve.area_under(budget), "budget_m": budget}
+    for level in LEVELS:
+        figures[f"reached_{level:.0%}"] = float(curve.metres_to(level, np.inf) < NEVER_BUDGETS * budget)
+        figures[f"metres_to_{level:.0%}"] = curve.metres_to(level, NEVER_BUDGETS * budget)
+        figures[f"periods_to_{level:.0%}"] = curve.steps_to(level, float(max_steps))
+    return figures | {
+        "complete": float(is_complete(end, summary)),
+        "terminated": float(end.terminated),
+        "diverged": float(end.diverged),
+        "decisions": float(end.decisions),
+        "pose_error_mean_m": float(np.mean(log.pose_errors_m)),
+        "log_det_mean": float(np.mean(log.log_dets)),
+        **{name: float(summary[name]) for name in KEPT},
+    }
+
+
+def is_complete(end: EpisodeEnd, summary: dict[str, float]) -> bool:
+    """True when the episode terminated by itself with every room and door found and 95 % of the floor seen."""
+    found = all(summary[f"{name}_found"] == summary[name] for name in ("rooms", "doors"))
+    return bool(end.terminated and found and summary["coverage"] >= COMPLETE_COVERAGE)
+
+
+def log_det(pose_cov: Any) -> float:
+    """log det of the pose covariance given as xx, xy, x heading, yy, y heading, heading heading (m, rad)."""
+    xx, xy, xt, yy, yt, tt = np.asarray(pose_cov, np.float64).tolist()
+    det = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
+    return max(float(np.log(det)), LEAST_LOG_DET) if det > 0.0 else LEAST_LOG_DET

@@ -1,0 +1,89 @@
+"""`mecp-env explore`: one episode of a policy; wrong input; how commands end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from mecp_env.cli import main as cli
+from mecp_env.cli.exit_codes import run_command
+from mecp_env.core.errors import ConfigError
+from mecp_env.policies.registry import EXPLORERS
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize("policy", EXPLORERS)
+def test_every_explorer_explores(policy: str, capsys: Captured) -> None:
+    assert cli.main(["explore", policy, "--layout", "two_rooms", "--steps", "60"]) == 0
+    out = capsys.readouterr().out
+    assert "control steps" in out
+    assert "coverage" in out
+
+
+def test_a_generated_building_is_selected_by_its_number(capsys: Captured) -> None:
+    assert cli.main(["explore", "nearest", "--layout", "easy:test:3", "--steps", "5"]) == 0
+    assert "out of steps after 5" in capsys.readouterr().out
+
+
+def test_explore_takes_the_buildings_that_the_demo_takes(capsys: Captured) -> None:
+    assert cli.main(["explore", "nearest", "--layout", "easy:3", "--steps", "5"]) == 0
+    assert "out of steps after 5" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--layout easy:test", "easy:test: seeds are whole numbers"),
+        ("--layout easy:test:x", "'easy:test:x', expected DIFFICULTY:SPLIT:NUMBER"),
+        ("--layout easy:test:0-3", "'easy:test:0-3', expected DIFFICULTY:SPLIT:NUMBER"),
+        ("--layout esy:test:1", "did you mean 'easy'?"),
+        ("--layout easy:tst:1", "did you mean 'test'?"),
+        ("--layout easy:test:1000000", "building: 1000000"),
+        ("--layout nope", "nope"),
+        ("--layout a\x1b[31mb", "a?[31mb: no such file"),
+        ("--layout two_rooms --steps 0", "max_steps"),
+        ("--seed -1", "seed: -1, at least 0"),
+    ],
+)
+def test_wrong_input_ends_with_2_and_one_line(options: str, message: str, capsys: Captured) -> None:
+    assert cli.main(["explore", "random_walk", *options.split()]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.startswith("mecp-env: ")
+    assert err.count("\n") == 1
+
+
+def test_an_unknown_policy_gets_a_suggestion(capsys: Captured) -> None:
+    assert cli.main(["explore", "nearst"]) == 2
+    assert "did you mean 'nearest'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (ConfigError("plan: a\x1b[31mb"), 2, "mecp-env: plan: a?[31mb\n"),
+        (FileNotFoundError(2, "No such file", "x\x07.json"), 2, "mecp-env: x?.json: No such file\n"),
+        (KeyboardInterrupt(), 130, "mecp-env: interrupted\n"),
+    ],
+)
+def test_an_error_is_one_line_without_control_characters(
+    error: BaseException, code: int, message: str, capsys: Captured
+) -> None:
+    def fail() -> int:
+        raise error
+
+    assert run_command(fail) == code
+    assert capsys.readouterr().err == message
+
+
+def test_a_closed_pipe_gives_no_traceback() -> None:
+    command = [sys.executable, "-m", "mecp_env", "explore", "nearest", "--layout", "two_rooms", "--steps", "20"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        assert b"Traceback" not in running.stderr.read()
+    assert running.returncode == 0
