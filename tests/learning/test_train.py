@@ -95,7 +95,7 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
     [
         ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
         ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs selects goals, ppo velocities"),
-        ({"buildings": {"difficulty": ["mediun"]}}, "none of"),
+        ({"buildings": {"difficulty": ["mediun"]}}, "is not one of easy, medium"),
         ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
         ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
         ({"buildings": {"layout": "nowhere"}}, "buildings.layout: nowhere: no such file"),
