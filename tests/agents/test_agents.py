@@ -1,0 +1,59 @@
+"""The scripts of `agents/` run from start to end with small settings."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.bfs import BreadthFirst
+from mecp_env.policies.bfs import BreadthFirstPolicy
+from tests.policies.scenes import goal, observation
+
+ROOT = Path(__file__).parents[2]
+SMALL = "--steps 8 --environments 2 --difficulty easy --rollout 4 --batch 4 --validation 1 --max-steps 20"
+
+
+def run_script(name: str, folder: Path, *options: str) -> str:
+    """What a script prints; it runs in another folder, with nothing but `mecp_env` to import."""
+    environ = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(ROOT / "agents" / f"{name}.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environ)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_breadth_first_explores(tmp_path: Path) -> None:
+    printed = run_script("bfs", tmp_path, "--layout", "two_rooms")
+    assert "rooms_found                        2" in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_example_selects_as_the_policy_of_the_package() -> None:
+    rng = np.random.default_rng(0)
+    for count in (0, 1, 5, 20):
+        goals = [goal(*rng.uniform(-5, 5, 2), rng.uniform(0, 9), int(rng.integers(4))) for _ in range(count)]
+        seen = observation(*goals)
+        seen["goals"][:, 5:7] = rng.integers(0, 3, (32, 2))
+        mask = rng.random(32) < 0.7
+        for given in (None, mask):
+            assert BreadthFirst().act(seen, given) == BreadthFirstPolicy().act(seen, given)
+
+
+def test_evaluation_prints_the_means(tmp_path: Path) -> None:
+    printed = run_script("evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "30")
+    assert "building   1: coverage" in printed
+    assert "mean coverage" in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])
+def test_training_ends_with_weights(algorithm: str, tmp_path: Path) -> None:
+    pytest.importorskip("sb3_contrib")
+    printed = run_script(f"train_{algorithm}", tmp_path, *SMALL.split(), "--out", str(tmp_path / "w.safetensors"))
+    assert "on the validation split" in printed
+    assert (tmp_path / "w.safetensors").stat().st_size > 10_000
