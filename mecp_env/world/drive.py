@@ -94,7 +94,7 @@ def drive_on(
         if in_reach(obstacles, state, limits):
             course[AIM_X], course[AIM_Y], course[AIM_TURN] = vx, vy, w
             break
-        free_x, free_y = slide(near, state, limits, vx, vy)
+        free_x, free_y = slide(near, state, limits, vx, vy) if near.shape[0] else (vx, vy)
         touched = touched or math.hypot(free_x - vx, free_y - vy) > PUSHED_M_S
         move(state, limits, free_x, free_y, w)
         leave_walls(near, state, limits.radius - TOUCH_M)

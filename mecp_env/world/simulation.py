@@ -53,12 +53,12 @@ class Simulation:
 
     def __init__(self, outline: Outline, config: RobotConfig, movers: Movers | None = None) -> None:
         self.config = config
-        self._movers = movers or no_movers(config)
         self._segments = np.ascontiguousarray(outline.segments)
         self._state = np.zeros(6)
         self._state[:3] = outline.starts[0]
         self._limits, self._substeps = RobotLimits.of(config), config.arcs * config.substeps
         self._course = np.zeros(COURSE)
+        self.admit(movers or no_movers(config))
 
     @property
     def T_world_robot(self) -> Array:
@@ -91,10 +91,10 @@ class Simulation:
             raise ActionError(f"command: v={v!r}, w={w!r}, expected finite numbers")
         self._course[SPEED], self._course[TURN] = self._within_limits(v, w)
         self._movers.decide(self._segments, self._state[:3], self._state[3:])
-        increments, obstacles = np.empty((self.config.arcs, 2)), self._obstacles()
-        robot = self._segments, self._state, self._limits, self._course, increments, obstacles
+        increments, moving = np.empty((self.config.arcs, 2)), self._moving
+        robot = self._segments, self._state, self._limits, self._course, increments, moving
         done, contact = drive_on(*robot, 0)
-        bodies = Bodies(self._segments, self.config, self._state, obstacles) if done < self._substeps else None
+        bodies = Bodies(self._segments, self.config, self._state, moving) if done < self._substeps else None
         while bodies and done < self._substeps:
             bodies.substep(self._state, self._course)
             done, touched = drive_on(*robot, done + 1)
@@ -102,8 +102,11 @@ class Simulation:
         return Motion(increments, contact)
 
     def admit(self, movers: Movers) -> None:
-        """Let other things move beside the robot than before."""
-        self._movers = movers
+        """Let other things move beside the robot than before; their arrays are shared."""
+        self._movers, state = movers, movers.state
+        robot = robot_row(self._state[:3], self._state[3:], self.config)
+        others = state.people, state.boxes, state.sizes, movers.round_boxes()
+        self._moving = MovingBodies(*others, robot, movers.config.polite)
 
     def get_state(self) -> dict[str, Any]:
         """The state as plain data."""
@@ -119,9 +122,3 @@ class Simulation:
     def _within_limits(self, v: float, w: float) -> tuple[float, float]:
         v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
         return min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)
-
-    def _obstacles(self) -> MovingBodies:
-        """Pedestrians and boxes as they are now."""
-        moving, polite = self._movers.state, self._movers.config.polite
-        robot = robot_row(self._state[:3], self._state[3:], self.config)
-        return MovingBodies(moving.people, moving.boxes, moving.sizes, self._movers.round_boxes(), robot, polite)
