@@ -81,6 +81,7 @@ def _imported(module: ast.Module, known: dict[str, ast.Module]) -> Iterator[str]
                 yield from [name for name in (full if full in known else node.module,) if name in known]
 
 
+@cache
 def folders(tree: str) -> dict[str, set[str]]:
     """The import graph of what is at the root of a package: its files and folders."""
     graph: dict[str, set[str]] = {}
@@ -201,6 +202,7 @@ def _is_tunable(value: ast.expr) -> bool:
     )
 
 
+@cache
 def figures() -> dict[str, int]:
     """The figures of the architecture issue."""
     compiled = [function for function in functions("mecp_env") if function.compiled]
