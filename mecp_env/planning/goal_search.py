@@ -118,16 +118,6 @@ def _near_line(lines: Array, x: float, y: float, margin: float) -> bool:
 
 
 @compiled
-def _near_any(points: Array, x: float, y: float, clear: float) -> bool:
-    """True when one of the points (d,2) lies within `clear` of (x, y)."""
-    for i in range(points.shape[0]):
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        if max(abs(dx), abs(dy)) < clear + SPARE and math.hypot(dx, dy) < clear:
-            return True
-    return False
-
-
-@compiled
 def mark_floor(
     label: Bytes, polygon: Bools, room: Rooms, span: int, doors: Array, clear: float
 ) -> tuple[tuple[Bytes, Ints], tuple[Bytes, Ints]]:
@@ -149,7 +139,11 @@ def mark_floor(
             for k in range(8 if wide else 0):
                 r, c = row + span * DROW[k], column + span * DCOL[k]
                 wide = wide and label[r, c] == FREE and not polygon[r, c]
-            if not (wide or beside == UNKNOWN) or _near_any(doors, column + 0.5, row + 0.5, clear):
+            near = not (wide or beside == UNKNOWN)
+            for d in range(0 if near else doors.shape[0]):
+                dx, dy = doors[d, 0] - (column + 0.5), doors[d, 1] - (row + 0.5)
+                near |= max(abs(dx), abs(dy)) < clear + SPARE and math.hypot(dx, dy) < clear
+            if near:
                 continue
             if wide:
                 uncovered[row, column] = 1
