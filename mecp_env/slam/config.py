@@ -160,7 +160,7 @@ class AssociationConfig(Settings):
     signature_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)
     ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
-    rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which the second choice must be worse; paper: none
+    rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
     sharp_sigma_m: float = Field(0.15, gt=0.0, le=10.0)  # above: several first pairings are tried
     sharp_sigma_deg: float = Field(3.0, gt=0.0, le=180.0)
     most_seeds: int = Field(8, ge=1, le=64)
@@ -171,7 +171,7 @@ class FilterConfig(Settings):
     """The filter (paper: EKF-SLAM, "ekf")."""
 
     kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf"  # riekf, ekf, or one registered
-    prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)
+    prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)

@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-CHOICE_GAP = 9.21  # NIS that every further choice of a corner counts for: 99 % of chi-square with 2
-
 
 @compiled
 def pair_nis(nu: Array, S: Array, p: int) -> float:
@@ -54,10 +52,10 @@ def condition(nu: Array, S: Array, p: int, alive: Bools) -> None:
 
 
 @compiled
-def next_pairing(nis: Array, corner: Ints, alive: Bools) -> tuple[int, float]:
+def next_pairing(nis: Array, corner: Ints, alive: Bools, rival_gap: float) -> tuple[int, float]:
     """The pairing to accept next, and by how much NIS the second choice of its corner is worse; -1: none is left.
 
-    A corner with few choices comes first, then the smallest NIS.
+    A corner with few choices comes first, then the smallest NIS: every further choice counts as `rival_gap`.
     """
     best, chosen, gap = math.inf, -1, math.inf
     for p in range(alive.shape[0]):
@@ -65,7 +63,7 @@ def next_pairing(nis: Array, corner: Ints, alive: Bools) -> tuple[int, float]:
             rivals = 0
             for q in range(alive.shape[0]):
                 rivals += alive[q] and corner[q] == corner[p]
-            key = nis[p] + CHOICE_GAP * (rivals - 1)
+            key = nis[p] + rival_gap * (rivals - 1)
             if key < best:
                 best, chosen = key, p
     for q in range(alive.shape[0]):
@@ -97,7 +95,7 @@ def greedy_joint_compatibility(
         if turn < first.shape[0]:
             p = first[turn]
         else:
-            p, gap = next_pairing(nis, corner, alive)
+            p, gap = next_pairing(nis, corner, alive, rival_gap)
         turn += 1
         if p < 0:
             break

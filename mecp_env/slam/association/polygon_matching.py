@@ -17,8 +17,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 
-AMBIGUITY_GAP = 9.21  # 99 % of chi-square with 2: the second best must be this much worse (derivations 3.2)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonMatch:
@@ -105,7 +103,7 @@ class PolygonMatcher:
             joint = self.belief.joint_nis(z, R, hypothesis)
             if joint <= joint_gate:
                 accepted.append((joint, int(rings.index[c]), hypothesis))
-        return _agreed(accepted, polygon.corners)
+        return _agreed(accepted, polygon.corners, self.config.rival_gap)
 
     def _hypotheses(self, polygon: Polygon, rings: Rings, gate: float) -> tuple[Ints, Ints]:
         """Ids (h,k) of map polygons as `polygon_hypotheses` writes them, and which of `rings` (h,) they are."""
@@ -116,7 +114,9 @@ class PolygonMatcher:
         return ids[:h], which[:h]
 
 
-def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[int, Ints, Ints] | None:
+def _agreed(
+    hypotheses: list[tuple[float, int, Ints]], corners: Ints, rival_gap: float
+) -> tuple[int, Ints, Ints] | None:
     """The best hypothesis, cut down to the vertices on which all serious rivals agree; None under three of them."""
     if not hypotheses:
         return None
@@ -125,6 +125,6 @@ def _agreed(hypotheses: list[tuple[float, int, Ints]], corners: Ints) -> tuple[i
         return map_polygon, corners, ids
     agreed = np.ones(len(ids), np.bool_)
     for rival in hypotheses:
-        if rival[0] < nis + AMBIGUITY_GAP:
+        if rival[0] < nis + rival_gap:
             agreed &= rival[2] == ids
     return (map_polygon, corners[agreed], ids[agreed]) if agreed.sum() >= 3 else None

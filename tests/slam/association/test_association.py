@@ -174,7 +174,7 @@ def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
 
     def accepted(cost):
         builder = MatchBuilder(2)
-        accept(innovation, corner, ids, np.array(cost), 0, 13.8, 0.0, builder.rows)
+        accept(innovation, corner, ids, np.array(cost), 0, 13.8, 6.0, builder.rows)
         match = builder.match()
         return match.ids.tolist(), match.reason.tolist()
 
