@@ -277,5 +277,4 @@ def mark_discs(cells: Bools, corner: Array, walking: Array) -> None:
         radius = (walking[i, 2] + BESIDE_M) / CELL_M
         for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
             for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
-                if (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius:
-                    cells[row, column] = True
+                cells[row, column] |= (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius

@@ -166,21 +166,19 @@ def clusters(marked: Bytes, cells: Ints, room: Rooms, least: int) -> Ints:
     queue = np.empty((cells.shape[0], 2), np.int64)
     n = 0
     for first in range(cells.shape[0]):
-        size, head = 0, 0
+        size, step = 0, 0  # eight steps per cell of the queue, one to each neighbour
         own = room[cells[first, 0], cells[first, 1]]
         if marked[cells[first, 0], cells[first, 1]]:
             queue[0, 0], queue[0, 1] = cells[first, 0], cells[first, 1]
             marked[cells[first, 0], cells[first, 1]] = 0
             size = 1
-        while head < size:
-            for k in range(8):
-                r, c = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
-                inside = 0 <= r < marked.shape[0] and 0 <= c < marked.shape[1]
-                if inside and marked[r, c] and room[r, c] == own:
-                    marked[r, c] = 0
-                    queue[size, 0], queue[size, 1] = r, c
-                    size += 1
-            head += 1
+        while step < 8 * size:
+            r, c = queue[step // 8, 0] + DROW[step % 8], queue[step // 8, 1] + DCOL[step % 8]
+            if 0 <= r < marked.shape[0] and 0 <= c < marked.shape[1] and marked[r, c] and room[r, c] == own:
+                marked[r, c] = 0
+                queue[size, 0], queue[size, 1] = r, c
+                size += 1
+            step += 1
         if size < max(least, 1):
             continue
         row, column, best = queue[:size, 0].mean(), queue[:size, 1].mean(), math.inf

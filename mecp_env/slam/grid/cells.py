@@ -85,14 +85,11 @@ def fill_polygon(layer: Layer, ring: Array, how: int, value: int, raster: Raster
             inside ^= mask[row, column]
             mask[row, column] = inside
         mask[row, max(right, 0)] = 0
-        if how == ADD:
-            for column in range(left, right):
-                layer[row, column] += np.int16(value * mask[row, column])
-        else:
-            for column in range(left, right):
-                if mask[row, column] and (how == SET or layer[row, column] == value):
-                    layer[row, column] = np.int16(value if how == SET else -1)
         for column in range(left, right):
+            if how == ADD:
+                layer[row, column] += np.int16(value * mask[row, column])
+            elif mask[row, column] and (how == SET or layer[row, column] == value):
+                layer[row, column] = np.int16(value if how == SET else -1)
             mask[row, column] = 0
     dirty[0], dirty[1] = min(dirty[0], top), max(dirty[1], bottom)
     dirty[2], dirty[3] = min(dirty[2], left), max(dirty[3], right)
