@@ -24,7 +24,18 @@ MOST_CONFIG_BYTES = 1_000_000
 RENAMED = {  # field of an older run folder -> its name of today
     f"{name}_periods": f"{name}_steps"
     for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
-} | {"bare_m": "uncovered_m", "bare_cells": "uncovered_cells"}
+} | {
+    "transients": "dynamic_objects",
+    "most_sigma_m": "max_sigma_m",
+    "longest_m": "wall_m",
+    "refutations": "prune_scans",
+    "refute_range_m": "prune_range_m",
+    "fuse_m": "merge_m",
+    "signature_deg": "descriptor_deg",
+    "use_signature": "use_descriptor",
+    "bare_m": "uncovered_m",
+    "bare_cells": "uncovered_cells",
+}
 DERIVED = {
     "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
     "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",

@@ -123,17 +123,28 @@ class PolygonConfig(Settings):
     jamb_offset_m: float = Field(0.3, ge=0.0, le=2.0)  # of the jambs of a gap from the edge
 
 
-class TransientConfig(Settings):
-    """What stands where the map has seen free floor, and is therefore no wall; paper: none, its world is static."""
+class DynamicObjectsConfig(Settings):
+    """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
-    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor; 0 switches the stage off
-    most_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # a pose less certain than this accuses nobody
+    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
+    sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
+    max_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of that place; with a larger one nothing is decided
     range_m: float = Field(15.0, gt=0.0, le=100.0)
-    beams: int = Field(4, ge=1, le=100)  # neighbours, at least
-    longest_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer line is a wall, whatever the map says
-    refutations: int = Field(4, ge=0, le=1000)  # scans that look through a landmark before it is forgotten; 0: never
-    refute_range_m: float = Field(5.0, gt=0.0, le=100.0)
-    closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # less sure, one end of a body recognises no room
+    beams: int = Field(4, ge=1, le=100)  # neighbours, at least, that make a dynamic object, or see through a landmark
+    wall_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer segment is a wall, whatever the map says
+    body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
+    clearance_m: float = Field(0.25, ge=0.0, le=5.0)  # a new corner this near to a dynamic beam is ignored
+    closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
+    closure_nis: float = Field(9.21, ge=0.0, le=100.0)  # the one fits worse than this (chi-square, 99 %), or
+    width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner
+    prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
+    prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark, and at least
+    prune_nearest_m: float = Field(0.4, gt=0.0, le=100.0)  # this: what is nearer is seen too steeply
+    beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
+    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # this far beyond it; or
+    facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall that faces as the landmark does, within this angle, and
+    off_wall_m: float = Field(0.06, ge=0.0, le=5.0)  # is this near to its place, goes on
+    inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
 
 
 class TrackConfig(Settings):
@@ -141,11 +152,12 @@ class TrackConfig(Settings):
 
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
-    window_steps: int = Field(10, ge=1, le=1000)
+    window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped
     gate_m: float = Field(0.1, ge=0.0, le=5.0)
     gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
-    signature_deg: float = Field(40.0, gt=0.0, le=180.0)
-    fuse_m: float = Field(0.15, ge=0.0, le=2.0)  # two landmarks of one signature nearer than this may be one corner
+    descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)  # the most by which a face may turn
+    merge_m: float = Field(0.15, ge=0.0, le=2.0)  # landmarks of one descriptor nearer than this may be one corner; they
+    merge_nis: float = Field(5.99, ge=0.0, le=100.0)  # are one within this gate (chi-square, 95 %)
 
 
 class AssociationConfig(Settings):
@@ -154,10 +166,10 @@ class AssociationConfig(Settings):
     method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # mecp_paper, nearest, known, or one registered
     use_polygons: bool = True
     use_rooms: bool = True
-    use_signature: bool = True  # paper: none
+    use_descriptor: bool = True  # paper: none
     paper_S: bool = False  # the polygon gate without the cross-covariance of pose and map; paper: True
     gate_probability: float = Field(0.99995, gt=0.5, lt=1.0)  # measured: at 0.999 recall is 0.98, not 0.99
-    signature_deg: float = Field(40.0, gt=0.0, le=180.0)
+    descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)
     ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
     rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
@@ -182,16 +194,31 @@ class FilterConfig(Settings):
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 
 
+MOST_SIGHTINGS = 50  # of a door, that are counted
+
+
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
-    confirm_sightings: int = Field(3, ge=1, le=50)
-    wall_thickness_m: Limits = (0.05, 0.4)
+    confirm_sightings: int = Field(3, ge=1, le=MOST_SIGHTINGS)
+    wall_thickness_m: Limits = (0.05, 0.4)  # gaps whose middles are nearer than the larger one are the same
     hysteresis_m: float = Field(0.3, ge=0.0, le=2.0)
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)
     recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
     recognise_by_corners_m: float = Field(1.5, ge=0.0, le=10.0)  # the same for single corners, a weaker sign
     recognise_corners: int = Field(3, ge=1, le=100)
+    trail_step_m: float = Field(0.1, gt=0.0, le=10.0)  # between the places of the robot's path that are kept
+    trail_places: int = Field(512, ge=2, le=100_000)  # that are kept at most
+
+    @property
+    def same_gap_m(self) -> float:
+        """Two gaps whose middles are nearer than this are one: the two faces of a door in the thickest wall."""
+        return self.wall_thickness_m[1]
+
+    @property
+    def behind_wall_m(self) -> float:
+        """A corner this far behind the middle of a door's wall is beyond the door."""
+        return self.wall_thickness_m[1] / 2.0
 
 
 class GridConfig(Settings):
@@ -216,7 +243,7 @@ class SlamConfig(Settings):
     segments: SegmentConfig = SegmentConfig()
     corners: CornerConfig = CornerConfig()
     polygon: PolygonConfig = PolygonConfig()
-    transients: TransientConfig = TransientConfig()
+    dynamic_objects: DynamicObjectsConfig = DynamicObjectsConfig()
     tracks: TrackConfig = TrackConfig()
     association: AssociationConfig = AssociationConfig()
     filter: FilterConfig = FilterConfig()
@@ -235,11 +262,11 @@ class SlamConfig(Settings):
                 door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
             ),
             polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, widest_gap_m=1.2),  # III-A.2: exact
-            transients=TransientConfig(margin_m=0.0, refutations=0, closure_sigma_m=100.0),  # a static world
-            tracks=TrackConfig(sightings=1, jamb_sightings=1, fuse_m=0.0, signature_deg=180.0),  # augmented at once
+            dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
+            tracks=TrackConfig(sightings=1, jamb_sightings=1, merge_m=0.0, descriptor_deg=180.0),  # augmented at once
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
-                use_signature=False,
+                use_descriptor=False,
                 ignore_gate=0.0,  # what matches nothing is new
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance

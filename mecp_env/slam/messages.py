@@ -73,7 +73,7 @@ class Reason(IntEnum):
     BEYOND_DOOR = 7
     IN_DOORWAY = 8
     IDENTITY = 9
-    TRANSIENT = 10
+    DYNAMIC = 10
 
 
 class Cell(IntEnum):

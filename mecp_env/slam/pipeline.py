@@ -61,7 +61,7 @@ class SlamPipeline:
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
         self.rooms = RoomGraphEstimator(config.rooms)
-        self.dynamic_objects = make_dynamic_objects(config.transients)
+        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
         self.grid = GridPainter(config.grid)
         self.step_count = 0
 

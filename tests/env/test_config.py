@@ -180,4 +180,4 @@ def test_the_paper_in_one_switch():
     assert (slam.filter.kind, slam.association.method) == ("ekf", "mecp_paper")
     assert (slam.clustering.threshold, slam.polygon.tolerance_sigmas) == ("adaptive", 0.0)
     assert not slam.polygon.check_walls
-    assert not slam.association.use_signature
+    assert not slam.association.use_descriptor

@@ -143,7 +143,7 @@ def test_every_associator_runs_and_names_each_corner_once(drive, method):
     assert type(make_associator(config.association)) is ASSOCIATORS[method]
 
 
-@pytest.mark.parametrize("switch", ["use_polygons", "use_rooms", "use_signature"])
+@pytest.mark.parametrize("switch", ["use_polygons", "use_rooms", "use_descriptor"])
 def test_each_switch_of_the_default_associator_can_be_turned_off(drive, switch):
     config = SlamConfig(association=AssociationConfig(**{switch: False}))
     run = list(drive.run(config))

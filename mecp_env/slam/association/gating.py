@@ -49,8 +49,8 @@ def pairing_table(
     """
     ids, features, graph = view.belief.ids, view.features.rows, view.graph
     nis = belief.individual_nis(corners.z, corners.R, ids)
-    if config.use_signature:
-        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.signature_deg)
+    if config.use_descriptor:
+        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.descriptor_deg)
         mask_by_descriptor(nis, corners.convex, corners.normals, heading, ids, features, tolerance)
     home = UNKNOWN_ROOM if graph.in_doorway or not config.use_rooms else graph.current
     behind = _rooms_behind(view) if config.use_rooms else NOWHERE

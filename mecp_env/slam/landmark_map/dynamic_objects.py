@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import TransientConfig
+from mecp_env.slam.config import DynamicObjectsConfig
 from mecp_env.slam.landmark_map.tracks import room_unseen_since
 from mecp_env.slam.messages import (
     NO_ID,
@@ -37,11 +37,6 @@ Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 Bytes = NDArray[np.uint8]
 
-SIGMAS = 2.0  # of the place of a hit in the map, by which the margin is widened
-BODY_M = 0.45  # beams that end this near to the middle of dynamic ones belong to the same body
-SHY_M = 0.25  # a new corner this near to a dynamic beam may belong to the same body
-SIDES_M = (0.2, 0.5)  # how wide a pedestrian is; a wall is thinner
-LONE_NIS = 9.21  # chi-square, 2 degrees of freedom, 99 %
 FREE, DOOR = int(Cell.FREE), int(Cell.DOOR)
 NEW, RECOGNISED = int(Decision.NEW), int(Decision.LANDMARK)
 
@@ -50,13 +45,14 @@ NEW, RECOGNISED = int(Decision.NEW), int(Decision.LANDMARK)
 class DynamicObjects:
     """The stage for a world where things move; beams (B,) are marked, None stands for none."""
 
-    config: TransientConfig
+    config: DynamicObjectsConfig
 
     def reject_closures(
         self, match: Match, corners: Corners, features: FeatureTable, landmark_filter: Filter, oldest: int
     ) -> Match:
         """The match without loop closures by one corner that may be a side of a pedestrian, unless the pose is sure."""
-        doubtful = find_lone_closures(match.ids, match.decision, match.nis, corners.z, features.rows, oldest)
+        columns = match.ids, match.decision, match.nis
+        doubtful = find_lone_closures(*columns, corners.z, features.rows, self.config.record, oldest)
         unsure = [c for c in doubtful.tolist() if not self._is_sure(corners, match.ids, c, landmark_filter)]
         return match.assign(unsure, NO_ID, int(Decision.IGNORED), int(Reason.AMBIGUOUS)) if unsure else match
 
@@ -69,7 +65,7 @@ class DynamicObjects:
     def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
         """(B,) the beams that end on something on floor that the map has seen free.
 
-        Beams on segments longer than `longest_m` are not considered: they are on walls, whatever the map says.
+        Beams on segments longer than `wall_m` are not considered: they are on walls, whatever the map says.
         """
         if not grid.label.size:
             return None
@@ -77,14 +73,14 @@ class DynamicObjects:
         asked = beams_off_walls(beams.hit, segments.points, segments.first, segments.last, segments.roll, limits)
         floor = grid.label, grid.origin, grid.resolution_m
         marked = mark_dynamic(beams.ranges, beams.bearings, asked, belief.T_map_robot, pose_cov, floor, limits)
-        return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked) if len(marked) else None
+        return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked, limits) if len(marked) else None
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
         """The match in which new corners near dynamic beams are ignored."""
         if dynamic is None or not len(corners):
             return match
-        near = near_dynamic(corners.z, match.decision, beams.ranges, beams.bearings, dynamic)
-        return match.assign(near, NO_ID, int(Decision.IGNORED), int(Reason.TRANSIENT)) if len(near) else match
+        near = near_dynamic(corners.z, match.decision, beams.ranges, beams.bearings, dynamic, self.config.record)
+        return match.assign(near, NO_ID, int(Decision.IGNORED), int(Reason.DYNAMIC)) if len(near) else match
 
     def without(self, beams: MergedScan, segments: Segments, dynamic: Bools | None) -> tuple[MergedScan, Segments]:
         """Beams and segments to paint: free floor up to dynamic objects, no wall there."""
@@ -105,7 +101,7 @@ class StaticWorld(DynamicObjects):
         return None
 
 
-def make_dynamic_objects(config: TransientConfig) -> DynamicObjects:
+def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
     """The stage that `config` describes."""
     return DynamicObjects(config) if config.margin_m else StaticWorld(config)
 
@@ -122,21 +118,21 @@ def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
 
 
 @compiled
-def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Rows, oldest: int) -> Ints:
+def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Rows, config: Rows, oldest: int) -> Ints:
     """(c,) corners that alone recognise a room unseen since `oldest`, and may be one of the two sides of a pedestrian.
 
     That is a corner that fits its landmark badly, or that has another one, no landmark, as far away as a pedestrian is
     wide. `ids`, `decision`, `nis` (n,) are those of the match, z (n,2) of the corners.
     """
-    doubtful, count = np.empty(z.shape[0], np.int64), 0
+    limits, doubtful, count = config[0], np.empty(z.shape[0], np.int64), 0
     for c in range(z.shape[0]):
-        alone, beside = decision[c] == RECOGNISED, nis[c] > LONE_NIS
+        alone, beside = decision[c] == RECOGNISED, nis[c] > limits.closure_nis
         for k in range(z.shape[0] if alone else 0):
             if decision[k] == RECOGNISED:
                 alone &= k == c or rows[ids[k]].room != rows[ids[c]].room
                 continue
             square = z[c, 0] ** 2 + z[k, 0] ** 2 - 2.0 * z[c, 0] * z[k, 0] * math.cos(z[c, 1] - z[k, 1])
-            beside |= SIDES_M[0] ** 2 < square < SIDES_M[1] ** 2
+            beside |= limits.width_m[0] ** 2 < square < limits.width_m[1] ** 2
         if alone and beside and room_unseen_since(ids[c : c + 1], rows, oldest):
             doubtful[count] = c
             count += 1
@@ -148,7 +144,7 @@ def beams_off_walls(hit: Bools, points: Array, first: Ints, last: Ints, roll: in
     """(B,) the hits but for those on long segments."""
     size, asked = hit.shape[0], hit.copy()
     for k in range(first.shape[0]):
-        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > config[0].longest_m:
+        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > config[0].wall_m:
             for position in range(first[k] + roll, last[k] + roll + 1):
                 asked[position if position < size else position - size] = False
     return asked
@@ -174,10 +170,10 @@ def mark_dynamic(
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
     for i in range(ranges.shape[0]):
         sigma = place_sigma + ranges[i] * turn_sigma
-        on_floor = asked[i] and ranges[i] < limits.range_m and sigma < limits.most_sigma_m
+        on_floor = asked[i] and ranges[i] < limits.range_m and sigma < limits.max_sigma_m
         if on_floor:
             p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
-            on_floor = is_floor(floor, p_x, p_y, limits.margin_m + SIGMAS * sigma)
+            on_floor = is_floor(floor, p_x, p_y, limits.margin_m + limits.sigmas * sigma)
         run = run + 1 if on_floor else 0
         if run >= limits.beams:
             found = True
@@ -206,7 +202,7 @@ def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: floa
 
 
 @compiled
-def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools) -> Bools:
+def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, config: Rows) -> Bools:
     """(B,) the marked beams, and those beside each run of them that end near its middle: the rim of the same body."""
     size = ranges.shape[0]
     whole = marked.copy()
@@ -221,7 +217,8 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools) -> B
         for side in range(2):
             k = (i - 1 if side == 0 else i + count) % size
             while hit[k] and not whole[k]:
-                if math.hypot(ranges[k] * math.cos(bearings[k]) - x, ranges[k] * math.sin(bearings[k]) - y) >= BODY_M:
+                off_x, off_y = ranges[k] * math.cos(bearings[k]) - x, ranges[k] * math.sin(bearings[k]) - y
+                if math.hypot(off_x, off_y) >= config[0].body_m:
                     break
                 whole[k] = True
                 k = (k + 2 * side - 1) % size
@@ -229,15 +226,15 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools) -> B
 
 
 @compiled
-def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools) -> Ints:
+def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
     """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    near, count = np.empty(z.shape[0], np.int64), 0
+    clearance, near, count = config[0].clearance_m, np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
         for k in range(ranges.shape[0] if decision[i] == NEW else 0):
             if not dynamic[k]:
                 continue
             square = z[i, 0] ** 2 + ranges[k] ** 2 - 2.0 * z[i, 0] * ranges[k] * math.cos(z[i, 1] - bearings[k])
-            if square < SHY_M * SHY_M:
+            if square < clearance * clearance:
                 near[count] = i
                 count += 1
                 break

@@ -97,7 +97,7 @@ class LandmarkMap:
     ) -> tuple[Belief, Ints]:
         """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
         self.polygons.prune(self.features, resolve)
-        gone = find_refuted(beams, segments, seen.belief, self.features, seen.step, self.config.transients)
+        gone = find_refuted(beams, segments, seen.belief, self.features, seen.step, self.config.dynamic_objects)
         if not len(gone):
             return seen.belief, gone
         landmark_filter.remove(gone)

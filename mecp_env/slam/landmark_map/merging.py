@@ -17,13 +17,11 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 
-FUSE_NIS = 5.99  # chi-square, 2 degrees of freedom, 95 %
-
 
 def find_duplicate(features: FeatureTable, belief: Belief, match: Match, config: TrackConfig) -> tuple[int, int] | None:
     """Ids (older, younger) of a landmark matched in this scan and another that is the same corner, or None.
 
-    They have one descriptor, are not both seen in this scan, are nearer than `config.fuse_m` and within the 95 % gate
+    They have one descriptor, are not both seen in this scan, are nearer than `config.merge_m` and within the 95 % gate
     of the sum of their covariances: correlated errors only make the true gate narrower, so nothing apart is merged.
     """
     landmarks = belief.ids, belief.p_map, belief.covs
@@ -47,19 +45,13 @@ def find_same_corner(
             seen[row] = True
     for i in range(seen.shape[0]):
         for j in range(seen.shape[0] if seen[i] else 0):
-            if seen[j] or not _near(p_map, covs, i, j, limits.fuse_m):
+            x, y = p_map[i, 0] - p_map[j, 0], p_map[i, 1] - p_map[j, 1]
+            if seen[j] or abs(x) > limits.merge_m or abs(y) > limits.merge_m or math.hypot(x, y) > limits.merge_m:
+                continue
+            a, b, c_yy = covs[i, 0, 0] + covs[j, 0, 0], covs[i, 0, 1] + covs[j, 0, 1], covs[i, 1, 1] + covs[j, 1, 1]
+            if not (c_yy * x * x - 2.0 * b * x * y + a * y * y) < limits.merge_nis * (a * c_yy - b * b):
                 continue
             one, two = rows[ids[i]], rows[ids[j]]
-            if one.convex == two.convex and 0.0 <= face_turn(one.normals, 0.0, two.normals) <= limits.signature_rad:
+            if one.convex == two.convex and 0.0 <= face_turn(one.normals, 0.0, two.normals) <= limits.descriptor_rad:
                 return min(ids[i], ids[j]), max(ids[i], ids[j])
     return -1, -1
-
-
-@compiled
-def _near(p_map: Array, covs: Array, i: int, j: int, near: float) -> bool:
-    """True when two landmarks are nearer than `near` (m) and within the gate of the sum of their covariances."""
-    x, y = p_map[i, 0] - p_map[j, 0], p_map[i, 1] - p_map[j, 1]
-    if abs(x) > 2.0 * near or abs(y) > 2.0 * near or math.hypot(x, y) > near:
-        return False
-    a, b, c = covs[i, 0, 0] + covs[j, 0, 0], covs[i, 0, 1] + covs[j, 0, 1], covs[i, 1, 1] + covs[j, 1, 1]
-    return bool((c * x * x - 2.0 * b * x * y + a * y * y) < FUSE_NIS * (a * c - b * b))

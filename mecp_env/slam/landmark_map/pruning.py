@@ -14,26 +14,24 @@ from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.config import TransientConfig
+from mecp_env.slam.config import DynamicObjectsConfig
 from mecp_env.slam.messages import Belief, FeatureTable, MergedScan, Segments
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 
-SIGMAS = 2.0
-NEAREST_M = 0.4  # what is nearer is seen too steeply
-BESIDE_M, BEYOND_M = 0.12, 0.3  # all beams this near to the landmark's place must pass this far beyond it
-LEAST_BEAMS = 4
-FACING_RAD = math.radians(30.0)
-ON_WALL_M, INSIDE_M = 0.06, 0.35  # a landmark this near to a line, and this far inside it, is not there
-
 
 def find_refuted(
-    beams: MergedScan, segments: Segments, belief: Belief, features: FeatureTable, step: int, config: TransientConfig
+    beams: MergedScan,
+    segments: Segments,
+    belief: Belief,
+    features: FeatureTable,
+    step: int,
+    config: DynamicObjectsConfig,
 ) -> Ints:
     """(m,) ids of the landmarks with enough negative evidence; that of this scan is counted in `features`."""
-    if not config.refutations:
+    if not config.prune_scans:
         return np.empty(0, np.int64)
     scan = beams.ranges, beams.bearings, segments.points, segments.line
     landmarks = belief.ids, belief.p_map, belief.covs
@@ -65,52 +63,54 @@ def count_doubts(
         sigma = math.sqrt(max(place_var + r * r * turn_var + covs[k, 0, 0] + covs[k, 1, 1], 0.0))
         if rows[f].last_step == step:
             rows[f].doubts = 0
-        judged = NEAREST_M < r < limits.refute_range_m and sigma <= limits.most_sigma_m
+        judged = limits.prune_nearest_m < r < limits.prune_range_m and sigma <= limits.max_sigma_m
         if rows[f].last_step == step or not judged:
             continue
         x, y = c * dx + s * dy, c * dy - s * dx
-        absent = is_seen_through(ranges, bearings, r, math.atan2(y, x), SIGMAS * sigma)
-        if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, T_map_robot[2], SIGMAS * sigma):
+        slack, heading = limits.sigmas * sigma, T_map_robot[2]
+        absent = is_seen_through(ranges, bearings, r, math.atan2(y, x), slack, config)
+        if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, heading, slack, config):
             continue
         rows[f].doubts += 1
-        if rows[f].doubts >= limits.refutations:
+        if rows[f].doubts >= limits.prune_scans:
             gone[count] = f
             count += 1
     return gone[:count]
 
 
 @compiled
-def is_seen_through(ranges: Array, bearings: Array, r: float, bearing: float, slack: float) -> bool:
+def is_seen_through(ranges: Array, bearings: Array, r: float, bearing: float, slack: float, config: Rows) -> bool:
     """True when all beams near a bearing go well beyond the range r."""
-    size = ranges.shape[0]
+    limits, size = config[0], ranges.shape[0]
     step = (bearings[size - 1] - bearings[0]) / (size - 1)
     middle = round((bearing - bearings[0]) / step)
-    half = int((BESIDE_M + slack) / (r * step)) + 1
-    if 2 * half + 1 < LEAST_BEAMS or 2 * half >= size:
+    half = int((limits.beside_m + slack) / (r * step)) + 1
+    if 2 * half + 1 < limits.beams or 2 * half >= size:
         return False
     nearest = math.inf
     for k in range(middle - half, middle + half + 1):
         nearest = min(nearest, ranges[k % size])
-    return bool(nearest > r + BEYOND_M + slack)
+    return bool(nearest > r + limits.beyond_m + slack)
 
 
 @compiled
 def is_inside_wall(
-    points: Array, line: Array, x: float, y: float, normals: Array, heading: float, slack: float
+    points: Array, line: Array, x: float, y: float, normals: Array, heading: float, slack: float, config: Rows
 ) -> bool:
     """True when a straight wall is seen on both sides of a corner's place x, y, robot frame, and is one of its faces.
 
     `normals` (2,) of its faces, map frame: a wall that faces the other way is that of the room behind it.
     """
+    limits = config[0]
     for k in range(line.shape[0]):
         off = x * math.cos(line[k, 0]) + y * math.sin(line[k, 0]) - line[k, 1]
         towards = line[k, 0] + math.pi + heading
         first, second = abs(wrap_angle(normals[0] - towards)), abs(wrap_angle(normals[1] - towards))  # nan: unseen
-        if abs(off) > ON_WALL_M or not (first < FACING_RAD or second < FACING_RAD):
+        if abs(off) > limits.off_wall_m or not (first < limits.facing_rad or second < limits.facing_rad):
             continue
         ux, uy = points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]
         length = math.hypot(ux, uy)
         along = ((x - points[k, 0, 0]) * ux + (y - points[k, 0, 1]) * uy) / length
-        if INSIDE_M + slack < along < length - INSIDE_M - slack:
+        if limits.inside_m + slack < along < length - limits.inside_m - slack:
             return True
     return False

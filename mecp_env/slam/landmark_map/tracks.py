@@ -98,7 +98,7 @@ def find_tracks(
             if decision[i] != NEW or not free[f] or convex[i] != rows[f].convex:
                 continue
             distance = math.hypot(p_map[i, 0] - rows[f].p_map[0], p_map[i, 1] - rows[f].p_map[1])
-            if distance <= best and face_turn(normals[i], heading, rows[f].normals) <= limits.signature_rad:
+            if distance <= best and face_turn(normals[i], heading, rows[f].normals) <= limits.descriptor_rad:
                 best, track[i] = distance, f
         if track[i] >= 0:
             free[track[i]] = False

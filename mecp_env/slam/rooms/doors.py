@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_map
-from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.config import MOST_SIGHTINGS, RoomConfig
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Belief,
@@ -28,10 +28,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-TRANSIENT = int(Reason.TRANSIENT)
-MOST_SIGHTINGS = 50  # the configuration asks for no more
-BEHIND_WALL_M = 0.2  # a corner this far behind the middle of a door's wall is beyond the door
-SAME_GAP_M = 0.4  # two gaps whose middles are nearer than this are one
+DYNAMIC = int(Reason.DYNAMIC)
 
 
 @dataclass(slots=True, eq=False)
@@ -79,21 +76,20 @@ def seen_through(
     ids: Ints,
     jambs: Ints,
     door_ids: Ints,
-    through: Ints,
+    behind_m: float,
     sites: Bools,
-) -> bool:
-    """Write the id (n,) of the door through which each corner z (n,2) is seen, or -1; those seen so are no sites (n,).
+) -> Ints:
+    """(n,) id of the door through which each corner z (n,2) is seen, or -1; such corners are no `sites` (n,) any more.
 
-    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) as `door_jambs`. Says whether there are any.
+    `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) is as in `door_jambs`.
     """
-    points = np.empty_like(z)
+    points, through = np.empty_like(z), np.empty(z.shape[0], np.int64)
     polar_to_map(T_map_robot, z, points)
-    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), BEHIND_WALL_M, through)
-    some = False
+    beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), behind_m, through)
     for i in range(z.shape[0]):
         if through[i] >= 0:
-            some, sites[i], through[i] = True, False, door_ids[through[i]]
-    return some
+            sites[i], through[i] = False, door_ids[through[i]]
+    return through
 
 
 @compiled
@@ -143,20 +139,20 @@ def record_doorways(book: DoorMap, seen: Sighting, features: FeatureTable, room:
         return
     next_door = rooms_next_door(book, room, config.confirm_sightings)
     id_of = seen.match.ids.tolist()
-    elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == TRANSIENT)).tolist()
+    elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == DYNAMIC)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
         ends = np.empty((2, 2))
         polar_to_map(belief.T_map_robot, corners.z[pair], ends)
-        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends):
+        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends, config):
             continue
         if ids in book.row:
             _see_again(book, ids, confirmable, (room, next_door))
             continue
         if min(ids) >= 0 and confirmable:
-            book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends)) + 1
+            book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends, config)) + 1
             _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(ends, ids, room, 1, seen.step, book.sightings.get(ids, 0)), belief)
+        _note_candidate(book, Candidate(ends, ids, room, 1, seen.step, book.sightings.get(ids, 0)), belief, config)
 
 
 def rooms_next_door(book: DoorMap, room: int, sightings: int) -> set[int]:
@@ -216,7 +212,7 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
     apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
     sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
-    if abs(alike) < 0.9 or sideways > SAME_GAP_M or apart > config.wall_thickness_m[1]:
+    if abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m[1]:
         return None
     if alike > 0.0 or door.other_face is not None:
         return replace(door, sightings=door.sightings + 1)
@@ -225,15 +221,15 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _seen_well(book: DoorMap, ends: Array) -> int:
+def _seen_well(book: DoorMap, ends: Array, config: RoomConfig) -> int:
     """How often the gap with the ends (2,2) was seen well: by the face behind it, or by a jamb since forgotten, too."""
-    return max((c.confirmable for c in book.candidates if same_gap(c.ends, ends)), default=0)
+    return max((c.confirmable for c in book.candidates if same_gap(c.ends, ends, config)), default=0)
 
 
-def _note_candidate(book: DoorMap, new: Candidate, belief: Belief) -> None:
+def _note_candidate(book: DoorMap, new: Candidate, belief: Belief, config: RoomConfig) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends)]
-    if lies_in_door(belief.p_map, belief.ids, book.jambs, new.ends):
+    same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends, config)]
+    if lies_in_door(book, new.ends, belief, config):
         book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
     elif same:
         known = book.candidates[same[0]]
@@ -246,29 +242,22 @@ def _note_candidate(book: DoorMap, new: Candidate, belief: Belief) -> None:
         book.candidates.append(new)
 
 
-def lies_inside(book: DoorMap, ends: Array) -> bool:
+def lies_inside(book: DoorMap, ends: Array, config: RoomConfig) -> bool:
     """True when the gap with the ends (2,2) was found to lie inside a room."""
     x, y = (0.5 * (ends[0] + ends[1])).tolist() if book.inside else (0.0, 0.0)
-    return any(math.hypot(x - p_x, y - p_y) < SAME_GAP_M for p_x, p_y in book.inside)
+    return any(math.hypot(x - p_x, y - p_y) < config.same_gap_m for p_x, p_y in book.inside)
 
 
-@compiled
-def lies_in_door(p_map: Array, ids: Ints, jambs: Ints, ends: Array) -> bool:
-    """True when the gap with the ends (2,2) is a door of those with `jambs` (D,4); other arguments as `door_frames`."""
-    frames = door_frames(p_map, ids, jambs)
-    mx, my = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
-    found = False
-    for d in range(frames.shape[0]):
-        x, y = frames[d, 0] - mx, frames[d, 1] - my
-        found |= x * x + y * y < SAME_GAP_M**2
-    return found
+def lies_in_door(book: DoorMap, ends: Array, belief: Belief, config: RoomConfig) -> bool:
+    """True when the gap with the ends (2,2) is a door of the map."""
+    offset = book.frames(belief)[:, :2] - (ends[0] + ends[1]) / 2.0
+    return bool(((offset * offset).sum(axis=1) < config.same_gap_m**2).any())
 
 
-@compiled
-def same_gap(a: Array, b: Array) -> bool:
-    """True when the middles of two gaps with the ends a and b (2,2) are near each other."""
-    x, y = (a[0, 0] + a[1, 0] - b[0, 0] - b[1, 0]) / 2.0, (a[0, 1] + a[1, 1] - b[0, 1] - b[1, 1]) / 2.0
-    return math.hypot(x, y) < SAME_GAP_M
+def same_gap(a: Array, b: Array, config: RoomConfig) -> bool:
+    """True when two gaps with the ends a and b (2,2) are one."""
+    x, y = ((a[0] + a[1] - b[0] - b[1]) / 2.0).tolist()
+    return math.hypot(x, y) < config.same_gap_m
 
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:

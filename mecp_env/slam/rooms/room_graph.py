@@ -38,6 +38,7 @@ from mecp_env.slam.rooms.trail import Trail
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Rows = NDArray[np.void]
 
 LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
 
@@ -76,18 +77,17 @@ class RoomGraphEstimator:
         """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
         if not self.book.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
-        through, sites = np.empty(len(corners), np.int64), corners.sites.copy()
-        doors = self.book.jambs, self.book.ids
-        if seen_through(belief.T_map_robot, corners.z, belief.p_map, belief.ids, *doors, through, sites):
-            corners = corners.with_sites(sites)
-        return corners, through
+        sites, doors = corners.sites.copy(), (self.book.jambs, self.book.ids)
+        pose, landmarks = belief.T_map_robot, (belief.p_map, belief.ids)
+        through = seen_through(pose, corners.z, *landmarks, *doors, self.config.behind_wall_m, sites)
+        return corners.with_sites(sites), through
 
     def update(self, seen: Sighting, features: FeatureTable, known: list[MapPolygon]) -> bool:
         """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
 
         Says whether landmarks changed their room, by a merge or one by one.
         """
-        self.trail.add(seen.step, len(features.state), seen.belief.T_map_robot)
+        self.trail.add(seen.step, len(features), seen.belief.T_map_robot, self.config)
         before = self.book.next_id
         if not self.in_doorway:
             record_doorways(self.book, seen, features, self.current, self.config)
@@ -138,9 +138,8 @@ class RoomGraphEstimator:
         if not self.book.doors:
             return
         book, hysteresis = self.book, self.config.hysteresis_m
-        near = np.empty((len(book.doors), 4))
-        count = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, book.jambs, hysteresis, near)
-        for row, ahead, aside, half in near[:count].tolist():
+        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, book.jambs, hysteresis)
+        for row, ahead, aside, half in near.tolist():
             d = int(row)
             self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < half
             door = book.doors[d]
@@ -255,7 +254,7 @@ class RoomGraphEstimator:
         middles = self.book.frames(belief)[:, :2].tolist()
         self.book.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
-        self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends)]
+        self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends, self.config)]
 
     def _with_rooms_resolved(self, door: Door) -> Door:
         first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)
@@ -269,57 +268,47 @@ class RoomGraphEstimator:
 
 
 @compiled
-def _door_coordinates(p_map: Array, frame: Array) -> tuple[float, float]:
-    """Distance of a point in front of the door (towards its first room) and aside of its middle, in metres."""
-    dx, dy = p_map[0] - frame[0], p_map[1] - frame[1]
-    return dx * frame[2] + dy * frame[3], dx * frame[3] - dy * frame[2]
+def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: float) -> Array:
+    """(c,4) of the doors within 1 m and not farther aside than their posts and `margin`.
 
-
-@compiled
-def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: float, near: Array) -> int:
-    """Write the doors within 1 m and not farther aside than their posts and `margin`; returns how many there are.
-
-    Of each (c,4): row in `jambs` (D,4), distance ahead, aside, half width; `p_map` (N,2), `ids` (N,) are the landmarks.
+    The columns are the row in `jambs` (D,4), the distance of the robot in front of the door (towards its first room)
+    and aside of its middle, and half the width; `p_map` (N,2), `ids` (N,) are the landmarks.
     """
     frames = door_frames(p_map, ids, jambs)
-    count = 0
+    near, count = np.empty((frames.shape[0], 4)), 0
     for d in range(frames.shape[0]):
-        ahead, aside = _door_coordinates(p_robot, frames[d])
-        if abs(ahead) <= 1.0 and abs(aside) <= frames[d, 4] + margin:
-            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = d, ahead, aside, frames[d, 4]
+        x, y, n_x, n_y, half = frames[d]
+        dx, dy = p_robot[0] - x, p_robot[1] - y
+        ahead, aside = dx * n_x + dy * n_y, dx * n_y - dy * n_x
+        if abs(ahead) <= 1.0 and abs(aside) <= half + margin:
+            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = d, ahead, aside, half
             count += 1
-    return count
+    return near[:count]
 
 
-@compiled
 def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
     """True when the robot is between `margin` and 1 m behind the gap with the ends (2,2): right and left in front."""
-    x, y = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    right_x, right_y, left_x, left_y = map(float, ends.ravel())
+    x, y = left_x - right_x, left_y - right_y
     width = math.hypot(x, y)
-    frame = np.empty(4)
-    frame[0], frame[1] = (ends[0, 0] + ends[1, 0]) / 2.0, (ends[0, 1] + ends[1, 1]) / 2.0
-    frame[2], frame[3] = -y / width, x / width
-    ahead, aside = _door_coordinates(p_robot, frame)
-    return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
+    dx, dy = float(p_robot[0]) - (right_x + left_x) / 2.0, float(p_robot[1]) - (right_y + left_y) / 2.0
+    ahead, aside = dx * (-y / width) + dy * (x / width), dx * (x / width) - dy * (-y / width)
+    return abs(aside) < width / 2.0 and -1.0 < ahead < -margin
 
 
 def _here(seen: Sighting, features: FeatureTable, current: int) -> Ints:
-    """Ids of the landmarks recognised that are no jambs and not seen through a door; none when all lie in `current`."""
-    match, beyond = seen.match, seen.corners.beyond
-    kept = np.empty(len(match.ids), np.int64)
-    count = _on_this_side(match.ids, match.decision, seen.through, beyond, features.kind, features.room, current, kept)
-    return kept[:count]
+    """Ids of the landmarks recognised that are no jambs and not seen through a door; none when all are in `current`."""
+    match = seen.match
+    return _on_this_side(match.ids, match.decision, seen.through, seen.corners.beyond, features.rows, current)
 
 
 @compiled
-def _on_this_side(
-    ids: Ints, decision: Ints, through: Ints, beyond: Ints, kind: Ints, room: Ints, current: int, kept: Ints
-) -> int:
-    """Write the ids of landmarks on this side of all doors, jambs left out; returns how many, 0 if all in `current`."""
-    count, strangers = 0, 0
+def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, rows: Rows, current: int) -> Ints:
+    """(c,) ids of the landmarks on this side of all doors, jambs left out; (0,) when all are in `current`."""
+    kept, count, elsewhere = np.empty(ids.shape[0], np.int64), 0, 0
     for i in range(ids.shape[0]):
-        if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and kind[ids[i]] != JAMB:
+        if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and rows[ids[i]].kind != JAMB:
             kept[count] = ids[i]
-            strangers += room[ids[i]] != current
+            elsewhere += rows[ids[i]].room != current
             count += 1
-    return count if strangers > 0 else 0
+    return kept[:count] if elsewhere > 0 else kept[:0]

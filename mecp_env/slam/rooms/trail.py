@@ -8,27 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
+from mecp_env.slam.config import RoomConfig
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-STEP_M = 0.1
-MOST = 512  # places; older ones are forgotten
-
 
 @dataclass(slots=True, eq=False)
 class Trail:
-    """Places some 0.1 m apart, and when they were passed."""
+    """Places `trail_step_m` apart, and when they were passed; the oldest are forgotten."""
 
     p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; the last is where it is now
     since: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) step, number of features then
 
-    def add(self, step: int, features: int, T_map_robot: Array) -> None:
+    def add(self, step: int, features: int, T_map_robot: Array, config: RoomConfig) -> None:
         """Note where the robot is in a step, and how many features there are."""
         here, now = T_map_robot[None, :2], np.array([[step, features]])
         n = len(self.p_map)
-        still = n > 1 and bool(np.hypot(*(self.p_map[n - 2] - here[0])) < STEP_M)
-        kept = slice(max(n - MOST, 0), n - 1 if still else n)
+        still = n > 1 and bool(np.hypot(*(self.p_map[n - 2] - here[0])) < config.trail_step_m)
+        kept = slice(max(n - config.trail_places, 0), n - 1 if still else n)
         self.p_map = np.concatenate([self.p_map[kept], here])
         self.since = np.concatenate([self.since[kept], self.since[n - 1 :] if still else now])
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import SlamConfig, TransientConfig
+from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects
 from mecp_env.slam.landmark_map.pruning import find_refuted
 from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, SemanticGrid
@@ -16,7 +16,7 @@ from tests.slam.drives import scripted_drive
 from tests.slam.scans import front_end, ring, take_scan
 from tests.slam.tables import table_of
 
-CONFIG = TransientConfig()
+CONFIG = DynamicObjectsConfig()
 STAGE = DynamicObjects(CONFIG)
 ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
 ORIGIN = np.array([-4.0, -3.0])
@@ -79,7 +79,7 @@ def test_nothing_is_dynamic_in_an_empty_room(seed):
 def test_nothing_is_dynamic_with_an_uncertain_pose_or_in_the_static_world_of_the_paper():
     beams, _, segments, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
     assert STAGE.find(beams, segments, belief(sigma=0.2), empty_room()) is None
-    paper = make_dynamic_objects(SlamConfig.paper().transients)
+    paper = make_dynamic_objects(SlamConfig.paper().dynamic_objects)
     assert type(paper) is StaticWorld
     assert paper.find(beams, segments, belief(), empty_room()) is None
 
@@ -110,13 +110,13 @@ def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not()
     near = np.hypot(*(points - (1.5, 0.5)).T) < 0.5
     assert near.any()
     assert (match.decision[near] == Decision.IGNORED).all()
-    assert (match.reason[near] == Reason.TRANSIENT).all()
+    assert (match.reason[near] == Reason.DYNAMIC).all()
     assert (match.decision[~near] == Decision.NEW).all()
     assert (new.decision == Decision.NEW).all()  # messages are immutable
 
 
 def test_a_landmark_is_forgotten_when_beams_pass_well_beyond_it():
-    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan)) == CONFIG.refutations
+    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan)) == CONFIG.prune_scans
 
 
 def test_one_that_is_seen_again_is_not():
@@ -146,7 +146,7 @@ def test_corners_of_things_that_stand_in_the_room_stay(x, y, turn):
 
 
 def test_a_corner_against_a_wall_is_forgotten_when_the_wall_is_seen_whole():
-    assert judged(ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0)) == CONFIG.refutations
+    assert judged(ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0)) == CONFIG.prune_scans
 
 
 def test_a_corner_on_the_other_side_of_the_wall_stays():
@@ -154,7 +154,7 @@ def test_a_corner_on_the_other_side_of_the_wall_stays():
 
 
 def test_switched_off_nothing_is_pruned():
-    off = TransientConfig(refutations=0)
+    off = DynamicObjectsConfig(prune_scans=0)
     assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan), config=off) is None
 
 
@@ -170,8 +170,8 @@ def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
 
 
 def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():
-    still = SlamConfig(transients=TransientConfig(margin_m=0.0, refutations=0))
+    still = SlamConfig(dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0))
     drive = scripted_drive(seed=3)
     for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):
         assert watched.belief.p_map.tobytes() == plain.belief.p_map.tobytes()
-        assert not (watched.match.reason == Reason.TRANSIENT).any()
+        assert not (watched.match.reason == Reason.DYNAMIC).any()

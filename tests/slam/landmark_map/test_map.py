@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import TrackConfig
+from mecp_env.slam.config import DynamicObjectsConfig, TrackConfig
 from mecp_env.slam.landmark_map.dynamic_objects import find_lone_closures
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
@@ -22,6 +22,7 @@ from mecp_env.slam.messages import (
 )
 from tests.slam.tables import table_of
 
+LIMITS = DynamicObjectsConfig().record
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
@@ -110,7 +111,7 @@ def doubted(ids, places, last=(100, 100, 5, 5), nis=1.0):
     decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
     z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
     rows = table_of(4, room=[0, 0, 1, 1], state=FeatureState.LANDMARK, last_step=last).rows
-    return find_lone_closures(np.array(ids), decision, np.full(len(ids), nis), z, rows, 90).tolist()
+    return find_lone_closures(np.array(ids), decision, np.full(len(ids), nis), z, rows, LIMITS, 90).tolist()
 
 
 def test_a_room_is_not_recognised_by_one_side_of_a_pedestrian():

@@ -3,8 +3,11 @@
 import numpy as np
 from shapely.geometry import LineString
 
-from mecp_env.slam.rooms.trail import MOST, Trail, last_crossing
+from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.rooms.trail import Trail, last_crossing
 
+CONFIG = RoomConfig()
+MOST = CONFIG.trail_places
 GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
 
 
@@ -37,10 +40,10 @@ def test_one_step_against_shapely():
 def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
     trail = Trail()
     for step in range(20):
-        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]))
+        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]), CONFIG)
     assert len(trail.p_map) == len(trail.since) == 2
     for step in range(20, 20 + 2 * MOST):
-        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]))
+        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]), CONFIG)
     assert len(trail.p_map) == len(trail.since) == MOST + 1
     assert trail.since[-1].tolist() == [19 + 2 * MOST, 5]
 
@@ -48,6 +51,6 @@ def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
 def test_passed_tells_when_and_how_many_features_there_were():
     trail = Trail()
     for step, y in enumerate((-1.0, -0.6, -0.2, 0.2, 0.6)):
-        trail.add(step, 10 + step, np.array([0.0, y, 1.6]))
+        trail.add(step, 10 + step, np.array([0.0, y, 1.6]), CONFIG)
     assert trail.passed(GAP) == (3, 13)
     assert trail.passed(GAP + 3.0) is None
