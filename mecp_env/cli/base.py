@@ -13,6 +13,8 @@ from typing import ClassVar, Self
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 
+FILE_SUFFIXES = (".json", ".yaml", ".yml", ".svg", ".png", ".gif", ".pgm", ".csv", ".md", ".zip")
+
 
 class Command(ABC):
     """A command: a dataclass of its options, whose docstring is its help."""
@@ -44,7 +46,15 @@ class Command(ABC):
 
 
 def check_writable(path: Path) -> Path:
-    """`path` itself, of which nothing is made yet. Raises `ConfigError` where it could not be made, or written to."""
+    """`path` itself, of which nothing is made yet. Raises `ConfigError` where it could not be made, or written to.
+
+    A folder that would have to be made with the name of a file, as in `paper.json/x.json`, is a mistake.
+    """
+    for folder in path.absolute().parents:
+        if folder.suffix.lower() in FILE_SUFFIXES and not folder.exists():
+            raise ConfigError(
+                f"out: {path}: {folder.name} is the name of a file, not of a folder; choose another place"
+            )
     there = path.absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -59,7 +69,8 @@ def check_folder(path: Path) -> Path:
     """`path` itself, a folder that may have to be made. Raises `ConfigError` for a file, and as `check_writable`."""
     if path.exists() and not path.is_dir():
         raise ConfigError(f"out: {path} is a file, a folder is expected; choose another place")
-    return check_writable(path)
+    check_writable(path / "file")
+    return path
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import Tensor
 
@@ -22,6 +23,8 @@ VERSION = 2
 @dataclass(slots=True)
 class TrainingState:
     """The counters of a run."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")  # checked when a checkpoint is read
 
     decisions: int = 0
     periods: int = 0  # control steps
@@ -120,15 +123,21 @@ def random_state() -> Any:
 def restore(model: OnPolicyAlgorithm, about: dict[str, Any], tensors: dict[str, Tensor], path: Path) -> TrainingState:
     """Put a checkpoint into a model. Raises `WeightError`; the model must not be used then."""
     try:
-        state = TrainingState(**about["state"])
+        state = TypeAdapter(TrainingState).validate_json(json.dumps(about["state"]), strict=True)
         keys, position = tensors["random.numpy"].numpy().astype(np.uint32), about["numpy_position"]
+        if not (keys.shape == (624,) and 0 <= position <= 624):
+            raise ValueError(f"numpy_position: {position!r:.20}, expected 0 to 624, with 624 keys")
         files.put_weights(model.policy, part(tensors, "policy."), path)
         put_moments(model, part(tensors, "optimizer."))
         torch.set_rng_state(tensors["random.torch"])
         np.random.set_state(("MT19937", keys, position, 0, 0.0))  # noqa: NPY002
     except WeightError:
         raise
-    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, ("state", *first["loc"])))
+        raise WeightError(f"{path}: {field}: {first['msg']}") from None
+    except (LookupError, ValueError, TypeError, RuntimeError) as error:
         raise WeightError(f"{path}: not a checkpoint of this version: {error!r}") from None
     model.num_timesteps, model._n_updates = state.decisions, state.updates
     return state
@@ -137,9 +146,12 @@ def restore(model: OnPolicyAlgorithm, about: dict[str, Any], tensors: dict[str, 
 def put_moments(model: OnPolicyAlgorithm, tensors: dict[str, Tensor]) -> None:
     """Restore the moments of the optimiser: `index.name` -> tensor."""
     optimizer = model.policy.optimizer
+    parameters = optimizer.param_groups[0]["params"]
     moments: dict[int, dict[str, Any]] = {}
     for name, tensor in tensors.items():
         index, _, key = name.partition(".")
+        if tensor.shape not in ((), parameters[int(index)].shape):
+            raise ValueError(f"optimizer.{name} is {files.describe_tensor(tensor)}")
         moments.setdefault(int(index), {})[key] = tensor
     optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
 

@@ -32,9 +32,9 @@ class CsvTable(KVWriter):
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         self.path, self.columns = path, list(columns)
 
-    def cut(self, decisions: float) -> None:
+    def cut(self, decisions: int) -> None:
         """Remove the rows beyond that many decisions: they will be made again."""
-        rows = [row for row in self.rows() if float(row["decisions"]) <= decisions]
+        rows = [row for row in self.rows() if row["decisions"].isdecimal() and int(row["decisions"]) <= decisions]
         text = io.StringIO()
         writer = csv.DictWriter(text, self.columns, extrasaction="ignore", restval="")
         writer.writeheader()
@@ -43,8 +43,8 @@ class CsvTable(KVWriter):
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Append a row; a column without a value stays empty."""
-        values = {key.rpartition("/")[2]: value for key, value in key_values.items()} | {"decisions": step}
-        row = {name: f"{values[name]:.6g}" for name in self.columns if name in values}
+        values = {key.rpartition("/")[2]: value for key, value in key_values.items()}
+        row = {name: f"{values[name]:.6g}" for name in self.columns if name in values} | {"decisions": str(step)}
         with self.path.open("a", newline="") as file:
             csv.DictWriter(file, self.columns, restval="").writerow(row)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,8 +22,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from mecp_env.learning import train, warm_start  # noqa: E402
-from mecp_env.learning.checkpoints import Checkpoints  # noqa: E402
+from mecp_env.learning import files, train, warm_start  # noqa: E402
+from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint  # noqa: E402
 from mecp_env.learning.processes import Processes  # noqa: E402
 from mecp_env.learning.run_folder import RunFolder  # noqa: E402
 from mecp_env.learning.run_log import CsvTable  # noqa: E402
@@ -148,6 +151,97 @@ def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(
     other.kill()
     other.communicate()
     RunFolder(folder, quick()).hold()
+
+
+def test_a_new_run_in_a_folder_that_another_process_holds_writes_nothing(tmp_path, capsys):
+    """Seen: without the lock at the start, two processes trained in one folder."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    words = [sys.executable, "-c", HOLD, str(folder / ".lock")]
+    other = subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert other.stdout.readline() == "held\n"
+    assert run(tmp_path)[1] == 2
+    assert "is being trained by another process" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == [".lock"]
+    other.kill()
+    other.communicate()
+
+
+def test_a_full_disk_ends_the_run_with_one_line(tmp_path, capsys, monkeypatch):
+    def full(self, model, state):
+        raise OSError(errno.ENOSPC, "No space left on device", str(self.folder))
+
+    monkeypatch.setattr(Checkpoints, "save", full)
+    folder, code = run(tmp_path, steps=12)
+    assert code == 1
+    assert capsys.readouterr().err == f"mecp-env: {folder / 'checkpoints'}: No space left on device\n"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of a run with three checkpoints."""
+    return run(tmp_path_factory.mktemp("trained"), steps=24)[0]
+
+
+@pytest.mark.parametrize("written", ["tensors", "half"])
+def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(written, trained, tmp_path, capsys):
+    """The tensors are written first, the JSON part last, each to a temporary file."""
+    folder = shutil.copytree(trained, tmp_path / "run")
+    newest = folder / "checkpoints" / "000000000024.json"
+    (newest if written == "tensors" else newest.with_suffix(".safetensors")).rename(folder / "checkpoints" / ".x.tmp")
+    if written == "half":
+        newest.unlink()
+    assert resume(folder) == 0
+    assert "resumed after 12 decisions" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"state": {"decisions": "24"}},
+        {"state": {"decision": 24}},
+        {"state": [1]},
+        {"version": 3},
+        {"sha256": 7},
+        {"numpy_position": -5},
+        {"sha256": None},
+    ],
+    ids=str,
+)
+def test_a_tampered_checkpoint_is_skipped_with_its_reason(change, trained, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    path = folder / "checkpoints" / "000000000024.json"
+    about = json.loads(path.read_text())
+    given = change.get("state")
+    path.write_text(json.dumps(about | change | ({"state": about["state"] | given} if isinstance(given, dict) else {})))
+    assert resume(folder) == 0
+    out = capsys.readouterr().out.replace("\n", "")
+    assert "skipped " in out
+    assert "resumed after 12 decisions" in out
+
+
+def test_moments_of_another_network_and_text_in_tables_do_not_end_a_resumption(trained, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    path = folder / "checkpoints" / "000000000024.json"
+    about, tensors = read_checkpoint(path)
+    tensors["optimizer.0.exp_avg"] = torch.zeros(3)
+    data = files.tensor_bytes(tensors)
+    path.with_suffix(".safetensors").write_bytes(data)
+    path.write_text(json.dumps(about | {"sha256": files.checksum(data)}))
+    for name in ("progress.csv", "evaluation.csv"):
+        with (folder / name).open("a") as table:
+            table.write("a lot,of,text\n")
+    (folder / "run.json").write_text("{")
+    assert resume(folder) == 0
+    assert "optimizer.0.exp_avg is (3,) float32" in capsys.readouterr().out.replace("\n", "")
+
+
+def test_a_tampered_configuration_is_refused_with_a_suggestion(trained, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    fields = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(fields | {"sed": 3}))
+    assert resume(folder) == 2
+    assert "did you mean 'seed'" in capsys.readouterr().err
 
 
 def test_an_evaluation_in_one_building_is_said_without_an_error(tmp_path, capsys):

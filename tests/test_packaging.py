@@ -1,0 +1,39 @@
+"""What an installation contains."""
+
+from __future__ import annotations
+
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_the_wheel_contains_weights_and_layouts_and_nothing_but_the_package(tmp_path: Path) -> None:
+    wheel = pytest.importorskip("hatchling.builders.wheel")
+    path = next(wheel.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"]))
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"mecp_env"}
+    assert any(name.startswith("mecp_env/learning/weights/maskable_ppo/policy-") for name in names)
+    for suffix in (".json", ".py"):
+        below = [path for path in (ROOT / "mecp_env").rglob(f"*{suffix}") if path.name[:1] != "."]
+        assert not [path for path in below if str(path.relative_to(ROOT)) not in names]
+
+
+def test_an_editable_install_exposes_the_package_only() -> None:
+    hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    assert hatch["dev-mode-exact"] is True
+    assert hatch["targets"]["wheel"]["packages"] == ["mecp_env"]
+
+
+def test_every_extra_is_imported_somewhere() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(extras) == {"rl", "dev"}
+    text = "".join(path.read_text() for path in (ROOT / "mecp_env").rglob("*.py"))
+    modules = {"torch": "torch", "stable-baselines3": "stable_baselines3", "sb3-contrib": "sb3_contrib"}
+    modules |= {"safetensors": "safetensors", "tensorboard": "TensorBoardOutputFormat"}
+    for requirement in extras["rl"]:
+        assert modules[requirement.partition(">")[0]] in text
