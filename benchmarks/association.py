@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 
 METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
     "mecp": {},
-    "mecp without signature": {"use_descriptor": False},
+    "mecp without descriptor": {"use_descriptor": False},
     "mecp without polygons": {"use_polygons": False},
     "mecp without rooms": {"use_rooms": False},
     "mecp_paper": SlamConfig.paper().association.model_dump(),

@@ -22,6 +22,20 @@ def wrap_angle(angle: float) -> float:
 
 
 @compiled
+def face_turn(normals: Array, heading: float, known: Array) -> float:
+    """The largest turn (rad) between the faces (of two) that both have seen; -1 without any.
+
+    `normals` (2,) rad are turned by `heading`, `known` (2,) rad are not; nan: unseen.
+    """
+    largest = -1.0
+    for side in range(2):
+        turn = abs(wrap_angle(normals[side] + heading - known[side]))
+        if turn > largest:
+            largest = turn
+    return largest
+
+
+@compiled
 def to_map(T_map_robot: Array, p_robot: Array) -> Array:
     """Points (n,2) of the robot frame in the map frame."""
     c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import wrap_angle
+from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, MapView
 from mecp_env.slam.protocols import Filter
@@ -87,12 +87,8 @@ def mask_by_descriptor(
         for j in range(nis.shape[1]):
             if nis[i, j] == math.inf:
                 continue
-            feature, shared, turned = features[ids[j]], False, False
-            for side in range(2):
-                difference = wrap_angle(normals[i, side] + heading - feature.normals[side])
-                shared |= not math.isnan(difference)
-                turned |= abs(difference) > tolerance
-            if convex[i] != feature.convex or turned or not shared:
+            feature = features[ids[j]]
+            if convex[i] != feature.convex or not 0.0 <= face_turn(normals[i], heading, feature.normals) <= tolerance:
                 nis[i, j] = math.inf
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import TrackConfig
-from mecp_env.slam.landmark_map.tracks import face_turn
 from mecp_env.slam.messages import LANDMARK, Belief, FeatureTable, Match
 
 Array = NDArray[np.float64]

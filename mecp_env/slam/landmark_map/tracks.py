@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import polar_to_map, wrap_angle
+from mecp_env.core.se2 import face_turn, polar_to_map
 from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.messages import (
     FEATURE,
@@ -131,20 +131,6 @@ def count_sightings(
             confirmed[count] = i
             count += 1
     return confirmed[:count]
-
-
-@compiled
-def face_turn(normals: Array, heading: float, known: Array) -> float:
-    """The largest turn (rad) between the faces (of two) that both have seen; -1 without any.
-
-    `normals` (2,) rad are turned by `heading`, `known` (2,) rad are not; nan: unseen.
-    """
-    largest = -1.0
-    for side in range(2):
-        turn = abs(wrap_angle(normals[side] + heading - known[side]))
-        if turn > largest:
-            largest = turn
-    return largest
 
 
 @compiled
