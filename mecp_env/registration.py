@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 
 from mecp_env.config import EnvConfig, merge, plain, refuse_keywords
+from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv
 from mecp_env.episode.buildings import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
@@ -21,6 +22,7 @@ def make(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
     """The entry point of `Layout-v0`: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
+    warm_up.prepare()
     env = MecpEnv(config, render_mode, **keywords)
     return GoalActions(env) if env.config.actions == "goal" else env
 

@@ -36,6 +36,7 @@ class Demo(Command):
         from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
         from mecp_env.cli.progress import Progress, say_result
         from mecp_env.cli.stopwatch import timed_stages
+        from mecp_env.core import warm_up
         from mecp_env.render.window import require_display
 
         folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
@@ -43,6 +44,7 @@ class Demo(Command):
         config = configuration(resolve(self.layout), self.config, line)
         if self.render == "human":
             require_display()
+        warm_up.prepare()
         run = Run.begin(config, self.seed, None if self.render == "none" else "human")
         with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
             run.explore(progress.show)

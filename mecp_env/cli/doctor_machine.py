@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
@@ -86,21 +85,22 @@ def kernels() -> Iterator[Finding]:
     """Where compiled kernels are kept, whether that can be written, and what it holds."""
     import numba
 
-    from mecp_env.core.jit import TESTED_NUMBA
-    from mecp_env.core.jit_cache import cache_directory
+    from mecp_env.core.jit import CHECKED_CACHE
 
     if numba.config.DISABLE_JIT:
         yield Finding("WARN", "kernels", "NUMBA_DISABLE_JIT is set: everything is slow", "unset NUMBA_DISABLE_JIT")
-    if not numba.__version__.startswith(TESTED_NUMBA):
-        tested = " or ".join(f"{version}*" for version in TESTED_NUMBA)
-        said = f"numba {numba.__version__} is not one that was tested: the first start takes twice as long"
-        yield Finding("WARN", "kernels", said, f'pip install "numba=={tested}"')
+    if not CHECKED_CACHE:
+        said = f"numba {numba.__version__} keeps its cache elsewhere: every edit of the package compiles everything"
+        yield Finding("WARN", "kernels", said, 'pip install "numba==0.68.*"')
+        return
+    from mecp_env.core.jit_cache import cache_directory
+
     yield from cache(cache_directory())
 
 
 def cache(place: Path) -> Iterator[Finding]:
     """Whether the cache can be written, and whether it is warm."""
-    from mecp_env.core.warm_up import LIST
+    from mecp_env.core.warm_up import missing_entries
 
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -111,9 +111,9 @@ def cache(place: Path) -> Iterator[Finding]:
         return
     sizes = [entry.stat().st_size for entry in place.glob("*.nbc")]
     yield Finding("PASS", "kernel cache", f"{place}, {len(sizes)} kernels, {sum(sizes) / 1e6:.0f} MB, can be written")
-    if len(sizes) < len(json.loads(LIST.read_text())):
+    if missing_entries():
         cold = "cold: the self-test compiles first, on all cores; about a minute, once"
-        yield Finding("WARN", "kernel cache", cold, "nothing: it is warm afterwards")
+        yield Finding("WARN", "kernel cache", cold, "mecp-env warmup")
 
 
 def display() -> Iterator[Finding]:

@@ -20,6 +20,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
     "train": ("train", "Train", "train a policy, or resume a run"),
     "play": ("play", "Play", "drive by keyboard: left the world, right the belief"),
+    "warmup": ("warmup", "WarmUp", "compile ahead, on all cores; once per installation"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
     "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),

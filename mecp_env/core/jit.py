@@ -1,33 +1,60 @@
-"""One decorator for every compiled kernel: numba in nopython mode, cached on disk where that is possible."""
+"""One decorator for every compiled function: numba in nopython mode, cached on disk where that is possible."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 
-from mecp_env.core.jit_cache import cache_for
+try:
+    from mecp_env.core.jit_cache import cache_for
+except ImportError:  # another numba keeps its cache elsewhere
+    cache_for = None  # type: ignore[assignment]
+
+CHECKED_CACHE = cache_for is not None  # False: numba's own cache
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-SHARED = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}  # no test for 0 before every division
-OPTIONS = {"nopython": True, **SHARED}
-TESTED_NUMBA = ("0.68.",)  # `kernel_compiler` leans on the inside of numba; with any other version it stays out
+# no wrapper for C, no test for 0 before every division
+OPTIONS = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
 
 def compiled(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
     if numba.config.DISABLE_JIT:
         return function
-    dispatcher = _dispatcher(function)
+    dispatcher = numba.njit(**OPTIONS)(function)
+    if not CHECKED_CACHE or not hasattr(dispatcher, "_cache"):
+        return with_plain_cache(function)
     dispatcher._cache = cache_for(function)
     return dispatcher  # type: ignore[no-any-return]
 
 
-def _dispatcher(function: Callable[..., Any]) -> Any:
-    if not numba.__version__.startswith(TESTED_NUMBA):
-        return numba.njit(**SHARED)(function)
-    from mecp_env.core.jit_compiler import Kernel, KernelCompiler
+def with_plain_cache(function: F) -> F:
+    """`function` compiled with numba's own cache, which overlooks a change in another file.
 
-    return Kernel(function, targetoptions=OPTIONS, pipeline_class=KernelCompiler)
+    Each state of the package's source therefore has a folder of its own. Without a place to write: no cache.
+    """
+    kept = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(Path(kept or Path.home() / ".cache") / f"mecp_env-{_state_of_source()}")
+    try:
+        return numba.njit(cache=True, **OPTIONS)(function)  # type: ignore[no-any-return]
+    except (RuntimeError, OSError):
+        return numba.njit(**OPTIONS)(function)  # type: ignore[no-any-return]
+    finally:
+        numba.config.CACHE_DIR = kept
+
+
+@functools.cache
+def _state_of_source() -> str:
+    digest = hashlib.sha256(f"{sys.version} {numba.__version__}".encode())
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        with contextlib.suppress(OSError):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

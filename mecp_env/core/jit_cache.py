@@ -1,11 +1,14 @@
-"""Where compiled kernels are kept between two processes.
+"""The cache of compiled functions on disk.
 
 numba's own cache has four weak points: it fails at import where nothing can be written; a truncated file in it raises
-at every start until somebody deletes it; damaged machine code ends the process; and a kernel is not compiled again
-when a kernel that it calls, or a constant that it uses, changed in another file. So the cache here lies in the user's
-own cache directory (or NUMBA_CACHE_DIR), every entry carries a checksum, a damaged one is compiled again, and an entry
-is keyed on all that the kernel uses (kernel_key.py). It is never put into a shared temporary directory: an entry is a
-pickle, and reading somebody else's would run his code.
+at every start until it is deleted; damaged machine code ends the process; and a function is not compiled again when a
+function that it calls, or a constant that it uses, changed in another file. So this cache is in the user's own cache
+directory (or NUMBA_CACHE_DIR), every entry carries a checksum, a damaged one is compiled again, and the key of an
+entry covers everything that the function uses (jit_key.py). It is never in a shared temporary directory: an entry is
+a pickle, and reading one that another user wrote would run that user's code.
+
+An entry is one file per function and argument types. A function that was compiled as part of a caller is part of the
+caller's entry and has none of its own, unless Python calls it too (warm_up.py lists those).
 """
 
 from __future__ import annotations
@@ -21,35 +24,44 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
-from numba.misc.appdirs import AppDirs
 
 from mecp_env.core.jit_key import fingerprint
+from mecp_env.core.warm_up_list import called_from_python
 
 KEPT_DAYS = 30  # entries not written for so long are removed when something is compiled
 DIGEST_BYTES = 32
+ABOUT = "mecp_env: compiling functions; this happens once and takes about a minute"
 
 log = logging.getLogger(__name__)
 
 
 def cache_directory() -> Path:
-    """Where compiled kernels are kept: below NUMBA_CACHE_DIR, or else in the user's own cache directory."""
-    base = Path(numba.config.CACHE_DIR or AppDirs(appname="mecp_env", appauthor=False).user_cache_dir)
+    """Where compiled functions are kept: below NUMBA_CACHE_DIR, or else in the user's own cache directory."""
     version = f"py{sys.version_info[0]}{sys.version_info[1]}-numba{numba.__version__}"
-    return base / "mecp_env_kernels" / version
+    return Path(numba.config.CACHE_DIR or _user_cache()) / "mecp_env_functions" / version
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def cache_for(function: Callable[..., Any]) -> NullCache:
     """The cache of one function: on disk, or none where there is no place for it."""
-    return _KernelCache(function) if _usable(cache_directory()) else _NoCache()
+    return _FunctionCache(function) if usable(cache_directory()) else _NoCache()
 
 
 @functools.cache
-def _usable(directory: Path) -> bool:
-    """True when `directory` is there or can be made, is ours, and can be written."""
+def usable(directory: Path) -> bool:
+    """True when `directory` exists or can be made, belongs to this user, and can be written to."""
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=directory).close()
@@ -57,25 +69,22 @@ def _usable(directory: Path) -> bool:
     except OSError:
         ours = False
     if not ours:
-        log.warning("mecp_env: no cache of kernels in %s: they are compiled in every process", directory)
+        log.warning("mecp_env: no cache in %s: functions are compiled in every process", directory)
     return ours
 
 
-@functools.cache
-def _announce() -> None:
-    """Say once a process that the first start takes longer, and clear away what has not been written for long."""
-    log.warning("mecp_env: compiling kernels; this happens once and takes about a minute")
-    for entry in cache_directory().glob("*.nb*"):
+_announced: list[str] = []  # what this process wrote, at most one line
+
+
+def announce(line: str = ABOUT) -> None:
+    """Write once per process that functions are compiled, and remove entries that were not written for long."""
+    if _announced:
+        return
+    _announced.append(line)
+    log.warning(line)
+    for entry in cache_directory().glob("*.nbc"):
         with contextlib.suppress(OSError):  # another process was faster
             _remove_old(entry)
-
-
-@functools.cache
-def _start_helpers() -> None:
-    """Once a process: have the other cores compile, too."""
-    from mecp_env.core.warm_up import start_helpers  # it knows this module, and few processes need it
-
-    start_helpers(cache_directory())
 
 
 def _remove_old(entry: Path) -> None:
@@ -83,20 +92,30 @@ def _remove_old(entry: Path) -> None:
         entry.unlink()
 
 
+@functools.cache
+def entry_name(function: Callable[..., Any]) -> str:
+    """The name that the files of a function begin with."""
+    return f"{function.__module__}.{function.__name__}-{fingerprint(function)}"
+
+
+def is_cached(function: Callable[..., Any], names: list[str]) -> bool:
+    """True when one of the file `names` is an entry of the function."""
+    return any(name.startswith(entry_name(function)) for name in names)
+
+
 class _NoCache(NullCache):  # type: ignore[misc]
-    """No place to keep anything: every kernel is compiled, and the first one says so."""
+    """No place to keep anything: every function is compiled, and the first one announces it."""
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        _announce()
+        announce()
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Tells numba where the entry of a function lies and what it depends on."""
+    """Tells numba where the entry of a function is and what it depends on."""
 
     def __init__(self, function: Callable[..., Any], path: str) -> None:
         self._py_file = path  # numba names it in a warning
-        self._stamp = fingerprint(function)
-        self._name = f"{function.__module__}-{self._stamp}"
+        self._name = entry_name(function)
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator:
@@ -106,85 +125,88 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
         return str(cache_directory())
 
     def get_source_stamp(self) -> str:
-        return self._stamp
+        return self._name
 
     def get_disambiguator(self) -> str:
         return self._name
 
 
-class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """The machine code of one function behind a checksum: damaged code would end the process, not raise."""
+class _EntryFile(IndexDataCacheFile):  # type: ignore[misc]
+    """One file per argument types, behind a checksum: damaged machine code would end the process, not raise."""
 
-    def _save_data(self, name: str, data: Any) -> None:
-        body = self._dump(data)
-        with self._open_for_write(self._data_path(name)) as file:
+    def save(self, key: Any, data: Any) -> None:
+        body = self._dump((key, data))
+        with self._open_for_write(self._path(key)) as file:
             file.write(hashlib.sha256(body).digest() + body)
 
-    def _load_data(self, name: str) -> Any:
-        content = Path(self._data_path(name)).read_bytes()
+    def load(self, key: Any) -> Any:
+        """What was saved under the key; None where there is nothing. Raises `UnpicklingError` for a damaged file."""
+        try:
+            content = Path(self._path(key)).read_bytes()
+        except FileNotFoundError:
+            return None
         digest, body = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
         if hashlib.sha256(body).digest() != digest:
-            raise pickle.UnpicklingError(f"{name}: wrong checksum")
-        return pickle.loads(body)
+            raise pickle.UnpicklingError("wrong checksum")
+        saved, data = pickle.loads(body)
+        return data if saved == key else None
+
+    def _path(self, key: Any) -> str:
+        words = hashlib.sha256(str(key).encode()).hexdigest()[:16]
+        return str(Path(self._cache_path) / f"{self._source_stamp}-{words}.nbc")
 
 
 class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
 
-class _Entry(FunctionCache):  # type: ignore[misc]
+class _Entries(FunctionCache):  # type: ignore[misc]
     """numba's cache of one function, with our place, our key and our checksum."""
 
     _impl_class = _Implementation
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file = _CheckedFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
-        )
+        self._cache_file = _EntryFile(str(cache_directory()), "", entry_name(function))
 
 
-class Inner:
-    """Stands where numba keeps the machine code of a kernel, for a kernel that has none (`kernel_compiler`)."""
-
-
-class _KernelCache(NullCache):  # type: ignore[misc]
-    """The cache of one function; a damaged entry is no entry, and one that cannot be saved is not needed."""
+class _FunctionCache(NullCache):  # type: ignore[misc]
+    """The cache of one function; a damaged entry counts as missing, and one that cannot be saved is not needed."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
     @functools.cached_property
-    def _entry(self) -> _Entry:
+    def _entries(self) -> _Entries:
         """Made at the first call: what the function uses may be defined after it."""
-        return _Entry(self._function)
+        return _Entries(self._function)
 
     @property
     def cache_path(self) -> str:
         return str(cache_directory())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = self._load_or_drop(sig, target_context)
+        try:
+            found = self._entries.load_overload(sig, target_context)
+        except Exception as error:  # unpickling damaged bytes can raise anything
+            log.info("%s: damaged cache entry (%r)", self._function, error)
+            found = None
         if found is None:
-            _announce()
-            _start_helpers()
+            announce()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if isinstance(data.entry_point, Inner):
+        if within_another_compilation(sys._getframe(1)) and not called_from_python(self._function):
             return  # it is part of its caller's entry
         try:
-            self._entry.save_overload(sig, data)
-        except OSError as error:  # disk full, directory gone
+            self._entries.save_overload(sig, data)
+        except Exception as error:  # disk full, directory gone, another numba
             log.info("%s: not cached (%r)", self._function, error)
 
-    def _load_or_drop(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return self._entry.load_overload(sig, target_context)
-        except Exception as error:  # unpickling damaged bytes can raise anything
-            log.info("%s: damaged cache entry (%r)", self._function, error)
-        with contextlib.suppress(OSError):
-            self._entry.flush()
-        return None
+
+def within_another_compilation(frame: FrameType) -> bool:
+    """True when the function of `frame`, numba's `compile`, runs further up the stack, too."""
+    compile_code, above = frame.f_code, frame.f_back
+    while above is not None and above.f_code is not compile_code:
+        above = above.f_back
+    return above is not None

@@ -1,8 +1,8 @@
-"""What a compiled kernel depends on, as a short text: the key of its entry in the cache.
+"""What a compiled function depends on, as a short text: the key of its entry in the cache.
 
-That is its own bytecode and constants, and the values of all names that it reads: kernels that it calls (with all that
-those use), numbers, enumerations, arrays. An edit of a comment, or of another function of the file, changes nothing;
-an edit of a called kernel in another file, or of a constant there, does.
+That is its own bytecode and constants, and the values of all names that it reads: compiled functions that it calls
+(with everything that those use), numbers, enumerations, arrays. An edit of a comment, or of another function in the
+same file, changes nothing; an edit of a called function in another file, or of a constant there, does.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-# changes with the options of `kernel`
-FORMAT = "5: nogil, numpy errors, inner kernels optimised by function, constants as arguments compiled once"
+FORMAT = "6: nogil, numpy errors, no wrapper for C"  # changes with the options of `compiled`
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
@@ -64,7 +63,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 def _of_value(name: str, value: Any, used: list[str], seen: set[int]) -> Iterator[str]:
     """Lines about the value of a name; of a module of our own, about those members that are used."""
-    function = getattr(value, "py_func", value)  # of a compiled kernel
+    function = getattr(value, "py_func", value)  # of a compiled compiled function
     if isinstance(function, FunctionType):
         yield from _of_function(function, seen)
     elif isinstance(value, ModuleType):

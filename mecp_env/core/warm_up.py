@@ -1,106 +1,200 @@
-"""Compile kernels on the other cores while the first start compiles them on this one.
+"""Compile what an episode calls before it is called, on all cores: `mecp-env warmup`, and the first use.
 
-numba compiles on one core, and the environment has some three hundred kernels. So the process that finds the cache
-empty starts helpers: each takes the kernels that are needed last first, from a list of what an exploration calls, and
-puts them into the cache, where this process finds them when it gets there. The list is only that, a list: what is not
-in it, or no longer fits, is compiled when it is called. `python -m mecp_env.cli.record_signatures` writes it anew.
-
-MECP_ENV_COMPILE_HELPERS sets how many helpers there may be; 0 switches them off.
+Each process takes one file's functions after the other from the list (warm_up_list.py) and puts them into the cache.
+What the list lacks is compiled when it is called. `MECP_ENV_WARM_UP` sets how many processes there may be on first
+use; 0 switches it off.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import importlib
+import functools
+import itertools
 import json
 import multiprocessing
 import os
+import queue
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
-from numba import types
 
-LIST = Path(__file__).with_name("signatures.json")
-SWITCH = "MECP_ENV_COMPILE_HELPERS"
-MOST_HELPERS = 3
-NOTHING = subprocess.DEVNULL
-STALE_S = 600.0  # a lock older than this was left by a process that was killed
+from mecp_env.core import warm_up_list
+from mecp_env.core.warm_up_list import Entry
 
-Entry = list[Any]  # module, name, encoded argument types
+SWITCH = "MECP_ENV_WARM_UP"
+FEW = 10  # so many functions are compiled when they are called
+STALE_S = 900.0  # a lock older than this was left by a process that was killed
+BAR = 30  # columns
+
+Report = Callable[[int, int], None]  # functions done, functions in all
 
 
-def start_helpers(directory: Path) -> None:
-    """Start helpers for the cache in `directory`, unless others are at work there already."""
-    count = helpers_wanted()
-    lock = directory / "helpers.lock"
-    if not count or not LIST.is_file() or not _take(lock):
+def prepare() -> None:
+    """On first use: compile what the cache lacks, announced in one line, and wait for it."""
+    if multiprocessing.parent_process() is None and processes_allowed():  # never in a worker of a pool
+        _prepare_once()
+
+
+@functools.cache
+def _prepare_once() -> None:
+    from mecp_env.core import jit_cache
+
+    directory = jit_cache.cache_directory()
+    if not jit_cache.usable(directory):
         return
-    path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {SWITCH: "0", "PYTHONPATH": path}
-    for share in range(count):
-        line = [sys.executable, "-m", "mecp_env.core.warm_up", str(share), str(count)]
-        with contextlib.suppress(OSError):
-            helper = subprocess.Popen(line, env=environment, stdin=NOTHING, stdout=NOTHING, stderr=NOTHING)
-            atexit.register(helper.terminate)
-    atexit.register(lock.unlink, missing_ok=True)
-
-
-def helpers_wanted() -> int:
-    """How many helpers this process may start: one a further core, none in a worker of somebody's pool."""
-    if multiprocessing.parent_process() is not None:
-        return 0
-    allowed = os.environ.get(SWITCH, str(MOST_HELPERS))
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(0, min(cores - 1, int(allowed) if allowed.isdigit() else 0))
-
-
-def compile_share(entries: list[Entry], share: int, count: int) -> None:
-    """Compile every `count`-th kernel of the list, those that are needed last first; stops with the parent process."""
-    parent = os.getppid()
-    for module, name, arguments in entries[::-1][share::count]:
-        if os.getppid() != parent:
+    missing = missing_entries()
+    with _lock(directory / "warm_up.lock") as free:
+        if len(missing) < FEW or not free:
             return
-        with contextlib.suppress(Exception):  # a kernel of that name and those arguments may be gone
-            function = getattr(importlib.import_module(module), name)
-            function.compile(tuple(decode(argument) for argument in arguments))
+        count = processes_allowed()
+        cores = f"{count} cores" if count > 1 else "one core"
+        jit_cache.announce(f"mecp_env: compiling {len(missing)} functions on {cores}; once, {SWITCH}=0 switches it off")
+        compile_all(missing, count, show)
 
 
-def encode(argument: types.Type) -> Any:
-    """An argument's type as plain data. Raises `ValueError` for kinds that no kernel takes."""
-    if isinstance(argument, types.Array):
-        return ["array", str(argument.dtype), argument.ndim, argument.layout, argument.mutable]
-    if isinstance(argument, types.BaseNamedTuple):
-        kind = argument.instance_class
-        return ["named", kind.__module__, kind.__qualname__, [encode(part) for part in argument.types]]
-    if isinstance(argument, types.BaseTuple):
-        return ["tuple", [encode(part) for part in argument.types]]
-    if isinstance(argument, types.Number | types.Boolean):
-        return str(argument)
-    raise ValueError(f"no kernel takes {argument}")
+def processes_allowed() -> int:
+    """How many processes the first use may start: one per core, or fewer by the environment variable."""
+    if numba.config.DISABLE_JIT:
+        return 0
+    allowed = os.environ.get(SWITCH, "")
+    return min(cores(), int(allowed)) if allowed.isdigit() else cores() * (allowed == "")
 
 
-def decode(data: Any) -> types.Type:
-    """The type that `encode` made `data` of."""
-    if isinstance(data, str):
-        return numba.from_dtype(np.dtype(data))
-    kind, *parts = data
-    if kind == "array":
-        dtype, ndim, layout, mutable = parts
-        return types.Array(decode(dtype), ndim, layout, readonly=not mutable)
-    if kind == "named":
-        module, name, inner = parts
-        return types.NamedTuple([decode(part) for part in inner], getattr(importlib.import_module(module), name))
-    return types.Tuple([decode(part) for part in parts[0]])
+def cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def missing_entries() -> list[Entry]:
+    """The entries of the list that the cache lacks; those whose function was renamed are left out."""
+    from mecp_env.core import jit_cache
+
+    names = [path.name for path in jit_cache.cache_directory().glob("*.nbc")]
+    missing = []
+    for entry in warm_up_list.entries():
+        with contextlib.suppress(Exception):  # renamed, or another type
+            function = warm_up_list.function_of(entry).py_func
+            if not jit_cache.is_cached(function, names):
+                missing.append(entry)
+    return missing
+
+
+def show(done: int, total: int) -> None:
+    """A progress bar on stderr, where that is a terminal."""
+    if sys.stderr.isatty():
+        filled = BAR * done // max(total, 1)
+        end = "\n" if done == total else ""
+        sys.stderr.write(f"\r[{'#' * filled:{BAR}}] {done}/{total} functions{end}")
+        sys.stderr.flush()
+
+
+def compile_all(entries: list[Entry], count: int, report: Report) -> None:
+    """Compile the entries in `count` processes, or in this one; what fails or dies is compiled when it is called."""
+    groups = [list(group) for _, group in itertools.groupby(sorted(entries), key=lambda entry: entry[0])]
+    groups.sort(key=len, reverse=True)
+    todo: queue.SimpleQueue[list[Entry]] = queue.SimpleQueue()
+    for group in groups:
+        todo.put(group)
+    progress = _Progress(len(entries), report)
+    if count <= 1:
+        for entry in _drain(todo):
+            compile_entry(entry)
+            progress.advance()
+        return
+    helpers = [_Helper(todo, progress) for _ in range(min(count, len(groups)))]
+    try:
+        for helper in helpers:
+            helper.start()
+        for helper in helpers:
+            helper.join()
+    finally:
+        for helper in helpers:
+            helper.stop()
+
+
+def compile_entry(entry: Entry) -> None:
+    """Compile one function of the list; nothing happens where name or types are out of date."""
+    with contextlib.suppress(Exception):
+        warm_up_list.function_of(entry).compile(tuple(warm_up_list.decode(argument) for argument in entry[2]))
+
+
+def _drain(todo: queue.SimpleQueue[list[Entry]]) -> Iterator[Entry]:
+    with contextlib.suppress(queue.Empty):
+        while True:
+            yield from todo.get_nowait()
+
+
+class _Progress:
+    """Counts what is done, from several threads."""
+
+    def __init__(self, total: int, report: Report) -> None:
+        self._lock, self._done, self._total, self._report = threading.Lock(), 0, total, report
+        report(0, total)
+
+    def advance(self) -> None:
+        with self._lock:
+            self._done += 1
+            self._report(self._done, self._total)
+
+
+class _Helper(threading.Thread):
+    """A process that compiles one entry per line that it reads, and the thread that feeds it.
+
+    Not `multiprocessing`: that would import the user's script again, which need not be guarded.
+    """
+
+    def __init__(self, todo: queue.SimpleQueue[list[Entry]], progress: _Progress) -> None:
+        super().__init__(daemon=True)
+        self._todo, self._progress = todo, progress
+        path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "mecp_env.core.warm_up"],
+            env=os.environ | {SWITCH: "0", "PYTHONPATH": path},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+
+    def run(self) -> None:
+        with contextlib.suppress(OSError, ValueError):  # the process died, or `stop` closed its pipes
+            for entry in _drain(self._todo):
+                if not self._compile(entry):
+                    return
+                self._progress.advance()
+
+    def _compile(self, entry: Entry) -> bool:
+        """False when the process died."""
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.write(json.dumps(entry) + "\n")
+        self._process.stdin.flush()
+        return bool(self._process.stdout.readline())
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        self._process.terminate()
+        self._process.wait()
+
+
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[bool]:
+    """True while this process holds the lock; False when another one does, or there is no place for it."""
+    free = _take(path)
+    try:
+        yield free
+    finally:
+        if free:
+            path.unlink(missing_ok=True)
 
 
 def _take(lock: Path) -> bool:
-    """True when the lock was free, or left behind."""
     with contextlib.suppress(OSError):
         if time.time() - lock.stat().st_mtime > STALE_S:
             lock.unlink()
@@ -111,5 +205,15 @@ def _take(lock: Path) -> bool:
     return True
 
 
+def serve() -> None:
+    """Compile one entry per line of the input, and answer each with a line."""
+    answers: Any = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a module prints at import is no answer
+    for line in sys.stdin:
+        compile_entry(json.loads(line))
+        answers.write("done\n")
+        answers.flush()
+
+
 if __name__ == "__main__":
-    compile_share(json.loads(LIST.read_text()), int(sys.argv[1]), int(sys.argv[2]))
+    serve()

@@ -1,4 +1,4 @@
-"""The compiled kernels' cache: unwritable, damaged, stale, shared, switched off. Each case runs in its own process."""
+"""The cache of compiled functions: unwritable, damaged, stale, switched off. Each case runs in its own process."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ CALLER = (
     "@compiled\ndef caller(x: float) -> float:\n    return 2.0 * called(x)\n"
 )
 CALL = "from mecp_env.caller import caller; print(caller(1.0), caller(1.0))"  # twice the same number
-COMPILING = "compiling kernels"
+COMPILING = "compiling functions"
 
 
 class Tree:
@@ -33,9 +34,10 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
-        self.package.mkdir()
-        for name in ("kernel.py", "kernel_cache.py", "kernel_compiler.py", "kernel_key.py", "warm_up.py"):
-            shutil.copy(PACKAGE / name, self.package)
+        (self.package / "core").mkdir(parents=True)
+        for name in ("jit.py", "jit_cache.py", "jit_key.py", "warm_up_list.py"):
+            shutil.copy(PACKAGE / "core" / name, self.package / "core")
+        (self.package / "core" / "__init__.py").touch()
         (self.package / "__init__.py").touch()
         (self.package / "caller.py").write_text(CALLER)
         self.add(1.0)
@@ -48,7 +50,7 @@ class Tree:
         """The result of caller(1.0) in a new process, and its stderr."""
         variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
         variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
-        variables |= {"MECP_ENV_COMPILE_HELPERS": "0"} | environment
+        variables |= {"MECP_ENV_WARM_UP": "0"} | environment
         here = self.package.parent
         done = subprocess.run([sys.executable, "-c", code], env=variables, cwd=here, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -88,18 +90,27 @@ def test_a_constant_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) ->
     assert COMPILING in said
 
 
-def test_an_inner_kernel_is_compiled_in_full_once_python_calls_it(tree: Tree) -> None:
-    code = (
-        "from mecp_env.core.jit_compiler import Inner; from mecp_env.caller import caller, called\n"
-        "caller(1.0); inner = [isinstance(made.entry_point, Inner) for made in called.overloads.values()]\n"
-        "assert inner == [True], inner\n"
-        "print(called(1.0), caller(1.0) - 2.0)"
-    )
-    assert tree.call(code)[0] == 2.0
+def test_a_callee_is_part_of_its_callers_entry_and_python_can_call_it_too(tree: Tree) -> None:
+    code = "from mecp_env.caller import caller, called; print(called(1.0), caller(1.0) - 2.0)"
+    tree.call()
+    assert len(tree.entries("nbc")) == 1
+    assert tree.call(code)[0] == 2.0  # compiled for Python now
+    assert len(tree.entries("nbc")) == 2
+    assert tree.call(code) == (2.0, "")
+
+
+def test_a_function_on_the_list_has_an_entry_of_its_own(tree: Tree) -> None:
+    (tree.package / "core" / "signatures.json").write_text('[["mecp_env.called", "called", ["float64"]]]')
+    tree.call()
     assert len(tree.entries("nbc")) == 2
 
 
-def test_an_error_in_an_inner_kernel_arrives(tree: Tree) -> None:
+def test_a_damaged_list_is_no_list(tree: Tree) -> None:
+    (tree.package / "core" / "signatures.json").write_text("[[")
+    assert tree.call()[0] == 4.0
+
+
+def test_an_error_in_a_callee_arrives(tree: Tree) -> None:
     called = tree.package / "called.py"
     raising = "if x < 2.0:\n        raise ValueError('small', x)\n    return x"
     called.write_text(called.read_text().replace("return x", raising))
@@ -112,17 +123,26 @@ def test_an_error_in_an_inner_kernel_arrives(tree: Tree) -> None:
         assert tree.call(code)[0] == 8.0
 
 
+def test_after_a_failed_compilation_the_next_one_is_kept(tree: Tree) -> None:
+    code = (
+        "from mecp_env.caller import caller; import numba, pytest\n"
+        "with pytest.raises(numba.TypingError): caller('text')\n"
+        "print(caller(1.0), caller(1.0))"
+    )
+    assert tree.call(code)[0] == 4.0
+    assert len(tree.entries("nbc")) == 1
+
+
 def test_an_edit_of_words_compiles_nothing(tree: Tree) -> None:
     tree.call()
     tree.add(1.0, doc="One more than x.\n\n    Now in two lines.")
     assert tree.call() == (4.0, "")
 
 
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", ["truncated", "empty", "zeros"])
-def test_a_damaged_entry_is_compiled_again_and_mended(tree: Tree, suffix: str, damage: str) -> None:
+def test_a_damaged_entry_is_compiled_again_and_mended(tree: Tree, damage: str) -> None:
     tree.call()
-    for path in tree.entries(suffix):
+    for path in tree.entries("nbc"):
         content = path.read_bytes()
         third = len(content) // 3
         zeros = content[:third] + bytes(third) + content[2 * third :]
@@ -159,7 +179,7 @@ def test_entries_of_long_ago_are_removed_when_something_is_compiled(tree: Tree) 
 
 def test_jit_can_be_switched_off(tree: Tree) -> None:
     assert tree.call(NUMBA_DISABLE_JIT="1") == (4.0, "")
-    assert not tree.entries("nbi")
+    assert not tree.entries("nbc")
 
 
 def test_the_key_is_the_same_in_every_process_and_knows_what_a_kernel_uses() -> None:
@@ -182,18 +202,51 @@ def test_the_key_is_the_same_in_every_process_and_knows_what_a_kernel_uses() -> 
 
 def test_the_key_follows_values_that_a_function_reads() -> None:
     def key(scale: object) -> str:
-        return fingerprint(lambda x: x * scale)  # type: ignore[operator]
+        return fingerprint(lambda x: x * scale)
 
     values = [1, 1.0, 2.0, (1, 2), np.array([1.0]), np.array([2.0]), Cell, Cell.FREE, frozenset({"a", "b"})]
     assert len({key(value) for value in values}) == len(values)
     assert key(np.array([2.0])) == key(np.array([2.0]))
 
 
-def test_with_another_numba_its_own_compiler_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiler of ours leans on the inside of the numba that it was tested with."""
-    from mecp_env.core import jit as module
+def test_an_entry_that_another_argument_type_left_under_the_same_name_is_not_used(tree: Tree) -> None:
+    tree.call()
+    (entry,) = tree.entries("nbc")
+    whole = "from mecp_env.caller import caller; print(caller(1), caller(1))"
+    assert tree.call(whole)[0] == 4.0
+    (other,) = set(tree.entries("nbc")) - {entry}
+    shutil.copy(entry, other)
+    assert tree.call(whole)[0] == 4.0
 
-    monkeypatch.setattr(module.numba, "__version__", "9.99.0")
-    compiled = module.kernel(lambda x: x + 1.0)
-    assert type(compiled).__module__.startswith("numba.")
-    assert compiled(1.0) == 2.0
+
+def test_without_the_internals_plain_caching_notices_a_change_in_another_file(tree: Tree) -> None:
+    (tree.package / "core" / "jit_cache.py").write_text("raise ImportError\n")
+    assert tree.call() == (4.0, "")
+    assert tree.entries("nbi")
+    tree.add(2.0)
+    assert tree.call() == (6.0, "")
+    assert tree.call(NUMBA_CACHE_DIR=os.devnull + "/nowhere")[0] == 6.0
+
+
+def test_two_processes_on_a_cold_cache_get_the_same_result(tree: Tree) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        values = [value for value, _ in pool.map(lambda _: tree.call(), range(2))]
+    assert values == [4.0, 4.0]
+    assert tree.call() == (4.0, "")
+
+
+def test_a_read_only_cache_serves_what_it_has(tree: Tree) -> None:
+    """A folder that root may still write to is filled; one that takes no files is read."""
+    tree.call()
+    code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)); " + CALL  # every write fails
+    assert tree.call(code, PYTHONWARNINGS="ignore")[0] == 4.0
+
+
+def test_a_full_disk_costs_the_entry_only(tree: Tree) -> None:
+    """Every write of more than 100 bytes fails, as on a full disk."""
+    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); "
+    assert tree.call(limit + CALL)[0] == 4.0
+    assert not tree.entries("nbc")
+    assert not tree.entries("nbc.tmp.*")
+    assert tree.call()[0] == 4.0

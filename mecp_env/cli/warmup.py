@@ -1,0 +1,33 @@
+"""`mecp-env warmup`: compile ahead, on all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from mecp_env.cli.base import Command, say
+
+
+@dataclass(frozen=True)
+class WarmUp(Command):
+    """Compile the functions that an episode calls, on all cores, into the user's cache."""
+
+    examples: ClassVar[tuple[str, ...]] = ("mecp-env warmup", "mecp-env warmup --jobs 1")
+
+    jobs: int | None = None  # processes at the same time; default: one per core
+
+    def run(self, line: Sequence[str]) -> int:
+        """Show a progress bar; a function that cannot be compiled ahead is compiled when it is called."""
+        from rich.progress import Progress
+
+        from mecp_env.core import jit_cache, warm_up
+
+        missing = warm_up.missing_entries()
+        with Progress() as bar:
+            task = bar.add_task("compiling", total=len(missing))
+            jobs = self.jobs or warm_up.cores()
+            warm_up.compile_all(missing, jobs, lambda done, total: bar.update(task, completed=done))
+        left = len(warm_up.missing_entries())
+        say(f"{len(missing) - left} functions compiled, {left} left, in {jit_cache.cache_directory()}")
+        return 1 if left else 0
