@@ -232,7 +232,6 @@ class GridConfig(Settings):
     doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # a scan taken nearer to a door than this has no room
     lever_m: float = Field(3.0, ge=0.0, le=100.0)  # a turn of a scan counts as the shift it causes at this distance
     wall_m: float = Field(0.15, gt=0.0, le=2.0)  # depth of a wall of which one face is known
-    margin_m: float = Field(0.05, ge=0.0, le=1.0)  # between a hit on no line and free space; a door is longer by it
 
 
 class SlamConfig(Settings):

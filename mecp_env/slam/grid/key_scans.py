@@ -16,14 +16,14 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Record = NDArray[np.void]  # `GridConfig.record`
 
-MOVED, CAME, WENT = 1, 2, 4  # what can happen to landmarks
+MOVED, CAME, WENT = (1 << bit for bit in range(3))  # what can happen to landmarks
 
 
 def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> tuple[Array, Array]:
     """Outline (m,2) of the free space and strips (s,4,2) of wall of a scan, m, robot frame.
 
     Free space ends, and walls begin, at the fitted lines, not at the noisy ranges; a strip is one cell deep. Free space
-    ends `margin_m` before a hit that lies on no line; nothing counts beyond `paint_range_m`.
+    ends half a cell before a hit that lies on no line; nothing counts beyond `paint_range_m`.
     """
     beams = (scan.ranges, scan.bearings, scan.hit)
     lines = (segments.points, segments.line, segments.first, segments.last, segments.roll)
@@ -60,7 +60,7 @@ def scan_outline(ranges: Array, bearings: Array, hit: Bools, owner: Ints, config
     outline = np.empty((count, 2))
     for i in range(count):
         after = (i + 1) % count
-        reach = ranges[i] if owner[i] >= 0 or not hit[i] else ranges[i] - config[0].margin_m
+        reach = ranges[i] if owner[i] >= 0 or not hit[i] else ranges[i] - 0.5 * config[0].resolution_m
         clipped = reach >= most or ranges[i - 1] >= most or ranges[after] >= most
         if owner[i] >= 0 and owner[i - 1] == owner[i] and owner[after] == owner[i] and not clipped:
             continue

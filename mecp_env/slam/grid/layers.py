@@ -220,12 +220,12 @@ class DoorLayer:
     def _quads_of(self, p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
         """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.
 
-        With one face known the door is as deep as a thin wall. It is deeper by `margin_m` on both sides, to join the
-        floor.
+        With one face known the door is as deep as a thin wall. It is deeper by half a cell on both sides, to join
+        the floor.
         """
         jambs = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
         depth = np.array([0.0 if other else self.config.wall_m for _, _, other in doors], np.float64)
-        quads: Array = key_scans.door_quads(p_landmark, jambs, depth, self.config.margin_m)
+        quads: Array = key_scans.door_quads(p_landmark, jambs, depth, 0.5 * self.config.resolution_m)
         return quads
 
     def cuts(self, graph: RoomGraph) -> Array:
@@ -240,7 +240,7 @@ class DoorLayer:
         return self._widened(0.5 * (known[:, :2] + known[:, 3:1:-1]))
 
     def _widened(self, lines: Array) -> Array:
-        """Lines (d,2,2) m, longer at both ends: a door cuts the sight a little beyond its jambs."""
+        """Lines (d,2,2) m, longer by a cell at both ends: a door cuts the sight a little beyond its jambs."""
         along = lines[:, 1] - lines[:, 0]
-        side = 2.0 * self.config.margin_m * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
+        side = self.config.resolution_m * along / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
         return np.stack([lines[:, 0] - side, lines[:, 1] + side], axis=1)
