@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.common import Figures, Gate, Options, estimate, table
-from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, environment_of
+from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, end_group, environment_of
 
 RUNS = 3
 QUICK_RUNS = 1
@@ -36,17 +36,22 @@ def first_start(name: str, tree: Path) -> Figures:
     """CPU and wall seconds of one first start, and how many files its cache has then. Raises `TreeError`."""
     with tempfile.TemporaryDirectory(prefix="mecp_env-cache-") as cache:
         cost = str(Path(__file__).with_name("cpu_cost.py"))
-        done = subprocess.run(
+        process = subprocess.Popen(
             [sys.executable, cost, *command("start")],
             env=environment_of(tree, NUMBA_CACHE_DIR=cache),
             cwd=tree,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
-            check=True,
+            start_new_session=True,
         )
-        figures: Figures = json.loads(done.stdout)
+        try:
+            answer, errors = process.communicate()
+        finally:
+            end_group(process)
+        figures: Figures = json.loads(answer or '{"code": -1}')
         if figures.pop("code"):
-            raise TreeError(f"{name}: the first start failed\n{done.stderr.strip()}")
+            raise TreeError(f"{name}: the first start failed\n{errors.strip()}")
         return figures | {"cache_files": sum(path.is_file() for path in Path(cache).rglob("*"))}
 
 

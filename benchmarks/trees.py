@@ -59,6 +59,13 @@ def environment_of(tree: Path, **variables: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(tree)} | variables
 
 
+def end_group(process: subprocess.Popen[str]) -> None:
+    """End a process that leads a group, and all that it started."""
+    with contextlib.suppress(OSError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
 class TreeWorker:
     """A process that runs `in_tree.py` in one tree and answers calls; it waits idle between them.
 
@@ -89,9 +96,7 @@ class TreeWorker:
             self._pipe(self._process.stdin).close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(PATIENCE_S)
-        with contextlib.suppress(OSError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        end_group(self._process)
         self._pipe(self._process.stdout).close()
         self._errors.close()
 
