@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from mecp_env.cli.base import Command, say
+from mecp_env.cli.base import Command
+from mecp_env.cli.exit_codes import echo
 
 
 @dataclass(frozen=True)
@@ -29,5 +30,6 @@ class WarmUp(Command):
             jobs = self.jobs or warm_up.cores()
             warm_up.compile_all(missing, jobs, lambda done, total: bar.update(task, completed=done))
         left = len(warm_up.missing_entries())
-        say(f"{len(missing) - left} functions compiled, {left} left, in {jit_cache.cache_directory()}")
-        return 1 if left else 0
+        later = f"; {left} are compiled when they are called" if left else ""
+        echo(f"{len(missing) - left} functions compiled, in {jit_cache.cache_directory()}{later}")
+        return 0
