@@ -1,11 +1,12 @@
-"""What a scan, an odometry reading and a match must be, so that a damaged log is refused before it touches the map.
+"""Validation of scans, odometry and matches: a damaged log raises an error before it reaches the map.
 
-Kernels do not look whether an index lies in an array: what strangers' code gives them is looked at here.
+Compiled functions do not check array bounds: untrusted input is checked here.
 """
 
 from __future__ import annotations
 
 import math
+from enum import Enum, auto
 from typing import Any
 
 import numpy as np
@@ -15,25 +16,33 @@ from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.messages import Array, Decision, Match
 
-SOUND, NOT_FINITE, OUT_OF_RANGE, OUT_OF_ORDER = 0, 1, 2, 3
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
 COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
 DECISIONS = frozenset(map(int, Decision))
 WITH_ID = frozenset((int(Decision.LANDMARK), int(Decision.PROVISIONAL)))
 
 
+class Fault(Enum):
+    """What is wrong with a scan."""
+
+    NONE = auto()
+    NOT_FINITE = auto()
+    OUT_OF_RANGE = auto()
+    OUT_OF_ORDER = auto()
+
+
 class SensorError(MecpError):
-    """A scan or an odometry reading of the wrong shape, not finite, or out of its bounds."""
+    """A scan or an odometry reading has the wrong shape or type, is not finite, or is out of bounds."""
 
 
 class MatchError(MecpError):
-    """An associator gave what is no match of the scan: columns of another length or type, an id never given out."""
+    """The match of an associator has columns of the wrong length or type, or an id that does not exist."""
 
 
 def check_scan(scan: Scan) -> None:
     """Raise `SensorError` unless the scan is K sweeps of B beams, finite, within range and in order of bearing.
 
-    Ranges and bearings are arrays of float64, hits of bool: what a log has of another type is converted by its reader.
+    Ranges and bearings are arrays of float64, hits of bool: the reader of a log converts other types.
     """
     shape = np.shape(scan.ranges)
     if len(shape) != 2 or 0 in shape:
@@ -44,23 +53,40 @@ def check_scan(scan: Scan) -> None:
             raise SensorError(f"scan.{name}: shape {given} is not that of the ranges, {shape}")
     _require_arrays(scan, KINDS, "scan", SensorError)
     fault = find_fault(scan.ranges, scan.bearings, float(scan.max_range_m))
-    if fault == NOT_FINITE:
+    if fault == Fault.NOT_FINITE:
         raise SensorError("scan.ranges, scan.bearings: every value must be finite")
-    if fault == OUT_OF_RANGE:
+    if fault == Fault.OUT_OF_RANGE:
         low, high = float(np.min(scan.ranges)), float(np.max(scan.ranges))
         raise SensorError(f"scan.ranges: {low:g} to {high:g} m is not within 0 to max_range_m = {scan.max_range_m:g} m")
-    if fault == OUT_OF_ORDER:
+    if fault == Fault.OUT_OF_ORDER:
         raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
 
 
+def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:
+    """The first fault of ranges and bearings (K,B) in the order of the beams."""
+    if is_sound(ranges, bearings, max_range):
+        return Fault.NONE
+    for sweep, sweep_bearings in zip(ranges.tolist(), bearings.tolist(), strict=True):
+        last = -math.inf
+        for r, bearing in zip(sweep, sweep_bearings, strict=True):
+            if not (math.isfinite(r) and math.isfinite(bearing)):
+                return Fault.NOT_FINITE
+            if r < 0.0 or r > max_range:
+                return Fault.OUT_OF_RANGE
+            if bearing <= last or abs(bearing) > math.pi:
+                return Fault.OUT_OF_ORDER
+            last = bearing
+    return Fault.NONE
+
+
 @compiled
-def find_fault(ranges: Array, bearings: Array, max_range: float) -> int:
-    """What is wrong with ranges and bearings (K,B), or SOUND."""
+def is_sound(ranges: Array, bearings: Array, max_range: float) -> bool:
+    """True when nothing is wrong with ranges and bearings (K,B); false, too, for an infinite range."""
     unsound = 0
     for k in range(ranges.shape[0]):
         unsound += count_unsound(ranges[k], bearings[k, :-1], bearings[k, 1:], max_range)
         unsound += not (bearings[k, 0] >= -math.pi and bearings[k, -1] <= math.pi)
-    return SOUND if unsound == 0 and max_range < math.inf else name_fault(ranges, bearings, max_range)
+    return unsound == 0 and max_range < math.inf
 
 
 @compiled
@@ -75,23 +101,6 @@ def count_unsound(ranges: Array, bearings: Array, next_bearings: Array, max_rang
     for b in range(bearings.shape[0]):
         unsound += not bearings[b] < next_bearings[b]
     return unsound
-
-
-@compiled
-def name_fault(ranges: Array, bearings: Array, max_range: float) -> int:
-    """The first fault in the order of the beams, or SOUND."""
-    for k in range(ranges.shape[0]):
-        last = -math.inf
-        for b in range(ranges.shape[1]):
-            r, bearing = ranges[k, b], bearings[k, b]
-            if not (math.isfinite(r) and math.isfinite(bearing)):
-                return NOT_FINITE
-            if r < 0.0 or r > max_range:
-                return OUT_OF_RANGE
-            if bearing <= last or bearing > math.pi or bearing < -math.pi:
-                return OUT_OF_ORDER
-            last = bearing
-    return SOUND
 
 
 def check_odometry(odometry: Odometry) -> None:
@@ -134,7 +143,7 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     for corner, (id_, decision) in enumerate(zip(match.ids.tolist(), match.decision.tolist(), strict=True)):
         if decision not in DECISIONS:
             raise MatchError(
-                f"match.decision[{corner}]: {decision} is no Decision, {min(DECISIONS)} to {max(DECISIONS)}"
+                f"match.decision[{corner}]: {decision} is not a Decision, {min(DECISIONS)} to {max(DECISIONS)}"
             )
         if decision in WITH_ID and not 0 <= id_ < features:
             raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")

@@ -133,17 +133,17 @@ class DynamicObjectsConfig(Settings):
     beams: int = Field(4, ge=1, le=100)  # neighbours, at least, that make a dynamic object, or see through a landmark
     wall_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer segment is a wall, whatever the map says
     body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
-    clearance_m: float = Field(0.25, ge=0.0, le=5.0)  # a new corner this near to a dynamic beam is ignored
     closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
     closure_nis: float = Field(9.21, ge=0.0, le=100.0)  # the one fits worse than this (chi-square, 99 %), or
-    width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner
+    width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner. A new
+    # corner less than half the larger width away from a dynamic beam is ignored
     prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
     prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark, and at least
     prune_nearest_m: float = Field(0.4, gt=0.0, le=100.0)  # this: what is nearer is seen too steeply
     beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
     beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # this far beyond it; or
-    facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall that faces as the landmark does, within this angle, and
-    off_wall_m: float = Field(0.06, ge=0.0, le=5.0)  # is this near to its place, goes on
+    facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall within half of `beside_m` of its place, which faces as
+    # the landmark does within this angle, goes on
     inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
 
 

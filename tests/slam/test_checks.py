@@ -11,10 +11,7 @@ import pytest
 from mecp_env.core.messages import Scan
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.checks import (
-    NOT_FINITE,
-    OUT_OF_ORDER,
-    OUT_OF_RANGE,
-    SOUND,
+    Fault,
     MatchError,
     SensorError,
     check_match,
@@ -34,13 +31,13 @@ def fault_of(ranges, bearings, max_range):
         last = -math.inf
         for r, bearing in zip(sweep, sweep_bearings, strict=True):
             if not (math.isfinite(r) and math.isfinite(bearing)):
-                return NOT_FINITE
+                return Fault.NOT_FINITE
             if r < 0.0 or r > max_range:
-                return OUT_OF_RANGE
+                return Fault.OUT_OF_RANGE
             if not (last < bearing and -math.pi <= bearing <= math.pi):
-                return OUT_OF_ORDER
+                return Fault.OUT_OF_ORDER
             last = bearing
-    return SOUND
+    return Fault.NONE
 
 
 @pytest.mark.parametrize("max_range", [MAX_RANGE_M, math.inf, math.nan])
@@ -111,7 +108,7 @@ def test_a_sound_match_is_given_back():
         (replace(unmatched(3), nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
         (replace(unmatched(3), ids=[0, 1, 2]), "match.ids: list, an array of int64"),
         (replace(unmatched(3), reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
-        (with_decision(3, 4, 0), r"match.decision\[2\]: 4 is no Decision, 0 to 3"),
+        (with_decision(3, 4, 0), r"match.decision\[2\]: 4 is not a Decision, 0 to 3"),
         (with_decision(3, Decision.LANDMARK, 5), r"match.ids\[2\]: 5, one of the 5 ids"),
         (with_decision(3, Decision.LANDMARK, -1), r"match.ids\[2\]: -1"),
         (with_decision(3, Decision.PROVISIONAL, 10**12), r"match.ids\[2\]: 10{12},"),

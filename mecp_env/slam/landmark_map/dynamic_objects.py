@@ -107,10 +107,10 @@ def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
 
 
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
-    """The segments but for those most of whose beams are dynamic."""
-    if not len(segments.first):
-        return segments
-    kept = static_segments(segments.first, segments.last, segments.roll, dynamic)
+    """The segments but for those of whose beams more than half are dynamic."""
+    before = np.concatenate(([0], np.cumsum(np.roll(dynamic, -segments.roll))))  # dynamic beams before each position
+    count = before[segments.last + 1] - before[segments.first]
+    kept = 2 * count <= segments.last - segments.first + 1
     if kept.all():
         return segments
     columns = ("points", "line", "cov", "cluster", "first", "last")
@@ -204,31 +204,30 @@ def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: floa
 @compiled
 def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, config: Rows) -> Bools:
     """(B,) the marked beams, and those beside each run of them that end near its middle: the rim of the same body."""
-    size = ranges.shape[0]
-    whole = marked.copy()
+    size, whole = ranges.shape[0], marked.copy()
+    end_x, end_y = np.empty(size), np.empty(size)
+    for k in range(size):
+        end_x[k], end_y[k] = ranges[k] * math.cos(bearings[k]), ranges[k] * math.sin(bearings[k])
     for i in range(size):
         if not marked[i] or marked[i - 1]:
             continue
         count, x, y = 0, 0.0, 0.0
         while count < size and marked[(i + count) % size]:
             k = (i + count) % size
-            x, y, count = x + ranges[k] * math.cos(bearings[k]), y + ranges[k] * math.sin(bearings[k]), count + 1
+            x, y, count = x + end_x[k], y + end_y[k], count + 1
         x, y = x / count, y / count
-        for side in range(2):
-            k = (i - 1 if side == 0 else i + count) % size
-            while hit[k] and not whole[k]:
-                off_x, off_y = ranges[k] * math.cos(bearings[k]) - x, ranges[k] * math.sin(bearings[k]) - y
-                if math.hypot(off_x, off_y) >= config[0].body_m:
-                    break
+        for step in (-1, 1):
+            k = (i + (count if step > 0 else -1)) % size
+            while hit[k] and not whole[k] and math.hypot(end_x[k] - x, end_y[k] - y) < config[0].body_m:
                 whole[k] = True
-                k = (k + 2 * side - 1) % size
+                k = (k + step) % size
     return whole
 
 
 @compiled
 def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
     """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    clearance, near, count = config[0].clearance_m, np.empty(z.shape[0], np.int64), 0
+    clearance, near, count = 0.5 * config[0].width_m[1], np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
         for k in range(ranges.shape[0] if decision[i] == NEW else 0):
             if not dynamic[k]:
@@ -239,15 +238,3 @@ def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynam
                 count += 1
                 break
     return near[:count]
-
-
-@compiled
-def static_segments(first: Ints, last: Ints, roll: int, dynamic: Bools) -> Bools:
-    """(L,) which segments are static: those of whose beams at most half are dynamic."""
-    kept = np.ones(first.shape[0], np.bool_)
-    for k in range(first.shape[0]):
-        count = 0
-        for position in range(first[k], last[k] + 1):
-            count += dynamic[(position + roll) % dynamic.shape[0]]
-        kept[k] = 2 * count <= last[k] - first[k] + 1
-    return kept

@@ -106,7 +106,7 @@ def is_inside_wall(
         off = x * math.cos(line[k, 0]) + y * math.sin(line[k, 0]) - line[k, 1]
         towards = line[k, 0] + math.pi + heading
         first, second = abs(wrap_angle(normals[0] - towards)), abs(wrap_angle(normals[1] - towards))  # nan: unseen
-        if abs(off) > limits.off_wall_m or not (first < limits.facing_rad or second < limits.facing_rad):
+        if abs(off) > 0.5 * limits.beside_m or not (first < limits.facing_rad or second < limits.facing_rad):
             continue
         ux, uy = points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]
         length = math.hypot(ux, uy)
