@@ -1,4 +1,4 @@
-"""Kernels of what is seen through a door: the free space of a scan is cut by the line of the door."""
+"""Compiled functions of what is seen through a door: the line of the door cuts the free space of a scan."""
 
 from __future__ import annotations
 

@@ -197,13 +197,13 @@ def nearest_of_group(places: Array, group: Ints, wanted: int, x: float, y: float
 
 
 @compiled
-def hang_up(
+def anchor_scans(
     anchor: Ints, p_robot: Array, T_map_robot: Array, p_landmark: Array, matched: Ints, ids: Ints, covs: Array
 ) -> None:
-    """Hang the scans that hang on nothing on the surest of the landmarks `matched` (m,), two or more.
+    """Anchor the scans that have no anchors at the most certain of the landmarks `matched` (m,), two or more.
 
     Of the scans: anchors (n,k) and where they are seen (n,k,2), which are written, and poses (n,3). `p_landmark` (F,2)
-    by id; the belief's `ids` (N,) and covariances (N,2,2) say how sure a landmark is.
+    by id; the belief's `ids` (N,) and covariances (N,2,2) rank the landmarks.
     """
     loose = False
     for i in range(anchor.shape[0]):

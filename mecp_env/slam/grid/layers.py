@@ -46,7 +46,7 @@ class ScanLayer:
     def add(self, canvas: Canvas, T_map_robot: Array, taken: tuple[int, int], seen: tuple[Array, Array]) -> None:
         """Paint a scan, `taken` in which room, in which step, of which outline and strips were `seen`.
 
-        It hangs on nothing yet.
+        It has no anchors yet.
         """
         n, k, (room, step) = len(self.room), self.config.anchors, taken
         self.T_map_robot = np.concatenate([self.T_map_robot, T_map_robot[None]])
@@ -62,10 +62,10 @@ class ScanLayer:
         """Cast the votes of a scan (`delta` 1) or take them back (-1)."""
         canvas.vote(self.outline[row], self.strips[row], self.T_map_robot[row], delta)
 
-    def hang_up(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
-        """Hang the scans that hang on nothing on the surest of the landmarks matched now."""
+    def anchor_to(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
+        """Anchor the scans without anchors at the most certain of the landmarks matched now."""
         scans = self.anchor, self.p_robot, self.T_map_robot
-        key_scans.hang_up(*scans, p_landmark, matched_ids, belief.ids, belief.covs)
+        key_scans.anchor_scans(*scans, p_landmark, matched_ids, belief.ids, belief.covs)
 
     def follow(self, canvas: Canvas, p_landmark: Array) -> None:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
@@ -128,7 +128,7 @@ class PolygonLayer:
     """The interiors of the known polygons: the paper's layer."""
 
     painted: dict[tuple[int, ...], PaintedPolygon] = field(default_factory=dict)  # by vertex ids
-    waiting: list[MapPolygon] = field(default_factory=list)  # with a vertex that is no landmark yet
+    waiting: list[MapPolygon] = field(default_factory=list)  # with a vertex that is not a landmark yet
     known: tuple[MapPolygon, ...] = ()  # the polygons looked at last
 
     def compare(self, canvas: Canvas, known: tuple[MapPolygon, ...]) -> None:

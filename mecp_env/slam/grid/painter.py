@@ -1,7 +1,7 @@
 """The semantic grid: cells with a label, a room and the paper's polygon layer, painted from the belief.
 
-Everything can be rendered again: a key scan hangs on landmarks, a polygon on its vertices, a door on its jambs. When
-one of them moves by more than half a cell, its votes are taken off the grid and cast again at the new place.
+Everything can be rendered again: a key scan is anchored at landmarks, a polygon at its vertices, a door at its jambs.
+When one of them moves by more than half a cell, its votes are taken off the grid and cast again at the new place.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class GridPainter:
         self._update_polygons(p_landmark, tuple(map_polygons), change)
         self._follow(p_landmark, graph, change)
         self._add_key_scan(belief, beams, segments, graph)
-        self.scans.hang_up(p_landmark, matched_ids, belief)
+        self.scans.anchor_to(p_landmark, matched_ids, belief)
         if not self.scans.has_room.all():
             self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
         self._update_pockets(graph)
