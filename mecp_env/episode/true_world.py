@@ -19,7 +19,7 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_movers
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.simulation import Motion, Simulation
-from mecp_env.world.walkways import Ways
+from mecp_env.world.walkways import WalkwayPlanner
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class TrueWorld:
         return self.simulation.T_world_robot
 
     def begin(self, building: int | None, start: Start, rng: np.random.Generator) -> None:
-        """An episode's building, doors, people and boxes, with the robot at rest; `building` None draws one."""
+        """An episode's building, doors, pedestrians and boxes, with the robot at rest; `building` None draws one."""
         self._move_to(draw_building(self._source, rng) if building is None else building)
         pose = start_pose(start, self.outline, self._config.robot, rng)
         self._populate(pose, rng)
@@ -85,7 +85,7 @@ class TrueWorld:
     def counts(self) -> dict[str, float]:
         """The numbers of pedestrians, boxes and closed doors; fewer than configured where no more fit."""
         moving = self.movers.state
-        return {"people": len(moving.people), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
+        return {"people": len(moving.pedestrians), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
 
     def check_building(self, number: Any) -> int | None:
         """`number` if there is a building of that number, or None. Raises `ConfigError`."""
@@ -123,10 +123,10 @@ class TrueWorld:
         self.laser = Laser(outline, self._config.laser)
         self.simulation = Simulation(outline, self._config.robot)
         self.movers, self._obstacles = no_movers(self._config.robot), NO_OBSTACLES
-        self._ways: Ways | None = None  # of people, where there are any
+        self._walkways: WalkwayPlanner | None = None  # None without pedestrians and boxes
 
     def _populate(self, start: Array, rng: np.random.Generator) -> None:
-        """Close doors and let people and boxes in, for an episode that starts at a pose (3,)."""
+        """Close doors and let pedestrians and boxes in, for an episode that starts at a pose (3,)."""
         clutter = self._config.clutter
         closed = draw_closed(self.outline.doors, start, clutter.closed_doors, rng)
         self._admit(Moving(closed=closed, start=start[:2].copy()))
@@ -136,12 +136,12 @@ class TrueWorld:
             self._obstacles = None
 
     def _admit(self, moving: Moving) -> None:
-        """Be in the building with these doors closed, among these people and boxes."""
+        """Be in the building with these doors closed, among these pedestrians and boxes."""
         if len(moving.closed):
             layout = close_doors(self._source.layout(self.building), moving.closed, moving.start)
             self._enter(build_outline(layout))
         crowd = self._config.crowd
-        if self._ways is None and wants_movers(crowd, self._config.clutter):
-            self._ways = Ways(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])
-        self.movers, self._obstacles = Movers(self._ways, crowd, self._config.robot, moving), None
+        if self._walkways is None and wants_movers(crowd, self._config.clutter):
+            self._walkways = WalkwayPlanner(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])
+        self.movers, self._obstacles = Movers(self._walkways, crowd, self._config.robot, moving), None
         self.simulation.admit(self.movers)

@@ -12,7 +12,7 @@ from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, solve_lower
 from mecp_env.core.se2 import polar_to_points, to_map, wrap_angle
 from mecp_env.slam.messages import Decision
-from mecp_env.world.laser import in_sight
+from mecp_env.world.laser import line_of_sight
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,7 +63,7 @@ def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Arra
             dx, dy = seen[i, 0] - true[j, 0], seen[i, 1] - true[j, 1]
             if hidden or dx * dx + dy * dy >= gate * gate:
                 continue
-            hidden = not in_sight(segments, T_world_robot[0], T_world_robot[1], true[j, 0], true[j, 1])
+            hidden = not line_of_sight(segments, T_world_robot[0], T_world_robot[1], true[j : j + 1])[0]
             if not hidden:
                 apart[i, j] = dx * dx + dy * dy
     for i in range(n):

@@ -10,8 +10,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from mecp_env.world import pedestrians as crowd
-from mecp_env.world.boxes import drag, settle_boxes
+from mecp_env.world.boxes import slide_boxes
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import (
     AIM_TURN,
@@ -23,6 +22,7 @@ from mecp_env.world.drive import (
     furthest,
     may_touch,
 )
+from mecp_env.world.pedestrians import MOVES, RADIUS, VX, VY, X, Y
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ ITERATIONS = 20  # of pymunk's solver, where boxes are pushed against others and
 
 
 class Bodies:
-    """The robot, and the people, boxes and walls that it or a moving box may touch in the rest of a control step.
+    """The robot, and the pedestrians, boxes and walls that it or a moving box may touch in the rest of a control step.
 
     The space is made for one control step: the order of contacts in pymunk, and with it the result, depends on the past
     of a space, and no snapshot could hold that. The shapes are frictionless: they slide along each other.
@@ -42,7 +42,7 @@ class Bodies:
         self._segments, self._obstacles, self._dt = segments, obstacles, robot.substep_s
         limits, substeps = RobotLimits.of(robot), robot.arcs * robot.substeps
         met, pushed = may_touch(obstacles, state, limits, substeps)
-        self._people = {row: pymunk.Body(body_type=pymunk.Body.KINEMATIC) for row in np.flatnonzero(met).tolist()}
+        self._pedestrians = {row: pymunk.Body(body_type=pymunk.Body.KINEMATIC) for row in np.flatnonzero(met).tolist()}
         self._boxes = {row: box_body(obstacles.sizes[row].tolist()) for row in np.flatnonzero(pushed).tolist()}
         self._robot = pymunk.Body(ROBOT_KG, ROBOT_KG * robot.radius_m**2 / 2.0)
         self._space = space = pymunk.Space()
@@ -50,20 +50,20 @@ class Bodies:
         space.collision_bias = 1.0  # off: pymunk keeps its way out of a wall where no state sees it
         space.collision_persistence = 1  # 0 switches contacts off
         space.iterations = ITERATIONS if self._boxes else space.iterations
-        discs = np.vstack([[*state[:2], robot.radius_m], obstacles.rounds[pushed]])
+        discs = np.vstack([[*state[:2], robot.radius_m], obstacles.box_discs[pushed]])
         discs[:, 2] += furthest(state, limits, substeps)
         for a, b in faces_within(segments, discs).tolist():
             space.add(pymunk.Segment(space.static_body, a, b, 0.0))
         space.add(self._robot, pymunk.Circle(self._robot, robot.radius_m))
-        for row, body in self._people.items():
-            space.add(body, pymunk.Circle(body, float(obstacles.people[row, crowd.RADIUS])))
+        for row, body in self._pedestrians.items():
+            space.add(body, pymunk.Circle(body, float(obstacles.pedestrians[row, RADIUS])))
         for row, body in self._boxes.items():
             space.add(body, pymunk.Poly.create_box(body, obstacles.sizes[row].tolist()))
 
     def substep(self, state: Array, course: Array) -> None:
         """One substep: from the robot's state (6,) and the velocity that its wheels aim at to the one it has then.
 
-        Both velocities are in `course`. The people have taken their step already; the boxes are moved here.
+        Both velocities are in `course`. The pedestrians have taken their step already; the boxes are moved here.
         """
         self._place_robot(state, course)
         self._place_others()
@@ -72,8 +72,7 @@ class Bodies:
         boxes = self._obstacles.boxes
         for row, body in self._boxes.items():
             boxes[row] = *body.position, body.angle, *body.velocity, body.angular_velocity
-        drag(boxes, self._dt)
-        settle_boxes(self._segments, boxes, self._obstacles.sizes)
+        slide_boxes(self._segments, boxes, self._obstacles.sizes, self._dt)
 
     def _place_robot(self, state: Array, course: Array) -> None:
         """Place the robot; pymunk moves a body by its velocity first, and then its force changes the velocity."""
@@ -85,11 +84,11 @@ class Bodies:
         robot.torque = (aim_turn - spin) * robot.moment / dt
 
     def _place_others(self) -> None:
-        """Place people and boxes."""
-        for row, body in self._people.items():
-            person = self._obstacles.people[row].tolist()
-            vx, vy = (person[crowd.MOVES] * v for v in (person[crowd.VX], person[crowd.VY]))
-            body.position = person[crowd.X] - vx * self._dt, person[crowd.Y] - vy * self._dt
+        """Place pedestrians and boxes."""
+        for row, body in self._pedestrians.items():
+            walker = self._obstacles.pedestrians[row].tolist()
+            vx, vy = (walker[MOVES] * v for v in (walker[VX], walker[VY]))
+            body.position = walker[X] - vx * self._dt, walker[Y] - vy * self._dt
             body.velocity = vx, vy
         for row, body in self._boxes.items():
             x, y, turn, vx, vy, spin = self._obstacles.boxes[row].tolist()

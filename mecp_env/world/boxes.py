@@ -1,4 +1,4 @@
-"""Kernels of the boxes: what the floor does to them, and what keeps them out of walls and the robot out of them."""
+"""Compiled functions of the boxes: friction, and what keeps them out of walls and the robot out of them."""
 
 from __future__ import annotations
 
@@ -8,71 +8,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.world.faces import box_corner
+from mecp_env.world.faces import BOX_CORNERS
 
 Array = NDArray[np.float64]
 
-DECELERATION = 1.5  # m/s^2, of a box that slides: it stands on felt
+DECELERATION = 1.5  # m/s^2, of a box that slides on felt
 TURN_DECELERATION = 8.0  # rad/s^2
 DEEPEST_M = 0.05  # what is deeper in a wall is behind it
 ROUNDS = 4
 
 
 @compiled
-def drag(boxes: Array, dt: float) -> None:
-    """What the floor takes off the velocities of the boxes (b,6) in a substep."""
+def slide_boxes(segments: Array, boxes: Array, sizes: Array, dt: float) -> None:
+    """The floor slows the boxes (b,6) down for a substep, and the faces (S,2,2) that they entered push them out.
+
+    A box leaves a face that it entered by at most `DEEPEST_M`.
+    """
     for i in range(boxes.shape[0]):
         speed, turn = math.hypot(boxes[i, 3], boxes[i, 4]), abs(boxes[i, 5])
         share = max(1.0 - DECELERATION * dt / max(speed, 1e-9), 0.0)
         boxes[i, 3], boxes[i, 4] = share * boxes[i, 3], share * boxes[i, 4]
         boxes[i, 5] *= max(1.0 - TURN_DECELERATION * dt / max(turn, 1e-9), 0.0)
-
-
-@compiled
-def settle_boxes(segments: Array, boxes: Array, sizes: Array) -> None:
-    """Pushes the boxes out of the faces (S,2,2) that they entered by at most `DEEPEST_M`."""
     for _ in range(ROUNDS):
         for i in range(boxes.shape[0]):
-            _leave_walls(segments, boxes[i], sizes[i])
-
-
-@compiled
-def _leave_walls(segments: Array, box: Array, size: Array) -> None:
-    """Moves one box out of the faces (S,2,2), one after another."""
-    reach = 0.5 * math.hypot(size[0], size[1])
-    for k in range(segments.shape[0]):
-        if _may_touch(segments[k], box, reach):
-            _leave_face(segments[k], box, size)
-            _leave_post(segments[k, 0], box, size)
-
-
-@compiled
-def _may_touch(face: Array, box: Array, reach: float) -> bool:
-    """False where the face (2,2) lies out of the box's reach."""
-    low_x, high_x = min(face[0, 0], face[1, 0]) - reach, max(face[0, 0], face[1, 0]) + reach
-    low_y, high_y = min(face[0, 1], face[1, 1]) - reach, max(face[0, 1], face[1, 1]) + reach
-    return bool(low_x < box[0] < high_x and low_y < box[1] < high_y)
+            reach = 0.5 * math.hypot(sizes[i, 0], sizes[i, 1])
+            for k in range(segments.shape[0]):
+                face = segments[k]
+                low_x, high_x = min(face[0, 0], face[1, 0]) - reach, max(face[0, 0], face[1, 0]) + reach
+                low_y, high_y = min(face[0, 1], face[1, 1]) - reach, max(face[0, 1], face[1, 1]) + reach
+                if low_x < boxes[i, 0] < high_x and low_y < boxes[i, 1] < high_y:
+                    _leave_face(face, boxes[i], sizes[i])
 
 
 @compiled
 def _leave_face(face: Array, box: Array, size: Array) -> None:
-    """Moves the box so that none of its corners is behind the face (2,2)."""
+    """Move the box (6,) until none of its corners is behind the face (2,2) and the face does not start in it."""
     ux, uy = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1]
     length = math.hypot(ux, uy)
+    c, s = math.cos(box[2]), math.sin(box[2])
     for corner in range(4):
-        x, y = box_corner(box, size, corner)
-        along = ((x - face[0, 0]) * ux + (y - face[0, 1]) * uy) / length
+        along, aside = BOX_CORNERS[corner, 0] * size[0], BOX_CORNERS[corner, 1] * size[1]
+        x, y = box[0] + c * along - s * aside, box[1] + s * along + c * aside
+        ahead = ((x - face[0, 0]) * ux + (y - face[0, 1]) * uy) / length
         behind = ((y - face[0, 1]) * ux - (x - face[0, 0]) * uy) / -length
-        if 0.0 < along < length and 0.0 < behind < DEEPEST_M:
+        if 0.0 < ahead < length and 0.0 < behind < DEEPEST_M:
             box[0] -= behind * uy / length
             box[1] += behind * ux / length
-
-
-@compiled
-def _leave_post(post: Array, box: Array, size: Array) -> None:
-    """Moves the box so that a corner (2,) of a wall does not lie in it."""
-    c, s = math.cos(box[2]), math.sin(box[2])
-    dx, dy = post[0] - box[0], post[1] - box[1]
+    dx, dy = face[0, 0] - box[0], face[0, 1] - box[1]
     along, aside = c * dx + s * dy, c * dy - s * dx
     deep_along, deep_aside = 0.5 * size[0] - abs(along), 0.5 * size[1] - abs(aside)
     if min(deep_along, deep_aside) <= 0.0 or min(deep_along, deep_aside) >= DEEPEST_M:

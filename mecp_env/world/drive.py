@@ -35,7 +35,7 @@ class RobotLimits(NamedTuple):
     dt: float  # s
     max_dv: float  # m/s, change of speed by the wheels
     max_dw: float  # rad/s, change of turn rate by the wheels
-    stride: float  # m, the longest way
+    stride: float  # m, the longest distance
     radius: float  # m
     substeps: int  # per arc, of which odometry reads one increment
 
@@ -50,10 +50,10 @@ class RobotLimits(NamedTuple):
 class MovingBodies(NamedTuple):
     """Pedestrians and boxes, and what they need to know of the robot."""
 
-    people: Array  # (n,11), see pedestrians.py
+    pedestrians: Array  # (n,11), see pedestrians.py
     boxes: Array  # (b,6) m, rad: place, turn, and their velocities
     sizes: Array  # (b,2) m
-    rounds: Array  # (b,3) m: place and reach of the boxes
+    box_discs: Array  # (b,3) m: place and reach of the boxes
     robot: Array  # (6,), see pedestrians.py; written in every substep
     polite: bool  # the pedestrians avoid the robot
 
@@ -68,28 +68,36 @@ def drive_on(
     obstacles: MovingBodies,
     done: int,
 ) -> tuple[int, bool]:
-    """Drives on from substep `done` of the control step; the substep reached, and whether something was touched.
+    """Drive on from substep `done` of the control step; the substep reached, and whether something was touched.
 
     The substep reached is the last one, or the one before a substep that pymunk has to make because something that
     moves is within reach: `course` then holds the velocity that the wheels aim at, and, in the next call, the velocity
     that pymunk left. Written are the state (6,), the readings of the arcs that end on the way, `increments` (M,2), and
-    the people in `obstacles`.
+    the pedestrians in `obstacles`.
     """
-    touched, boxes, rounds, robot = False, obstacles.boxes, obstacles.rounds, obstacles.robot
+    touched, boxes, box_discs, robot = False, obstacles.boxes, obstacles.box_discs, obstacles.robot
     if done > 0:
         touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S
         move(state, limits, course[FELT_X], course[FELT_Y], course[FELT_TURN])
         leave_boxes(boxes, obstacles.sizes, state, limits.radius - TOUCH_M)
     for i in range(boxes.shape[0]):
-        rounds[i, 0], rounds[i, 1] = boxes[i, 0], boxes[i, 1]
+        box_discs[i, 0], box_discs[i, 1] = boxes[i, 0], boxes[i, 1]
     last = increments.shape[0] * limits.substeps
-    way = np.array([[state[0], state[1], limits.radius + furthest(state, limits, last - done + 1)]])
-    near = faces_within(segments, way)
-    leave_walls(near, state, limits.radius - TOUCH_M)
-    read_arc(state, course, increments, done, limits.substeps)
-    while done < last:
+    reach = limits.radius + furthest(state, limits, last - done + 1)
+    near = faces_within(segments, np.array([[state[0], state[1], reach]]))
+    while True:
+        leave_walls(near, state, limits.radius - TOUCH_M)
+        if done % limits.substeps == 0:  # an arc ends: read the distance along its mean heading, and the turn
+            if done > 0:
+                turn = state[2] - course[ARC_HEADING]
+                heading, arc = course[ARC_HEADING] + 0.5 * turn, done // limits.substeps - 1
+                dx, dy = state[0] - course[ARC_X], state[1] - course[ARC_Y]
+                increments[arc, 0], increments[arc, 1] = dx * math.cos(heading) + dy * math.sin(heading), turn
+            course[ARC_X], course[ARC_Y], course[ARC_HEADING] = state[0], state[1], state[2]
+        if done == last:
+            break
         robot[0], robot[1], robot[2], robot[3] = state[0], state[1], state[3], state[4]
-        walk(obstacles.people, rounds, robot, obstacles.polite, limits.dt)
+        walk(obstacles.pedestrians, box_discs, robot, obstacles.polite, limits.dt)
         vx, vy, w = wheels(state, limits, course[SPEED], course[TURN])
         if in_reach(obstacles, state, limits):
             course[AIM_X], course[AIM_Y], course[AIM_TURN] = vx, vy, w
@@ -97,9 +105,7 @@ def drive_on(
         free_x, free_y = slide(near, state, limits, vx, vy) if near.shape[0] else (vx, vy)
         touched = touched or math.hypot(free_x - vx, free_y - vy) > PUSHED_M_S
         move(state, limits, free_x, free_y, w)
-        leave_walls(near, state, limits.radius - TOUCH_M)
         done += 1
-        read_arc(state, course, increments, done, limits.substeps)
     return done, touched
 
 
@@ -111,24 +117,11 @@ def furthest(state: Array, limits: RobotLimits, substeps: int) -> float:
 
 @compiled
 def move(state: Array, limits: RobotLimits, vx: float, vy: float, w: float) -> None:
-    """Moves the state (6,) by a substep as pymunk does: with its velocity, which then becomes vx, vy, w."""
+    """Move the state (6,) by a substep as pymunk does: with its velocity, which then becomes vx, vy, w."""
     state[0] += state[3] * limits.dt
     state[1] += state[4] * limits.dt
     state[2] += state[5] * limits.dt
     state[3], state[4], state[5] = vx, vy, w
-
-
-@compiled
-def read_arc(state: Array, course: Array, increments: Array, done: int, substeps: int) -> None:
-    """Reads off, where an arc ends, the distance along its mean heading and the turn; there the next one starts."""
-    if done % substeps:
-        return
-    if done > 0:
-        turn = state[2] - course[ARC_HEADING]
-        heading = course[ARC_HEADING] + 0.5 * turn
-        ahead = (state[0] - course[ARC_X]) * math.cos(heading) + (state[1] - course[ARC_Y]) * math.sin(heading)
-        increments[done // substeps - 1, 0], increments[done // substeps - 1, 1] = ahead, turn
-    course[ARC_X], course[ARC_Y], course[ARC_HEADING] = state[0], state[1], state[2]
 
 
 @compiled
@@ -145,14 +138,12 @@ def wheels(state: Array, limits: RobotLimits, speed: float, turn: float) -> tupl
     return v * math.cos(heading), v * math.sin(heading), w
 
 
-@compiled
 def wall_distance(segments: Array, x: float, y: float) -> float:
     """Distance from (x, y) to the nearest of the faces (S,2,2), m."""
-    nearest = math.inf
-    for k in range(segments.shape[0]):
-        dx, dy = from_face(segments, k, x, y)
-        nearest = min(nearest, dx * dx + dy * dy)
-    return math.sqrt(nearest)
+    (ax, ay), (ux, uy) = segments[:, 0].T, (segments[:, 1] - segments[:, 0]).T
+    share = np.clip(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0, 1.0)
+    dx, dy = x - ax - share * ux, y - ay - share * uy
+    return math.sqrt(float((dx * dx + dy * dy).min(initial=math.inf)))
 
 
 @compiled
@@ -186,29 +177,25 @@ def slide(near: Array, state: Array, limits: RobotLimits, vx: float, vy: float) 
         if 0.0 < distance < limits.radius:
             normals[n, 0], normals[n, 1] = dx / distance, dy / distance
             n += 1
-    if not leads_in(normals, n, vx, vy):
-        return vx, vy
     free_x, free_y, least = 0.0, 0.0, math.inf
-    for i in range(n):
-        into = vx * normals[i, 0] + vy * normals[i, 1]
-        along_x, along_y = vx - into * normals[i, 0], vy - into * normals[i, 1]
-        if -into < least and into < 0.0 and not leads_in(normals, n, along_x, along_y):
-            free_x, free_y, least = along_x, along_y, -into
+    for i in range(-1, n):  # -1: the velocity itself, then its projection on each wall that it leads into
+        along_x, along_y, push = vx, vy, 0.0
+        if i >= 0:
+            into = vx * normals[i, 0] + vy * normals[i, 1]
+            along_x, along_y, push = vx - into * normals[i, 0], vy - into * normals[i, 1], -into
+        if push >= least or push < 0.0:
+            continue
+        deepest = 0.0
+        for j in range(n):
+            deepest = min(deepest, along_x * normals[j, 0] + along_y * normals[j, 1])
+        if deepest >= -ROUNDING_M_S:
+            free_x, free_y, least = along_x, along_y, push
     return free_x, free_y
 
 
 @compiled
-def leads_in(normals: Array, n: int, vx: float, vy: float) -> bool:
-    """True when a velocity leads into one of the first n walls, whose normals are `normals` (>=n,2)."""
-    least = 0.0
-    for i in range(n):
-        least = min(least, vx * normals[i, 0] + vy * normals[i, 1])
-    return least < -ROUNDING_M_S
-
-
-@compiled
 def leave_walls(near: Array, state: Array, radius: float) -> None:
-    """Moves the robot's centre so that it is at least `radius` away from every wall."""
+    """Move the robot's centre so that it is at least `radius` away from every wall."""
     for _ in range(ROUNDS):
         free = True
         for k in range(near.shape[0]):
@@ -228,15 +215,15 @@ def leave_walls(near: Array, state: Array, radius: float) -> None:
 @compiled
 def in_reach(obstacles: MovingBodies, state: Array, limits: RobotLimits) -> bool:
     """True when a box slides, or a pedestrian or a box is within reach of the robot's next substep."""
-    people, boxes, rounds = obstacles.people, obstacles.boxes, obstacles.rounds
+    pedestrians, boxes, box_discs = obstacles.pedestrians, obstacles.boxes, obstacles.box_discs
     robot = limits.radius + TOUCH_M + limits.stride
-    for i in range(people.shape[0]):
-        reach = robot + people[i, RADIUS] + people[i, PACE] * limits.dt
-        if math.hypot(people[i, X] - state[0], people[i, Y] - state[1]) < reach:
+    for i in range(pedestrians.shape[0]):
+        reach = robot + pedestrians[i, RADIUS] + pedestrians[i, PACE] * limits.dt
+        if math.hypot(pedestrians[i, X] - state[0], pedestrians[i, Y] - state[1]) < reach:
             return True
     for i in range(boxes.shape[0]):
         slides = boxes[i, 3] != 0.0 or boxes[i, 4] != 0.0 or boxes[i, 5] != 0.0
-        near = math.hypot(rounds[i, 0] - state[0], rounds[i, 1] - state[1]) < robot + rounds[i, 2]
+        near = math.hypot(box_discs[i, 0] - state[0], box_discs[i, 1] - state[1]) < robot + box_discs[i, 2]
         if slides or near:
             return True
     return False
@@ -244,27 +231,27 @@ def in_reach(obstacles: MovingBodies, state: Array, limits: RobotLimits) -> bool
 
 @compiled
 def may_touch(obstacles: MovingBodies, state: Array, limits: RobotLimits, substeps: int) -> tuple[Bools, Bools]:
-    """Which people (n,) and boxes (b,) may touch the robot, or a box that moves, within some substeps."""
-    people, boxes, rounds = obstacles.people, obstacles.boxes, obstacles.rounds
+    """Which pedestrians (n,) and boxes (b,) may touch the robot, or a box that moves, within some substeps."""
+    pedestrians, boxes, box_discs = obstacles.pedestrians, obstacles.boxes, obstacles.box_discs
     seconds, far = substeps * limits.dt, furthest(state, limits, substeps) + SPARE_M
     pushed, found = np.zeros(boxes.shape[0], np.bool_), True
     while found:
         found = False
         for j in range(boxes.shape[0]):
             speed = math.hypot(boxes[j, 3], boxes[j, 4])
-            reach = rounds[j, 2] + far + speed * seconds
-            near = math.hypot(rounds[j, 0] - state[0], rounds[j, 1] - state[1]) < reach + limits.radius
+            reach = box_discs[j, 2] + far + speed * seconds
+            near = math.hypot(box_discs[j, 0] - state[0], box_discs[j, 1] - state[1]) < reach + limits.radius
             near = near or speed > 0.0 or boxes[j, 5] != 0.0
             for k in range(boxes.shape[0]):
-                apart = math.hypot(rounds[j, 0] - rounds[k, 0], rounds[j, 1] - rounds[k, 1])
-                near = near or (pushed[k] and apart < reach + rounds[k, 2])
+                apart = math.hypot(box_discs[j, 0] - box_discs[k, 0], box_discs[j, 1] - box_discs[k, 1])
+                near = near or (pushed[k] and apart < reach + box_discs[k, 2])
             found = found or (near and not pushed[j])
             pushed[j] = pushed[j] or near
-    met = np.zeros(people.shape[0], np.bool_)
-    for i in range(people.shape[0]):
-        reach = people[i, RADIUS] + people[i, PACE] * seconds + far
-        met[i] = math.hypot(people[i, X] - state[0], people[i, Y] - state[1]) < reach + limits.radius
+    met = np.zeros(pedestrians.shape[0], np.bool_)
+    for i in range(pedestrians.shape[0]):
+        reach = pedestrians[i, RADIUS] + pedestrians[i, PACE] * seconds + far
+        met[i] = math.hypot(pedestrians[i, X] - state[0], pedestrians[i, Y] - state[1]) < reach + limits.radius
         for j in range(boxes.shape[0]):
-            apart = math.hypot(people[i, X] - rounds[j, 0], people[i, Y] - rounds[j, 1])
-            met[i] = met[i] or (pushed[j] and apart < reach + rounds[j, 2])
+            apart = math.hypot(pedestrians[i, X] - box_discs[j, 0], pedestrians[i, Y] - box_discs[j, 1])
+            met[i] = met[i] or (pushed[j] and apart < reach + box_discs[j, 2])
     return met, pushed

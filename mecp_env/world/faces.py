@@ -12,6 +12,7 @@ from mecp_env.core.jit import compiled
 Array = NDArray[np.float64]
 
 SIDES = 16  # of the polygon that represents a pedestrian for the laser
+BOX_CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])  # of a unit box, counter-clockwise
 
 
 @compiled
@@ -41,29 +42,24 @@ def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
                 faces[n, end, 0] = discs[i, 0] + discs[i, 2] * rim[k + end, 0]
                 faces[n, end, 1] = discs[i, 1] + discs[i, 2] * rim[k + end, 1]
             n += 1
+    corners = box_corners(boxes, sizes)
     for i in range(boxes.shape[0]):
         for k in range(4):
             for end in range(2):
-                x, y = box_corner(boxes[i], sizes[i], (8 - k - end) % 4)
-                faces[n, end, 0], faces[n, end, 1] = x, y
+                corner = 4 * i + (8 - k - end) % 4
+                faces[n, end, 0], faces[n, end, 1] = corners[corner, 0], corners[corner, 1]
             n += 1
     return faces
 
 
 @compiled
-def box_corner(box: Array, size: Array, k: int) -> tuple[float, float]:
-    """Corner k, counter-clockwise, of a box (>=3,) of a size (2,)."""
-    along = 0.5 * size[0] if k in (1, 2) else -0.5 * size[0]
-    aside = 0.5 * size[1] if k in (2, 3) else -0.5 * size[1]
-    c, s = math.cos(box[2]), math.sin(box[2])
-    return box[0] + c * along - s * aside, box[1] + s * along + c * aside
-
-
-@compiled
 def box_corners(boxes: Array, sizes: Array) -> Array:
-    """(4b,2) m: the corners of boxes (b,>=3) of sizes (b,2)."""
+    """(4b,2) m: the corners of boxes (b,>=3) of sizes (b,2), counter-clockwise."""
     corners = np.empty((4 * boxes.shape[0], 2))
     for i in range(boxes.shape[0]):
+        c, s = math.cos(boxes[i, 2]), math.sin(boxes[i, 2])
         for k in range(4):
-            corners[4 * i + k, 0], corners[4 * i + k, 1] = box_corner(boxes[i], sizes[i], k)
+            along, aside = BOX_CORNERS[k, 0] * sizes[i, 0], BOX_CORNERS[k, 1] * sizes[i, 1]
+            corners[4 * i + k, 0] = boxes[i, 0] + c * along - s * aside
+            corners[4 * i + k, 1] = boxes[i, 1] + s * along + c * aside
     return corners

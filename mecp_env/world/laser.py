@@ -111,29 +111,31 @@ def _burst(
     `optics` (4,) holds the sigmas of bearings and ranges, the largest range and K.
     """
     bearing_sigma, range_sigma, max_range, sweeps = optics[0], optics[1], optics[2], int(optics[3])
-    directions = _turn_rays(table, draws[0], normals, bearing_sigma)
+    directions = table
+    if bearing_sigma > 0.0:  # turn the rays
+        directions, errors = np.empty_like(table), np.empty(table.shape[1])
+        for i in range(table.shape[1]):
+            errors[i] = bearing_sigma * normals[draws[0, i]]
+        for i in range(table.shape[1]):
+            e = errors[i]
+            q = e * e
+            c = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+            s = e * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0)))
+            directions[0, i] = c * table[0, i] - s * table[1, i]
+            directions[1, i] = s * table[0, i] + c * table[1, i]
     spacing = 2.0 * math.pi / table.shape[1]
     inverse = _cast(segments, T_world_robot, directions, spacing, CUT_SIGMAS * bearing_sigma)
-    return _measure(inverse, draws[1], normals, range_sigma, max_range, sweeps)
-
-
-@compiled
-def _turn_rays(table: Array, draws: Draws, normals: Normals, sigma: float) -> Array:
-    """Directions (2,N) of the rays: the nominal ones (2,N) turned by the noise drawn (N,)."""
-    if sigma == 0.0:
-        return table
-    errors = np.empty(draws.shape[0])
-    for i in range(draws.shape[0]):
-        errors[i] = sigma * normals[draws[i]]
-    directions = np.empty_like(table)
-    for i in range(draws.shape[0]):
-        e = errors[i]
-        q = e * e
-        c = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
-        s = e * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0)))
-        directions[0, i] = c * table[0, i] - s * table[1, i]
-        directions[1, i] = s * table[0, i] + c * table[1, i]
-    return directions
+    beams = table.shape[1] // sweeps
+    ranges, hit = np.full((sweeps, beams), max_range), np.zeros((sweeps, beams), np.bool_)
+    for k in range(sweeps):
+        for j in range(beams):
+            i = j * sweeps + k  # the order of the ring
+            if inverse[i] * max_range <= 1.0:
+                continue
+            measured = 1.0 / inverse[i] + range_sigma * normals[draws[1, i]]
+            if measured < max_range:
+                ranges[k, j], hit[k, j] = max(measured, MIN_RANGE_M), True
+    return ranges, hit
 
 
 @compiled
@@ -145,8 +147,8 @@ def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: flo
     inverse range along d is linear in d, (u x d) / (a x b) with u = b - a negated, so the nearest face is a maximum.
     """
     c, s = math.cos(T_world_robot[2]), math.sin(T_world_robot[2])
-    inverse = np.zeros(directions.shape[1])
-    face = np.empty(6)
+    n = directions.shape[1]
+    inverse, face = np.zeros(n), np.empty(6)
     slack = margin + 1e-9
     for k in range(segments.shape[0]):
         x, y = segments[k, 0, 0] - T_world_robot[0], segments[k, 0, 1] - T_world_robot[1]
@@ -167,20 +169,13 @@ def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: flo
             _meet_end(inverse, directions, face, outer, last_outer)
         else:
             _meet_end(inverse, directions, face, outer, inner - 1)
-            _meet(inverse, directions, face, inner, last_inner)
+            begin = inner % n  # the rays inner..last_inner surely meet the face
+            stop = begin + min(last_inner - inner + 1, n)
+            _look(inverse[begin : min(stop, n)], directions[0, begin:], directions[1, begin:], face[4], face[5])
+            if stop > n:
+                _look(inverse[: stop - n], directions[0], directions[1], face[4], face[5])
             _meet_end(inverse, directions, face, last_inner + 1, last_outer)
     return inverse
-
-
-@compiled
-def _meet(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
-    """Let the rays first..last (counted on around the ring), which surely meet the face, see it."""
-    n = inverse.shape[0]
-    begin = first % n
-    stop = begin + min(last - first + 1, n)
-    _look(inverse[begin : min(stop, n)], directions[0, begin:], directions[1, begin:], face[4], face[5])
-    if stop > n:
-        _look(inverse[: stop - n], directions[0], directions[1], face[4], face[5])
 
 
 @compiled
@@ -205,44 +200,19 @@ def _meet_end(inverse: Array, directions: Array, face: Array, first: int, last: 
 
 
 @compiled
-def _measure(
-    inverse: Array, draws: Draws, normals: Normals, sigma: float, max_range: float, sweeps: int
-) -> tuple[Array, Bools]:
-    """Ranges and hits (K,B) of the burst: noise added, the order of the ring undone."""
-    beams = inverse.shape[0] // sweeps
-    ranges, hit = np.full((sweeps, beams), max_range), np.zeros((sweeps, beams), np.bool_)
-    for k in range(sweeps):
-        for j in range(beams):
-            i = j * sweeps + k
-            if inverse[i] * max_range <= 1.0:
-                continue
-            measured = 1.0 / inverse[i] + sigma * normals[draws[i]]
-            if measured < max_range:
-                ranges[k, j], hit[k, j] = max(measured, MIN_RANGE_M), True
-    return ranges, hit
-
-
-@compiled
 def line_of_sight(segments: Array, x: float, y: float, points: Array) -> Bools:
     """Which points (n,2) are seen from (x, y): no face (S,2,2) lies more than 1 mm in front of them."""
-    seen = np.empty(points.shape[0], np.bool_)
+    seen = np.ones(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
-        seen[i] = in_sight(segments, x, y, points[i, 0], points[i, 1])
+        px, py = points[i, 0] - x, points[i, 1] - y
+        allowed = 1.0 - SEEN_M / max(math.sqrt(px * px + py * py), SEEN_M)
+        for k in range(segments.shape[0]):
+            ax, ay = segments[k, 0, 0] - x, segments[k, 0, 1] - y
+            bx, by = segments[k, 1, 0] - x, segments[k, 1, 1] - y
+            area = ax * by - ay * bx
+            if area <= 0.0 or ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
+                continue
+            if area < allowed * ((by - ay) * px - (bx - ax) * py):
+                seen[i] = False
+                break
     return seen
-
-
-@compiled
-def in_sight(segments: Array, x: float, y: float, to_x: float, to_y: float) -> bool:
-    """Whether (to_x, to_y) is seen from (x, y): as in `line_of_sight`."""
-    px, py = to_x - x, to_y - y
-    allowed = 1.0 - SEEN_M / max(math.sqrt(px * px + py * py), SEEN_M)
-    for k in range(segments.shape[0]):
-        ax, ay = segments[k, 0, 0] - x, segments[k, 0, 1] - y
-        bx, by = segments[k, 1, 0] - x, segments[k, 1, 1] - y
-        area = ax * by - ay * bx
-        if area <= 0.0 or ax * py - ay * px < 0.0 or px * by - py * bx < 0.0:
-            continue
-        across = (by - ay) * px - (bx - ax) * py
-        if area < allowed * across:
-            return False
-    return True

@@ -12,34 +12,36 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.world import pedestrians as kernels
+from mecp_env.world import pedestrians
 from mecp_env.world.config import ClutterConfig, CrowdConfig, RobotConfig
 from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.outline import Outline
-from mecp_env.world.walkways import Ways
+from mecp_env.world.walkways import WalkwayPlanner
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LEGS = 96  # stored points of a route; a pedestrian who reaches the last one before the destination plans again
-PLACES_A_ROOM = 3
+PLACES_PER_ROOM = 3
 OFF_DOORS_M = 1.0  # no destination is closer to a door
 BOX_OFF_DOORS_M = 1.2
-OFF_ROBOT_M = 1.2  # at the start, between skins
+OFF_ROBOT_M = 1.2  # at the start, between the outlines
 APART_M = 0.1
 CHOICES = 6  # candidate destinations of a blocked pedestrian
 STEP_M = 0.3  # along a route, to determine its direction
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
-DISC = np.array([kernels.X, kernels.Y, kernels.RADIUS])
-NO_FACES, NO_ROUNDS = np.empty((0, 2, 2)), np.empty((0, 3))
+DISC = np.array([pedestrians.X, pedestrians.Y, pedestrians.RADIUS])
+NO_FACES, NO_DISCS = np.empty((0, 2, 2)), np.empty((0, 3))
 
 
 @dataclass(slots=True, eq=False)
 class Moving:
     """Pedestrians, boxes and closed doors of the building; plain state."""
 
-    people: Array = field(default_factory=lambda: np.empty((0, kernels.PERSON)))  # (n,11), see crowd_kernels
+    pedestrians: Array = field(
+        default_factory=lambda: np.empty((0, pedestrians.PEDESTRIAN))
+    )  # (n,11), see pedestrians.py
     routes: Array = field(default_factory=lambda: np.empty((0, LEGS, 2)))  # (n,L,2) m, world
     legs: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) next point, how many
     places: Array = field(default_factory=lambda: np.empty((0, 2)))  # (p,2) m, possible destinations
@@ -54,17 +56,17 @@ class Moving:
 class Movers:
     """The dynamic obstacles of one building, step by step; everything that outlives a step is in `state`."""
 
-    def __init__(self, ways: Ways | None, config: CrowdConfig, robot: RobotConfig, state: Moving) -> None:
+    def __init__(self, walkways: WalkwayPlanner | None, config: CrowdConfig, robot: RobotConfig, state: Moving) -> None:
         self.config, self.robot, self.state = config, robot, state
-        self._ways = ways
+        self._walkways = walkways
 
     def __len__(self) -> int:
-        return len(self.state.people) + len(self.state.boxes)
+        return len(self.state.pedestrians) + len(self.state.boxes)
 
     @property
     def faces(self) -> Array:
         """(m,2,2) m, world frame: their faces for the laser, free space on the left."""
-        return moving_faces(self.round_people(), self.state.boxes, self.state.sizes) if len(self) else NO_FACES
+        return moving_faces(self.pedestrian_discs, self.state.boxes, self.state.sizes) if len(self) else NO_FACES
 
     @property
     def box_corners(self) -> Array:
@@ -75,48 +77,52 @@ class Movers:
     def walking(self) -> Array:
         """(n,3) m: position and radius of the pedestrians, and of the boxes that slide."""
         if not len(self.state.boxes):
-            return self.round_people()
+            return self.pedestrian_discs
         slides = self.state.boxes[:, 3:].any(axis=1)
-        return np.concatenate([self.round_people(), self.round_boxes()[slides]])
+        return np.concatenate([self.pedestrian_discs, self.box_discs[slides]])
 
     @property
     def discs(self) -> Array:
         """(n,3) m: position and radius of each."""
-        return np.concatenate([self.round_people(), self.round_boxes()])
+        return np.concatenate([self.pedestrian_discs, self.box_discs])
 
-    def round_people(self) -> Array:
+    @property
+    def pedestrian_discs(self) -> Array:
         """(n,3) m: position and radius of the pedestrians."""
-        discs: Array = self.state.people.take(DISC, axis=1)
+        discs: Array = self.state.pedestrians.take(DISC, axis=1)
         return discs
 
-    def round_boxes(self) -> Array:
+    @property
+    def box_discs(self) -> Array:
         """(b,3) m: position and radius of the boxes."""
         if not len(self.state.boxes):
-            return NO_ROUNDS
+            return NO_DISCS
         return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
         """All pedestrians choose a velocity for the next step, and a new destination when they have arrived."""
         state, config = self.state, self.config
-        if not len(state.people):
+        if not len(state.pedestrians):
             return
         robot = robot_row(T_world_robot, velocity, self.robot)
-        boxes, step = self.round_boxes(), self.robot.period_s
-        stands = kernels.steer(state.people, state.routes, state.legs, segments, boxes, robot, config.polite, step)
-        for i in np.flatnonzero(stands).tolist():
-            if stands[i] == kernels.ARRIVED:
+        boxes, step = self.box_discs, self.robot.period_s
+        status = pedestrians.steer(
+            state.pedestrians, state.routes, state.legs, segments, boxes, robot, config.polite, step
+        )
+        for i in np.flatnonzero(status).tolist():
+            if status[i] == pedestrians.ARRIVED:
                 self._rest(i)
             else:
                 self._turn_away(i, robot[:2])
 
     def _rest(self, i: int) -> None:
         """Pedestrian i has arrived: it waits, and then goes to another room."""
-        self.state.people[i, kernels.PAUSE] = self.state.random.uniform(*self.config.pause_s)
+        self.state.pedestrians[i, pedestrians.PAUSE] = self.state.random.uniform(*self.config.pause_s)
         self._go_to_another_room(i)
 
     def _go_to_another_room(self, i: int) -> None:
         state = self.state
-        here = int(np.argmin(np.hypot(*(state.places - state.people[i, :2]).T)))
+        here = int(np.argmin(np.hypot(*(state.places - state.pedestrians[i, :2]).T)))
         elsewhere = np.flatnonzero(state.rooms != state.rooms[here])
         chosen = state.random.choice(elsewhere) if len(elsewhere) else state.random.integers(len(state.places))
         self._set_out(i, self._route(i, int(chosen)))
@@ -124,17 +130,17 @@ class Movers:
     def _turn_away(self, i: int, p_robot: Array) -> None:
         """Pedestrian i is blocked: it chooses another destination, on a path that starts away from the robot (2,)."""
         state = self.state
-        state.people[i, kernels.STUCK] = 0.0
+        state.pedestrians[i, pedestrians.STUCK] = 0.0
         for place in state.random.permutation(len(state.places))[:CHOICES].tolist():
             route = self._route(i, place)
-            if leads_away(state.people[i, :2], route, p_robot):
+            if leads_away(state.pedestrians[i, :2], route, p_robot):
                 break
         self._set_out(i, route)
 
     def _route(self, i: int, place: int) -> Array:
         """(n,2) m: the shortest path of pedestrian i to a place."""
-        assert self._ways is not None
-        return self._ways.route(self.state.people[i, :2], self.state.places[place])[:LEGS]
+        assert self._walkways is not None
+        return self._walkways.route(self.state.pedestrians[i, :2], self.state.places[place])[:LEGS]
 
     def _set_out(self, i: int, route: Array) -> None:
         """Pedestrian i follows a route (n,2)."""
@@ -143,21 +149,21 @@ class Movers:
 
     def populate(self, outline: Outline, clutter: ClutterConfig, rng: np.random.Generator) -> None:
         """Draw boxes and pedestrians around the start; one number is drawn from `rng`."""
-        assert self._ways is not None
+        assert self._walkways is not None
         self.state.random = np.random.Generator(np.random.PCG64(int(rng.integers(2**63))))
-        cells = self._ways.reachable(self.state.start)
+        cells = self._walkways.reachable(self.state.start)
         far = np.hypot(*(cells - self.state.start).T) > OFF_ROBOT_M + self.robot.radius_m + self.config.radius_m[1]
         cells = cells[far]
         off_doors = door_distances(cells, outline.doors.centre)
         self._place_boxes(cells[off_doors > BOX_OFF_DOORS_M], clutter)
         self._choose_places(cells[off_doors > OFF_DOORS_M], outline)
         if len(self.state.places):
-            self._place_people(cells)
+            self._place_pedestrians(cells)
 
     def _place_boxes(self, cells: Array, clutter: ClutterConfig) -> None:
         """Boxes on free floor away from doors, as many as configured if they fit."""
-        assert self._ways is not None
-        state, clear = self.state, self._ways.clearance_m(cells)
+        assert self._walkways is not None
+        state, clear = self.state, self._walkways.clearance_m(cells)
         for _ in range(clutter.movable_boxes):
             size = state.random.uniform(*clutter.box_m, 2)
             turn, reach = state.random.uniform(-math.pi, math.pi), 0.5 * math.hypot(*size)
@@ -171,11 +177,11 @@ class Movers:
         state, rooms = self.state, outline.room_at(cells)
         for room in np.unique(rooms[rooms >= 0]).tolist():
             mine = cells[rooms == room]
-            chosen = state.random.integers(len(mine), size=PLACES_A_ROOM)
+            chosen = state.random.integers(len(mine), size=PLACES_PER_ROOM)
             state.places = np.vstack([state.places, mine[chosen]])
-            state.rooms = np.append(state.rooms, np.full(PLACES_A_ROOM, room))
+            state.rooms = np.append(state.rooms, np.full(PLACES_PER_ROOM, room))
 
-    def _place_people(self, cells: Array) -> None:
+    def _place_pedestrians(self, cells: Array) -> None:
         """Pedestrians on the free floor with a destination, as many as configured if they fit."""
         state, config = self.state, self.config
         for i in range(config.people):
@@ -183,10 +189,10 @@ class Movers:
             cell = self._draw_cell(cells, radius)
             if cell is None:
                 return
-            person = np.zeros(kernels.PERSON)
-            person[[kernels.X, kernels.Y, kernels.RADIUS, kernels.PACE]] = *cell, radius, pace
-            person[[kernels.FROM_X, kernels.FROM_Y]] = cell
-            state.people = np.vstack([state.people, person])
+            walker = np.zeros(pedestrians.PEDESTRIAN)
+            walker[[pedestrians.X, pedestrians.Y, pedestrians.RADIUS, pedestrians.PACE]] = *cell, radius, pace
+            walker[[pedestrians.FROM_X, pedestrians.FROM_Y]] = cell
+            state.pedestrians = np.vstack([state.pedestrians, walker])
             state.routes = np.concatenate([state.routes, np.zeros((1, LEGS, 2))])
             state.legs = np.vstack([state.legs, [0, 0]])
             self._go_to_another_room(i)
@@ -208,9 +214,9 @@ def wants_movers(crowd: CrowdConfig, clutter: ClutterConfig) -> bool:
 
 def is_whole(moving: Moving) -> bool:
     """True when the arrays are consistent."""
-    n, b, p = len(moving.people), len(moving.boxes), len(moving.places)
-    known = moving.people, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
-    shapes = (n, kernels.PERSON), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
+    n, b, p = len(moving.pedestrians), len(moving.boxes), len(moving.places)
+    known = moving.pedestrians, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
+    shapes = (n, pedestrians.PEDESTRIAN), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
     fits = all(array.shape == shape for array, shape in zip(known, shapes, strict=True))
     return fits and moving.closed.ndim == 1 and moving.start.shape == (2,) and (p > 0 or n == 0)
 

@@ -53,15 +53,9 @@ def _measure(
     for m in range(increments.shape[0]):  # no noise at rest
         measured[m, 0] = increments[m, 0] + math.sqrt(variance[m, 0]) * noise[m, 0]
         measured[m, 1] = increments[m, 1] + math.sqrt(variance[m, 1]) * noise[m, 1]
-    return measured, _covariances(measured, reading, distance, turn, turn_m)
-
-
-@compiled
-def _covariances(measured: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
-    """(M,2,2) covariances from the increments (M,2): the noise of the whole step, in equal parts."""
-    arcs = measured.shape[0]
+    arcs = increments.shape[0]
     even, cov = np.zeros((arcs, 2)), np.zeros((arcs, 2, 2))
-    for k in range(2):
+    for k in range(2):  # the noise of the whole step, in equal parts
         total = 0.0
         for m in range(arcs):
             total += abs(measured[m, k])
@@ -71,7 +65,7 @@ def _covariances(measured: Array, reading: int, distance: float, turn: float, tu
     for m in range(arcs):
         cov[m, 0, 0] = variance[m, 0] + FLOOR_M * FLOOR_M
         cov[m, 1, 1] = variance[m, 1] + FLOOR_RAD * FLOOR_RAD
-    return cov
+    return measured, cov
 
 
 @compiled

@@ -105,7 +105,7 @@ class Simulation:
         """Let other things move beside the robot than before; their arrays are shared."""
         self._movers, state = movers, movers.state
         robot = robot_row(self._state[:3], self._state[3:], self.config)
-        others = state.people, state.boxes, state.sizes, movers.round_boxes()
+        others = state.pedestrians, state.boxes, state.sizes, movers.box_discs
         self._moving = MovingBodies(*others, robot, movers.config.polite)
 
     def get_state(self) -> dict[str, Any]:

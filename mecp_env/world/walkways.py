@@ -16,7 +16,7 @@ SHORTCUT_M = 0.5  # distance of shortcuts from walls
 NEAR_M = 1.0  # a pedestrian too close to a wall starts at a free cell within this distance
 
 
-class Ways:
+class WalkwayPlanner:
     """Paths of round pedestrians over the raster of a building's free space; derived, not part of a snapshot."""
 
     def __init__(self, free: Bools, corner: Array, cell_m: float, radius_m: float) -> None:

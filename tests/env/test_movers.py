@@ -18,8 +18,8 @@ def test_the_seed_says_what_moves() -> None:
     for env, seed in ((one, 1), (two, 1), (other, 2)):
         env.reset(seed=seed)
     a, b, c = (env.unwrapped._true_world.movers.state for env in (one, two, other))
-    assert same(a.people, b.people)
-    assert not same(a.people, c.people)
+    assert same(a.pedestrians, b.pedestrians)
+    assert not same(a.pedestrians, c.pedestrians)
     assert same(drive(one, 40), drive(two, 40))
 
 
@@ -45,7 +45,7 @@ def test_a_torn_state_is_refused_and_changes_nothing() -> None:
     env.reset(seed=4)
     twin.reset(seed=4)
     state = env.unwrapped.get_state()
-    state["moving"]["@object"][1]["people"]["@array"][0] = np.zeros((2, 3))
+    state["moving"]["@object"][1]["pedestrians"]["@array"][0] = np.zeros((2, 3))
     with pytest.raises(StateError, match="moving"):
         env.unwrapped.set_state(state)
     assert same(drive(env, 10), drive(twin, 10))
@@ -69,7 +69,7 @@ def test_the_summary_tells_how_many_found_room() -> None:
     env = make(**crowded)
     env.reset(seed=0)
     moving, told = env.unwrapped._true_world.movers.state, env.unwrapped.summary()
-    assert (told["people"], told["boxes"]) == (len(moving.people), len(moving.boxes))
+    assert (told["people"], told["boxes"]) == (len(moving.pedestrians), len(moving.boxes))
     assert 0 < told["people"] + told["boxes"] < 100
     assert told["closed_doors"] == 1
     twin = make(**crowded)

@@ -17,14 +17,14 @@ from mecp_env.world import pedestrians as crowd
 from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.drive import wall_distance
-from mecp_env.world.faces import box_corner, moving_faces
+from mecp_env.world.faces import moving_faces
 from mecp_env.world.laser import Laser, cast_rays
 from mecp_env.world.layout import load_layout
 from mecp_env.world.moving_obstacles import Movers, Moving, is_whole
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.pedestrians import clear_leg
 from mecp_env.world.simulation import Simulation
-from mecp_env.world.walkways import Ways
+from mecp_env.world.walkways import WalkwayPlanner
 from tests.world.conftest import OUTLINES
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ def world(name: str, seed: int = 0, **fields: Any) -> tuple[Simulation, Movers]:
     config = CrowdConfig(**{"people": 6} | {k: v for k, v in fields.items() if k in CrowdConfig.model_fields})
     clutter = ClutterConfig(**{k: v for k, v in fields.items() if k in ClutterConfig.model_fields})
     truth = GroundTruth(outline, 30.0)
-    ways = Ways(truth.free, truth.corner, CELL_M, config.radius_m[1])
+    ways = WalkwayPlanner(truth.free, truth.corner, CELL_M, config.radius_m[1])
     movers = Movers(ways, config, ROBOT, Moving(start=outline.starts[0, :2].copy()))
     movers.populate(outline, clutter, np.random.default_rng(seed))
     simulation = Simulation(outline, ROBOT, movers)
@@ -55,8 +55,8 @@ def with_box(outline: Outline, box: list[float], size: list[float], robot: list[
 
 def gaps(movers: Movers, p_robot: Array) -> tuple[Array, Array]:
     """(n,) m from the skin of each person to the robot's, and to the nearest other person's."""
-    people = movers.state.people
-    p, radius = people[:, :2], people[:, crowd.RADIUS]
+    pedestrians = movers.state.pedestrians
+    p, radius = pedestrians[:, :2], pedestrians[:, crowd.RADIUS]
     apart = np.hypot(*(p[:, None] - p[None]).T) - radius[:, None] - radius[None]
     np.fill_diagonal(apart, np.inf)
     return np.hypot(*(p - p_robot).T) - radius - ROBOT.radius_m, apart.min(axis=0)
@@ -74,38 +74,38 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
 
 @pytest.mark.parametrize("polite", [True, False])
 @pytest.mark.parametrize("name", ["paper", "furnished", "office"])
-def test_nobody_walks_through_walls_or_people(name: str, polite: bool) -> None:
+def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
     simulation, movers = world(name, polite=polite)
-    walked = np.zeros(len(movers.state.people))
+    walked = np.zeros(len(movers.state.pedestrians))
     for _ in random_drive(simulation, 400):
-        people = movers.state.people
-        for person in people:
+        pedestrians = movers.state.pedestrians
+        for person in pedestrians:
             assert wall_distance(OUTLINES[name].segments, person[0], person[1]) > person[crowd.RADIUS] - 1e-6
             assert OUTLINES[name].free_area.contains(shapely.Point(person[:2]))
         assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
-        walked += np.hypot(*(people[:, :2] - people[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
+        walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
     assert walked.mean() > 20.0  # m in 160 s: they do walk
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_polite_people_never_touch_a_robot_that_stands(seed: int) -> None:
+def test_polite_pedestrians_never_touch_a_robot_that_stands(seed: int) -> None:
     simulation, movers = world("two_rooms", seed, people=5)
     for _ in range(400):
         assert not simulation.step(0.0, 0.0).contact
         assert gaps(movers, simulation.T_world_robot[:2])[0].min() > 0.2
 
 
-def test_polite_people_never_step_up_to_a_robot_that_drives() -> None:
+def test_polite_pedestrians_never_step_up_to_a_robot_that_drives() -> None:
     simulation, movers = world("paper", 3, people=10)
     for _ in random_drive(simulation, 600):
         near, _ = gaps(movers, simulation.T_world_robot[:2])
-        steps = movers.state.people[:, crowd.MOVES] > 0.0
-        towards = simulation.T_world_robot[:2] - movers.state.people[:, :2]
-        closing = (towards * movers.state.people[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
+        steps = movers.state.pedestrians[:, crowd.MOVES] > 0.0
+        towards = simulation.T_world_robot[:2] - movers.state.pedestrians[:, :2]
+        closing = (towards * movers.state.pedestrians[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
         assert not (steps & closing & (near < crowd.POLITE_M - 0.03)).any()
 
 
-def test_people_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
+def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
     simulation, movers = world("two_rooms", 1, people=6, polite=False, speed_m_s=(0.8, 1.2))
     simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # blocking the pedestrians
     touched, deepest = 0, np.inf
@@ -120,9 +120,11 @@ def test_people_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> N
 
 def test_a_person_is_an_obstacle_for_the_robot() -> None:
     outline = OUTLINES["paper"]
-    people = np.zeros((1, crowd.PERSON))
-    people[0, [crowd.X, crowd.Y, crowd.RADIUS, crowd.PACE, crowd.PAUSE]] = 3.0, 2.0, 0.25, 1.0, 1e6
-    state = Moving(people=people, routes=np.zeros((1, 96, 2)), legs=np.zeros((1, 2), np.int64), places=np.zeros((1, 2)))
+    pedestrians = np.zeros((1, crowd.PEDESTRIAN))
+    pedestrians[0, [crowd.X, crowd.Y, crowd.RADIUS, crowd.PACE, crowd.PAUSE]] = 3.0, 2.0, 0.25, 1.0, 1e6
+    state = Moving(
+        pedestrians=pedestrians, routes=np.zeros((1, 96, 2)), legs=np.zeros((1, 2), np.int64), places=np.zeros((1, 2))
+    )
     simulation = Simulation(outline, ROBOT, Movers(None, CrowdConfig(polite=False), ROBOT, state))
     simulation.reset(np.array([1.5, 2.0, 0.0]))
     felt = [simulation.step(0.75, 0.0).contact for _ in range(12)]
@@ -130,24 +132,24 @@ def test_a_person_is_an_obstacle_for_the_robot() -> None:
     assert simulation.T_world_robot[0] == pytest.approx(3.0 - 0.25 - 0.22, abs=0.02)
 
 
-def test_people_go_from_room_to_room_through_doors() -> None:
+def test_pedestrians_go_from_room_to_room_through_doors() -> None:
     simulation, movers = world("paper", 2, people=4)
     rooms = [set() for _ in range(4)]
     for _ in range(900):
         simulation.step(0.0, 0.0)
-        for seen, room in zip(rooms, OUTLINES["paper"].room_at(movers.state.people[:, :2]), strict=True):
+        for seen, room in zip(rooms, OUTLINES["paper"].room_at(movers.state.pedestrians[:, :2]), strict=True):
             seen.add(int(room))
     assert min(len(seen - {-1}) for seen in rooms) >= 2
 
 
-def test_the_same_state_gives_the_same_people() -> None:
+def test_the_same_state_gives_the_same_pedestrians() -> None:
     simulation, movers = world("furnished", 5, movable_boxes=4)
     for _ in random_drive(simulation, 60):
         pass
     twin = copy.deepcopy(simulation)
     other = twin._movers
     for _ in zip(random_drive(simulation, 120, 7), random_drive(twin, 120, 7), strict=True):
-        assert movers.state.people.tobytes() == other.state.people.tobytes()
+        assert movers.state.pedestrians.tobytes() == other.state.pedestrians.tobytes()
         assert movers.state.boxes.tobytes() == other.state.boxes.tobytes()
         assert simulation.get_state()["body"].tobytes() == twin.get_state()["body"].tobytes()
 
@@ -159,7 +161,7 @@ def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
         simulation.step(0.75, 0.0)
     for step in range(40):
         simulation.step(0.75, 0.0)
-        corners = [box_corner(movers.state.boxes[0], movers.state.sizes[0], k) for k in range(4)]
+        corners = movers.box_corners
         assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), step
     assert movers.state.boxes[0, 0] > 3.5
     for _ in range(10):
@@ -179,7 +181,7 @@ def test_the_robot_does_not_enter_a_box_before_a_wall() -> None:
     assert box[0] - simulation.T_world_robot[0] > 0.25 + ROBOT.radius_m - 0.02
 
 
-def test_the_laser_sees_people_and_boxes() -> None:
+def test_the_laser_sees_pedestrians_and_boxes() -> None:
     outline = OUTLINES["paper"]
     faces = moving_faces(np.array([[3.0, 2.0, 0.25]]), np.array([[2.0, 3.0, 0.0]]), np.array([[0.4, 0.2]]))
     assert faces.shape == (20, 2, 2)
@@ -261,7 +263,7 @@ def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) 
                 assert found.increments.tobytes() == expected.increments.tobytes()
                 assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
                 assert twin._movers.state.boxes.tobytes() == movers.state.boxes.tobytes()
-                assert twin._movers.state.people.tobytes() == movers.state.people.tobytes()
+                assert twin._movers.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
     assert touched > 50
 
 
@@ -289,18 +291,18 @@ def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.Monke
 
 
 def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
-    people = np.zeros((4, crowd.PERSON))
-    people[:, crowd.RADIUS], people[:, crowd.PACE] = 0.25, 1.0
-    people[:, :2] = [[0.5, 0.0], [0.0, 2.0], [3.0, 1.0], [3.0, 6.0]]  # at the robot, too far, at a box, nowhere
+    pedestrians = np.zeros((4, crowd.PEDESTRIAN))
+    pedestrians[:, crowd.RADIUS], pedestrians[:, crowd.PACE] = 0.25, 1.0
+    pedestrians[:, :2] = [[0.5, 0.0], [0.0, 2.0], [3.0, 1.0], [3.0, 6.0]]  # at the robot, too far, at a box, nowhere
     boxes, sizes = np.zeros((4, 6)), np.full((4, 2), 0.4)
     boxes[:, :2] = [[0.7, 0.0], [1.4, 0.0], [5.0, -3.0], [9.0, 0.0]]  # at the robot, behind that box, at rest, sliding
     boxes[3, 3] = 0.1
     rounds = np.column_stack([boxes[:, :2], np.full(4, 0.283)])
     limits = drive.RobotLimits(dt=0.01, max_dv=0.01, max_dw=0.05, stride=0.005, radius=0.22, substeps=4)
-    moving = drive.MovingBodies(people, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
+    moving = drive.MovingBodies(pedestrians, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
     met, pushed = drive.may_touch(moving, np.zeros(6), limits, 16)
     assert met.tolist() == [True, False, False, False]
     assert pushed.tolist() == [True, True, False, True]
-    people[2, :2] = 9.0, 0.6
+    pedestrians[2, :2] = 9.0, 0.6
     met, _ = drive.may_touch(moving, np.zeros(6), limits, 16)
     assert met.tolist() == [True, False, True, False]
