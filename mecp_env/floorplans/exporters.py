@@ -85,9 +85,14 @@ def _raster(outline: Outline, resolution_m: float) -> tuple[NDArray[np.uint8], N
 
 
 def _covered(area: Polygon, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (h,w) of a lattice lie in `area`."""
-    shapely.prepare(area)
-    return np.stack([shapely.contains_xy(area, x, level) for level in y])
+    """Which points (h,w) of a lattice, x and y ascending, lie in `area`: those with an odd number of edges before."""
+    crossings = np.zeros((len(y), len(x) + 1), dtype=np.int32)
+    for ring in (area.exterior, *area.interiors):
+        for (x0, y0), (x1, y1) in pairwise(ring.coords):
+            first, last = np.searchsorted(y, sorted((y0, y1)))
+            across = x0 + (y[first:last] - y0) / ((y1 - y0) or 1.0) * (x1 - x0)
+            crossings[np.arange(first, last), np.searchsorted(x, across)] += 1
+    return np.cumsum(crossings[:, :-1], axis=1) % 2 == 1
 
 
 def _levels(grid: SemanticGrid) -> NDArray[np.uint8]:

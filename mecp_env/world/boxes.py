@@ -31,18 +31,18 @@ def slide_boxes(segments: Array, boxes: Array, sizes: Array, dt: float) -> None:
         boxes[i, 5] *= max(1.0 - TURN_DECELERATION * dt / max(turn, 1e-9), 0.0)
     for _ in range(ROUNDS):
         for i in range(boxes.shape[0]):
-            reach = 0.5 * math.hypot(sizes[i, 0], sizes[i, 1])
             for k in range(segments.shape[0]):
-                face = segments[k]
-                low_x, high_x = min(face[0, 0], face[1, 0]) - reach, max(face[0, 0], face[1, 0]) + reach
-                low_y, high_y = min(face[0, 1], face[1, 1]) - reach, max(face[0, 1], face[1, 1]) + reach
-                if low_x < boxes[i, 0] < high_x and low_y < boxes[i, 1] < high_y:
-                    _leave_face(face, boxes[i], sizes[i])
+                _leave_face(segments[k], boxes[i], sizes[i])
 
 
 @compiled
 def _leave_face(face: Array, box: Array, size: Array) -> None:
     """Move the box (6,) until none of its corners is behind the face (2,2) and the face does not start in it."""
+    reach = 0.5 * math.hypot(size[0], size[1])
+    low_x, high_x = min(face[0, 0], face[1, 0]) - reach, max(face[0, 0], face[1, 0]) + reach
+    low_y, high_y = min(face[0, 1], face[1, 1]) - reach, max(face[0, 1], face[1, 1]) + reach
+    if not (low_x < box[0] < high_x and low_y < box[1] < high_y):
+        return
     ux, uy = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1]
     length = math.hypot(ux, uy)
     c, s = math.cos(box[2]), math.sin(box[2])

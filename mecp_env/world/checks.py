@@ -47,6 +47,12 @@ SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts m
 
 def check_geometry(layout: Layout) -> Layout:
     """`layout` itself. Raises LayoutError with the field, the value and the bound of what is impossible."""
+    checked_outline(layout)
+    return layout
+
+
+def checked_outline(layout: Layout) -> Outline:
+    """The outline of `layout`, whose geometry is checked as in `check_geometry`."""
     _check_rooms(layout)
     _check_solids(layout)
     _check_obstacles(layout)
@@ -61,7 +67,7 @@ def check_geometry(layout: Layout) -> Layout:
         _check_reach(layout, outline)
     except shapely.errors.GEOSException as error:
         raise LayoutError(f"walls: their union cannot be computed ({error})") from None
-    return layout
+    return outline
 
 
 def _check_rooms(layout: Layout) -> None:

@@ -33,7 +33,8 @@ SAME_M = 1e-4  # points closer than this are one
 GAP_POST_M = 0.12  # between a corner of a gap and the convex corner that is its jamb
 THIN_FOR_M = 0.2  # a wall that is thin over this length is a thin wall
 SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-CIRCLE_SIDES = ROUND_FACES  # sides of the polygon of a round obstacle: within 0.5 % of its radius
+ANGLES = np.arange(ROUND_FACES) * (2.0 * math.pi / ROUND_FACES)
+CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])  # a polygon within 0.5 % of the radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,12 +161,9 @@ def thin_walls_m(floor: Polygon, least_m: float) -> float:
 def obstacle_shape(obstacle: Obstacle) -> Polygon:
     """The solid of an obstacle."""
     if isinstance(obstacle, Pillar):
-        angles = np.arange(CIRCLE_SIDES) * (2.0 * math.pi / CIRCLE_SIDES)
-        ring = obstacle.radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-        return Polygon(np.array(obstacle.centre) + ring)
+        return Polygon(np.array(obstacle.centre) + obstacle.radius_m * CIRCLE)
     if isinstance(obstacle, BoxSpec):
-        half = np.array(obstacle.size) / 2.0
-        ring = SQUARE * half
+        ring = SQUARE * np.array(obstacle.size) / 2.0
         return Polygon(np.array(obstacle.centre) + ring @ _rotation(math.radians(obstacle.turn_deg)).T)
     return Polygon(obstacle.points)
 

@@ -61,8 +61,13 @@ def steer(
             walker[PAUSE] -= step
         elif walker[STUCK] > PATIENCE_S:
             status[i] = IS_STUCK
-        elif not look_ahead(walker, route, leg, segments):
-            status[i] = ARRIVED
+        else:
+            x, y, wide, onward = walker[X], walker[Y], walker[RADIUS] + SEE_M, leg[0] + 1
+            while onward < leg[1] and clear_leg(segments, x, y, route[onward, 0], route[onward, 1], wide):
+                onward += 1
+            leg[0] = onward - 1  # aim at the farthest next point in free sight
+            near = math.hypot(route[leg[0], 0] - x, route[leg[0], 1] - y) <= THERE_M
+            status[i] = ARRIVED if leg[0] + 1 >= leg[1] and (near or leg[1] == 0) else WALKS
         want_x, want_y = 0.0, 0.0
         if status[i] == WALKS and walker[PAUSE] <= 0.0 and leg[1] > 0:
             dx, dy = route[leg[0], 0] - walker[X], route[leg[0], 1] - walker[Y]
@@ -71,19 +76,6 @@ def steer(
         careful = polite or walker[STUCK] > 0.0
         choose(pedestrians, i, (want_x, want_y), segments, boxes, robot, (careful, polite), step)
     return status
-
-
-@compiled
-def look_ahead(walker: Array, route: Array, leg: Ints, segments: Array) -> bool:
-    """Aim at the farthest next point of the route in free sight; False where the route ends."""
-    while leg[0] + 1 < leg[1]:
-        onward = route[leg[0] + 1]
-        if not clear_leg(segments, walker[X], walker[Y], onward[0], onward[1], walker[RADIUS] + SEE_M):
-            break
-        leg[0] += 1
-    if leg[0] + 1 < leg[1]:
-        return True
-    return leg[1] > 0 and math.hypot(route[leg[0], 0] - walker[X], route[leg[0], 1] - walker[Y]) > THERE_M
 
 
 @compiled
@@ -187,38 +179,31 @@ def clear_leg(segments: Array, x0: float, y0: float, x1: float, y1: float, radiu
 
 @compiled
 def walk(pedestrians: Array, boxes: Array, robot: Array, polite: bool, dt: float) -> None:
-    """One substep of all pedestrians; one that would step into another, into a box, or too close to the robot, waits.
+    """One substep of all pedestrians; one that would come too close to another, a box, or the robot, waits.
 
-    It keeps its velocity and tries again in the next substep.
+    Too close is an overlap that the substep makes deeper. A waiting pedestrian keeps its velocity and tries again in
+    the next substep. A polite one avoids the robot's position, half of its braking distance, and where it can stop.
     """
-    for i in range(pedestrians.shape[0]):
-        vx, vy = pedestrians[i, VX], pedestrians[i, VY]
-        pedestrians[i, MOVES] = 0.0
-        if (vx != 0.0 or vy != 0.0) and may_step(pedestrians, i, boxes, robot, polite, dt):
-            pedestrians[i, MOVES] = 1.0
-            pedestrians[i, X] += vx * dt
-            pedestrians[i, Y] += vy * dt
-
-
-@compiled
-def may_step(pedestrians: Array, i: int, boxes: Array, robot: Array, polite: bool, dt: float) -> bool:
-    """True when the next substep of pedestrian i brings it closer to no object that is then too close.
-
-    A polite one avoids the robot's position, half of its braking distance, and the point where it can stop.
-    """
-    walker, n, b = pedestrians[i], pedestrians.shape[0], boxes.shape[0]
+    n, b = pedestrians.shape[0], boxes.shape[0]
     braking_s = math.hypot(robot[2], robot[3]) / robot[5]
-    for j in range(n + b + (3 if polite else 1)):
-        if j < n:
-            x, y, apart = pedestrians[j, X], pedestrians[j, Y], walker[RADIUS] + pedestrians[j, RADIUS]
-        elif j < n + b:
-            x, y, apart = boxes[j - n, 0], boxes[j - n, 1], walker[RADIUS] + boxes[j - n, 2]
-        else:
-            share = 0.5 * (j - n - b)
-            x, y = robot[0] + share * braking_s * robot[2], robot[1] + share * braking_s * robot[3]
-            apart = walker[RADIUS] + robot[4] + (POLITE_M if polite else -PRESS_M)
-        dx, dy = walker[X] - x, walker[Y] - y
-        after = math.hypot(dx + walker[VX] * dt, dy + walker[VY] * dt)
-        if j != i and after < apart and after < math.hypot(dx, dy):
-            return False
-    return True
+    for i in range(n):
+        walker = pedestrians[i]
+        moves = walker[VX] != 0.0 or walker[VY] != 0.0
+        for j in range(n + b + (3 if polite else 1) if moves else 0):
+            if j < n:
+                x, y, apart = pedestrians[j, X], pedestrians[j, Y], walker[RADIUS] + pedestrians[j, RADIUS]
+            elif j < n + b:
+                x, y, apart = boxes[j - n, 0], boxes[j - n, 1], walker[RADIUS] + boxes[j - n, 2]
+            else:
+                share = 0.5 * (j - n - b)
+                x, y = robot[0] + share * braking_s * robot[2], robot[1] + share * braking_s * robot[3]
+                apart = walker[RADIUS] + robot[4] + (POLITE_M if polite else -PRESS_M)
+            dx, dy = walker[X] - x, walker[Y] - y
+            after = math.hypot(dx + walker[VX] * dt, dy + walker[VY] * dt)
+            if j != i and after < apart and after < math.hypot(dx, dy):
+                moves = False
+                break
+        walker[MOVES] = 1.0 if moves else 0.0
+        if moves:
+            walker[X] += walker[VX] * dt
+            walker[Y] += walker[VY] * dt

@@ -6,7 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,10 +14,11 @@ import shapely
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.world.checks import check_geometry, checked_outline
 from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.generator.furniture import Room, _is_clear, _is_off, _is_off_walls, _shelf, _standing
-from mecp_env.world.layout import check_geometry, load_layout
-from mecp_env.world.outline import build_outline, obstacle_shape
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import Outline, obstacle_shape
 from mecp_env.world.schema import BoxSpec, Layout
 
 CORNERS_APART_M = 0.25
@@ -25,8 +26,8 @@ VERTICES = {"L": 6, "U": 8, "T": 8}
 
 
 def check(spec: GeneratorSpec, layout: Layout) -> None:
-    """All promises of a specification. `check_geometry` proves that every room, door and start is reachable."""
-    check_geometry(layout)
+    """All promises of a specification. `checked_outline` proves that every room, door and start is reachable."""
+    outline = checked_outline(layout)
     names = Counter(room.name.split()[0] for room in layout.rooms)
     assert (names["corridor"], names.total()) == (spec.corridors, spec.rooms)
     assert len(layout.doors) == spec.rooms - 1 + spec.loops
@@ -42,7 +43,7 @@ def check(spec: GeneratorSpec, layout: Layout) -> None:
     assert len(shaped) == spec.shaped_rooms
     assert sum(slants(room.polygon, layout) for room in layout.rooms) == spec.slanted_corners
     check_furniture(spec, layout)
-    check_corners(layout)
+    check_corners(outline)
 
 
 def slants(ring: Sequence[tuple[float, float]], layout: Layout) -> int:
@@ -58,15 +59,16 @@ def check_furniture(spec: GeneratorSpec, layout: Layout) -> None:
     area = sum(Polygon(room.polygon).area for room in layout.rooms if room.name.startswith("room"))
     wanted = spec.furniture * area / 10.0
     assert min(round(wanted), 0.85 * wanted) <= len(layout.obstacles) <= wanted + 0.5 + 1e-9
-    for room in (Polygon(room.polygon) for room in layout.rooms):
-        inside = [shape for shape in map(obstacle_shape, layout.obstacles) if room.contains(shape.centroid)]
-        apart = [a.distance(b) for a, b in combinations(inside, 2)]
-        assert min(apart, default=1.0) > 0.8 - 1e-6
+    shapes = np.array([obstacle_shape(piece) for piece in layout.obstacles], dtype=np.object_)
+    middles = shapely.centroid(shapes)
+    for room in layout.rooms:
+        inside = shapes[shapely.contains(Polygon(room.polygon), middles)]
+        a, b = np.triu_indices(len(inside), 1)
+        assert shapely.distance(inside[a], inside[b]).min(initial=1.0) > 0.8 - 1e-6
 
 
-def check_corners(layout: Layout) -> None:
+def check_corners(outline: Outline) -> None:
     """No two corners of a room nearer to each other than stated, but those of the end of a wall."""
-    outline = build_outline(layout)
     corners = outline.corners
     apart = np.linalg.norm(corners.p_world[:, None] - corners.p_world[None], axis=2)
     same = (corners.room[:, None] == corners.room[None]) & ~(corners.jamb[:, None] & corners.jamb[None])
