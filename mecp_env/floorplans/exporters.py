@@ -92,7 +92,8 @@ def _covered(area: Polygon, x: NDArray[np.float64], y: NDArray[np.float64]) -> N
             first, last = np.searchsorted(y, sorted((y0, y1)))
             across = x0 + (y[first:last] - y0) / ((y1 - y0) or 1.0) * (x1 - x0)
             crossings[np.arange(first, last), np.searchsorted(x, across)] += 1
-    return np.cumsum(crossings[:, :-1], axis=1) % 2 == 1
+    covered: NDArray[np.bool_] = np.cumsum(crossings[:, :-1], axis=1) % 2 == 1
+    return covered
 
 
 def _levels(grid: SemanticGrid) -> NDArray[np.uint8]:
