@@ -1,8 +1,9 @@
-"""The carriers that the stages of the estimator hand on.
+"""The messages that the stages of the estimator pass on.
 
 Lengths in metres, angles in radians counter-clockwise in (-pi, pi], float64. Frames are in the names: `p_robot` is a
 point in the robot's frame, `p_map` one in the map frame (the robot's pose at reset), `T_map_robot` the pose (3,) x, y,
-heading of the robot in the map. Carriers of one scan are frozen; whoever makes one does not write to its arrays again.
+heading of the robot in the map. Messages are immutable, their arrays included: a stage that decides differently returns
+a new one. Only `FeatureTable`, the memory of the map, is written to.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ NO_ID = -1
 
 
 class ClusterKind(IntEnum):
-    """What a cluster of hits is made of: straight walls, or something small (a leg, a thin post)."""
+    """What a cluster of hits consists of: straight walls, or something small (a leg, a thin post)."""
 
     LINES = 0
     SMALL = 1
 
 
 class CornerKind(IntEnum):
-    """How a corner came about (III-A.1): two lines cross, a line ends, or it is one of the two posts of a door."""
+    """The source of a corner (III-A.1): two lines cross, a line ends, or it is one of the two posts of a door."""
 
     CROSSING = 0
     FREE_END = 1
@@ -41,7 +42,7 @@ class CornerKind(IntEnum):
 
 
 class EdgeLabel(IntEnum):
-    """What the scan says lies along a stretch of a polygon's edge: a wall, a gap of door width, or open space."""
+    """What the scan shows along an interval of a polygon's edge: a wall, a gap of door width, or open space."""
 
     WALL = 0
     GAP = 1
@@ -87,12 +88,12 @@ class Cell(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedScan:
-    """One beam a nominal bearing of a single sweep: the K interleaved beams around it, outliers at edges left out."""
+    """One beam per nominal bearing of a sweep: the K interleaved beams around it, without outliers at edges."""
 
     ranges: Array  # (B,) m
     bearings: Array  # (B,) rad, ascending in (-pi, pi]
     hit: Bools  # (B,)
-    count: Ints  # (B,) how many raw beams stand behind the range: its variance is sigma^2 / count
+    count: Ints  # (B,) number of raw beams in the range: its variance is sigma^2 / count
     max_range_m: float
     raw_ranges: Array  # (K*B,) m, all raw beams in order of bearing
     raw_bearings: Array  # (K*B,) rad, ascending
@@ -100,7 +101,7 @@ class MergedScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clusters:
-    """Runs of beams that may lie on one structure. Positions count from `roll`, a gap, so that no run wraps."""
+    """Runs of beams that may be on one structure. Positions count from `roll`, a gap, so that no run wraps."""
 
     roll: int  # beam index (of MergedScan) of position 0
     first: Ints  # (C,) first position of the run
@@ -110,7 +111,7 @@ class Clusters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Straight stretches of wall, ccw around the robot (start to end with rising bearing)."""
+    """Straight pieces of wall, ccw around the robot (the bearing increases from start to end)."""
 
     points: Array  # (L,2,2) m, robot frame: start and end
     line: Array  # (L,2) alpha, rho of x cos(alpha) + y sin(alpha) = rho, rho >= 0: alpha points from robot to wall
@@ -158,7 +159,7 @@ class Corners:
         return Corners(self.z, cov, *marks, self.doorways)
 
     def with_sites(self, sites: Bools) -> Corners:
-        """The same corners, of which other ones may be vertices of a polygon."""
+        """The same corners with other `sites`."""
         marks = self.kind, self.convex, self.normals, self.beyond, sites
         return Corners(self.z, self.cov, *marks, self.doorways)
 
@@ -204,7 +205,7 @@ class Rings:
 
 
 class FeatureState(IntEnum):
-    """Life of a feature id: a track is seen but not yet believed, a landmark is in the filter, dead ids stay dead."""
+    """State of a feature id: a track is not confirmed yet, a landmark is in the filter, dead ids stay dead."""
 
     TRACK = 0
     LANDMARK = 1
@@ -258,7 +259,7 @@ class FeatureTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """What became of each corner of a scan: a decision with its reason."""
+    """The decision for each corner of a scan, with its reason."""
 
     ids: Ints  # (n,) landmark id (LANDMARK), track id (PROVISIONAL), NO_ID
     decision: Ints  # (n,) Decision
@@ -266,7 +267,7 @@ class Match:
     nis: Array  # (n,) normalised innovation squared of the pairing, nan without one
     polygon: int  # index of the matched polygon of the scan, or -1
     known: int  # index of the MapPolygon matched (in the store at the time), or -1
-    closure: bool  # a place not updated for a while was recognised: the update is iterated
+    closure: bool  # loop closure: a room not seen for a while was recognised, and the update is iterated
 
     def assign(self, corners: Any, ids: Any, decision: Any, reason: Any) -> Match:
         """A new match with these columns (c,), or one value, for some `corners` (c,)."""
@@ -283,7 +284,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """A scan's corners once it is known which features they are, and where they were seen from."""
+    """A scan's corners with the features that they are, and the belief about where they were seen from."""
 
     corners: Corners
     match: Match
@@ -294,11 +295,11 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """What the filter believes, in world coordinates, whatever it keeps inside."""
+    """The estimate of the filter in world coordinates, whatever its internal state is."""
 
     T_map_robot: Array  # (3,) x, y, heading
     pose_cov: Array  # (3,3) of x, y, heading
-    ids: Ints  # (N,) landmark ids, in the order of their birth
+    ids: Ints  # (N,) landmark ids, in the order of their initialisation
     p_map: Array  # (N,2) m, landmark means
     covs: Array  # (N,2,2) m^2, marginal covariance of each landmark
 
@@ -311,7 +312,7 @@ class Belief:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Door:
-    """A door of the map: a pair of jambs a wall face, the second face optional."""
+    """A door of the map: one pair of jambs per wall face, the second face optional."""
 
     id: int
     jambs: tuple[int, int]  # landmark ids of the first face: right and left as seen from rooms[0]
@@ -337,7 +338,7 @@ class RoomGraph:
     """Rooms and the doors between them."""
 
     current: int  # the room the robot believes to be in
-    in_doorway: bool  # the robot stands in a door: no new landmarks now
+    in_doorway: bool  # the robot is in a door: no new landmarks now
     rooms: tuple[int, ...]  # ids of the rooms, merged ones left out
     doors: tuple[Door, ...]
     candidates: tuple[Candidate, ...]
@@ -354,7 +355,7 @@ class RoomGraph:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
-    """What an associator may look at: the map as it stands before the corners of this scan are known."""
+    """What an associator may use: the map before the corners of this scan are known."""
 
     step: int
     belief: Belief  # predicted to this step
@@ -378,7 +379,7 @@ class SemanticGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamOutput:
-    """Everything one step of the pipeline saw and decided: for info, rendering and benchmarks."""
+    """Everything that one step of the pipeline saw and decided: for info, rendering and benchmarks."""
 
     step: int
     beams: MergedScan

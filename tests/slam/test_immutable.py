@@ -1,4 +1,4 @@
-"""Messages are immutable in fact: over whole drives, nobody writes to an array of a message once it was handed on."""
+"""Messages are immutable in fact: over whole drives, no stage writes to an array of a message after it was made."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, str]]:
     [{}, CROWD, {"slam": {"association": {"method": "nearest"}}}, {"slam": {"association": {"method": "mecp_paper"}}}],
     ids=["default", "crowd", "nearest", "mecp_paper"],
 )
-def test_nobody_writes_to_a_message(made: list[tuple[Any, str]], keywords: dict[str, Any]) -> None:
+def test_no_stage_writes_to_a_message(made: list[tuple[Any, str]], keywords: dict[str, Any]) -> None:
     env = gym.make("mecp_env/Layout-v0", layout="two_rooms", laser={"preset": "paper"}, **keywords)
     env.reset(seed=3)
     kinds: set[type] = set()

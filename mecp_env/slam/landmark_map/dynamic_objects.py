@@ -1,7 +1,7 @@
 """Dynamic objects: what is where the map has seen free floor has moved there, and no corner of it is a landmark.
 
 Differs from the paper: its world is static. A run of beams that end on floor seen free before, well away from all that
-is not free, comes from something that moved in since; a line fitted to such beams is no wall, and no wall is painted
+is not free, comes from something that moved in since; a line fitted to such beams is not a wall, and none is painted
 where they end. In a static world every hit is on a wall, beside which the map has no free floor: nothing is dynamic.
 """
 

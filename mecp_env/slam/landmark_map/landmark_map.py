@@ -96,7 +96,7 @@ class LandmarkMap:
         self, beams: MergedScan, segments: Segments, seen: Sighting, landmark_filter: Filter, resolve: Resolve
     ) -> tuple[Belief, Ints]:
         """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
-        self.polygons.prune(self.features, resolve)
+        self.polygons.prune(self.features, resolve)  # after tracks ended, rooms changed and landmarks merged
         gone = find_refuted(beams, segments, seen.belief, self.features, seen.step, self.config.dynamic_objects)
         if not len(gone):
             return seen.belief, gone

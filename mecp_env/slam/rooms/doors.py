@@ -1,4 +1,4 @@
-"""Doors: a gap of door width between two collinear jambs, one pair of jambs a wall face (III)."""
+"""Doors: a gap of door width between two collinear jambs, one pair of jambs per wall face (III)."""
 
 from __future__ import annotations
 
@@ -132,43 +132,45 @@ def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
     return frames
 
 
-def record_doorways(book: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
+def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
     corners, belief = seen.corners, seen.belief
     if not len(corners.doorways.jambs):
         return
-    next_door = rooms_next_door(book, room, config.confirm_sightings)
+    next_door = rooms_next_door(door_map, room, config.confirm_sightings)
     id_of = seen.match.ids.tolist()
     elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == DYNAMIC)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
         ends = np.empty((2, 2))
         polar_to_map(belief.T_map_robot, corners.z[pair], ends)
-        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(book, ends, config):
+        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(door_map, ends, config):
             continue
-        if ids in book.row:
-            _see_again(book, ids, confirmable, (room, next_door))
+        if ids in door_map.row:
+            _see_again(door_map, ids, confirmable, (room, next_door))
             continue
         if min(ids) >= 0 and confirmable:
-            book.sightings[ids] = max(book.sightings.get(ids, 0), _seen_well(book, ends, config)) + 1
-            _confirm(book, ids, features, belief, room, config)
-        _note_candidate(book, Candidate(ends, ids, room, 1, seen.step, book.sightings.get(ids, 0)), belief, config)
+            door_map.sightings[ids] = max(door_map.sightings.get(ids, 0), _seen_well(door_map, ends, config)) + 1
+            _confirm(door_map, ids, features, belief, room, config)
+        _note_candidate(
+            door_map, Candidate(ends, ids, room, 1, seen.step, door_map.sightings.get(ids, 0)), belief, config
+        )
 
 
-def rooms_next_door(book: DoorMap, room: int, sightings: int) -> set[int]:
-    """The rooms that a door seen as often as that parts from `room`."""
-    sure = (door for door in book.doors if door.sightings >= sightings)
+def rooms_next_door(door_map: DoorMap, room: int, sightings: int) -> set[int]:
+    """The rooms behind the doors of `room` that were seen at least `sightings` times."""
+    sure = (door for door in door_map.doors if door.sightings >= sightings)
     return {other for door in sure if room in door.rooms for other in door.rooms} - {room}
 
 
-def _see_again(book: DoorMap, ids: tuple[int, int], confirmable: bool, here: tuple[int, set[int]]) -> None:
-    """Count one more sighting of a known door, as long as that tells anything; `here`: this room and those next door.
+def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, here: tuple[int, set[int]]) -> None:
+    """Count one more sighting of a known door, up to a limit; `here`: this room and those next door.
 
-    A face seen from within this room is one of its walls: where it was given to a room next door, it was first seen
-    through a door not yet known.
+    A face seen from within this room is one of its walls: if it was assigned to a room next door, it was first seen
+    through an unknown door.
     """
-    d, (room, next_door) = book.row[ids], here
-    door = book.doors[d]
+    d, (room, next_door) = door_map.row[ids], here
+    door = door_map.doors[d]
     rooms = list(door.rooms)
     side = 0 if ids == door.jambs else 1
     if confirmable and rooms[side] in next_door and room not in rooms:
@@ -176,29 +178,29 @@ def _see_again(book: DoorMap, ids: tuple[int, int], confirmable: bool, here: tup
     elif not confirmable or door.sightings >= MOST_SIGHTINGS:
         return
     sightings = min(door.sightings + confirmable, max(door.sightings, MOST_SIGHTINGS))
-    book.doors[d] = replace(door, sightings=sightings, rooms=(rooms[0], rooms[1]))
+    door_map.doors[d] = replace(door, sightings=sightings, rooms=(rooms[0], rooms[1]))
 
 
 def _confirm(
-    book: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
+    door_map: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
 ) -> None:
     """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
-    if book.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
+    if door_map.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
         return
     _mark_jambs(ids, features)
-    new = Door(book.next_id, ids, None, (room, UNKNOWN_ROOM), book.sightings[ids])
+    new = Door(door_map.next_id, ids, None, (room, UNKNOWN_ROOM), door_map.sightings[ids])
     frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
-    for d, other in enumerate(book.frames(belief)):
-        joined = _joined(book.doors[d], other, new, frame, room, config)
+    for d, other in enumerate(door_map.frames(belief)):
+        joined = _joined(door_map.doors[d], other, new, frame, room, config)
         if joined is not None:
-            book.set_doors([*book.doors[:d], joined, *book.doors[d + 1 :]])
+            door_map.set_doors([*door_map.doors[:d], joined, *door_map.doors[d + 1 :]])
             return
-    book.set_doors([*book.doors, new])
-    book.next_id += 1
+    door_map.set_doors([*door_map.doors, new])
+    door_map.next_id += 1
 
 
 def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
-    """The posts of a door belong to both its rooms; a concave corner that stands for one is a corner of its room."""
+    """The posts of a door belong to both its rooms; a concave corner in place of one is a corner of its room."""
     features.kind[[i for i in ids if features.convex[i]]] = int(CornerKind.JAMB)
 
 
@@ -221,36 +223,36 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _seen_well(book: DoorMap, ends: Array, config: RoomConfig) -> int:
+def _seen_well(door_map: DoorMap, ends: Array, config: RoomConfig) -> int:
     """How often the gap with the ends (2,2) was seen well: by the face behind it, or by a jamb since forgotten, too."""
-    return max((c.confirmable for c in book.candidates if same_gap(c.ends, ends, config)), default=0)
+    return max((c.confirmable for c in door_map.candidates if same_gap(c.ends, ends, config)), default=0)
 
 
-def _note_candidate(book: DoorMap, new: Candidate, belief: Belief, config: RoomConfig) -> None:
+def _note_candidate(door_map: DoorMap, new: Candidate, belief: Belief, config: RoomConfig) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
-    same = [i for i, known in enumerate(book.candidates) if same_gap(known.ends, new.ends, config)]
-    if lies_in_door(book, new.ends, belief, config):
-        book.candidates = [c for i, c in enumerate(book.candidates) if i not in same]
+    same = [i for i, known in enumerate(door_map.candidates) if same_gap(known.ends, new.ends, config)]
+    if lies_in_door(door_map, new.ends, belief, config):
+        door_map.candidates = [c for i, c in enumerate(door_map.candidates) if i not in same]
     elif same:
-        known = book.candidates[same[0]]
+        known = door_map.candidates[same[0]]
         ids = new.ids if min(new.ids) >= 0 else known.ids
         well = max(known.confirmable, new.confirmable)
-        book.candidates[same[0]] = replace(
+        door_map.candidates[same[0]] = replace(
             new, ids=ids, room=known.room, sightings=known.sightings + 1, confirmable=well
         )
     else:
-        book.candidates.append(new)
+        door_map.candidates.append(new)
 
 
-def lies_inside(book: DoorMap, ends: Array, config: RoomConfig) -> bool:
+def lies_inside(door_map: DoorMap, ends: Array, config: RoomConfig) -> bool:
     """True when the gap with the ends (2,2) was found to lie inside a room."""
-    x, y = (0.5 * (ends[0] + ends[1])).tolist() if book.inside else (0.0, 0.0)
-    return any(math.hypot(x - p_x, y - p_y) < config.same_gap_m for p_x, p_y in book.inside)
+    x, y = (0.5 * (ends[0] + ends[1])).tolist() if door_map.inside else (0.0, 0.0)
+    return any(math.hypot(x - p_x, y - p_y) < config.same_gap_m for p_x, p_y in door_map.inside)
 
 
-def lies_in_door(book: DoorMap, ends: Array, belief: Belief, config: RoomConfig) -> bool:
+def lies_in_door(door_map: DoorMap, ends: Array, belief: Belief, config: RoomConfig) -> bool:
     """True when the gap with the ends (2,2) is a door of the map."""
-    offset = book.frames(belief)[:, :2] - (ends[0] + ends[1]) / 2.0
+    offset = door_map.frames(belief)[:, :2] - (ends[0] + ends[1]) / 2.0
     return bool(((offset * offset).sum(axis=1) < config.same_gap_m**2).any())
 
 
@@ -265,44 +267,44 @@ def anchored(candidate: Candidate, features: FeatureTable) -> bool:
     return _landmarks(candidate.ids, features)
 
 
-def pass_through(book: DoorMap, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
+def pass_through(door_map: DoorMap, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
     """The robot drove through a candidate: it is a door, passed rather than seen."""
-    book.candidates = [c for c in book.candidates if c is not candidate]
+    door_map.candidates = [c for c in door_map.candidates if c is not candidate]
     _mark_jambs(candidate.ids, features)
     rooms = (candidate.room, room_beyond)
-    book.set_doors([*book.doors, Door(book.next_id, candidate.ids, None, rooms, candidate.sightings)])
-    book.next_id += 1
+    door_map.set_doors([*door_map.doors, Door(door_map.next_id, candidate.ids, None, rooms, candidate.sightings)])
+    door_map.next_id += 1
 
 
 def _without_faces(door: Door, lost: set[int]) -> Door | None:
-    """The door without its faces that hung on a landmark that is lost; None without a face."""
+    """The door without the faces that have a lost landmark; None without a face."""
     faces = [face for face in (door.jambs, door.other_face) if face and lost.isdisjoint(face)]
     return replace(door, jambs=faces[0], other_face=(*faces, None)[1]) if faces else None
 
 
-def forget_jambs(book: DoorMap, gone: Ints) -> None:
-    """Landmarks `gone` (m,) are none: a face of a door that hung on one is forgotten, and a door without a face."""
+def forget_jambs(door_map: DoorMap, gone: Ints) -> None:
+    """Remove the faces of doors with one of the landmarks `gone` (m,), and the doors without a face."""
     lost = set(gone.tolist())
-    doors = [_without_faces(door, lost) for door in book.doors]
-    book.set_doors([door for door in doors if door is not None])
-    book.sightings = {pair: count for pair, count in book.sightings.items() if lost.isdisjoint(pair)}
-    book.candidates = [c for c in book.candidates if lost.isdisjoint(c.ids)]
+    doors = [_without_faces(door, lost) for door in door_map.doors]
+    door_map.set_doors([door for door in doors if door is not None])
+    door_map.sightings = {pair: count for pair, count in door_map.sightings.items() if lost.isdisjoint(pair)}
+    door_map.candidates = [c for c in door_map.candidates if lost.isdisjoint(c.ids)]
 
 
-def rename_jambs(book: DoorMap, keep: int, drop: int) -> None:
+def rename_jambs(door_map: DoorMap, keep: int, drop: int) -> None:
     """Two ids are one corner: doors that named `drop` now name `keep`."""
 
     def renamed(pair: tuple[int, int]) -> tuple[int, int]:
         return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
 
-    book.set_doors(
+    door_map.set_doors(
         [
             replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
-            for d in book.doors
+            for d in door_map.doors
         ]
     )
     merged: dict[tuple[int, int], int] = {}
-    for pair, count in book.sightings.items():
+    for pair, count in door_map.sightings.items():
         merged[renamed(pair)] = merged.get(renamed(pair), 0) + count
-    book.sightings = merged
-    book.candidates = [replace(c, ids=renamed(c.ids)) for c in book.candidates]
+    door_map.sightings = merged
+    door_map.candidates = [replace(c, ids=renamed(c.ids)) for c in door_map.candidates]

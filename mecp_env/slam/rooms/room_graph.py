@@ -1,4 +1,4 @@
-"""Rooms: which one the robot is in, what lies behind each door, and when two of them are one (III, III-B, Fig. 6)."""
+"""Room graph: the room of the robot, the rooms behind doors, and merges of rooms (III, III-B, Fig. 6)."""
 
 from __future__ import annotations
 
@@ -45,53 +45,55 @@ LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
 
 @dataclass(slots=True, eq=False)
 class RoomGraphEstimator:
-    """The room graph as it grows."""
+    """Estimates rooms and doors from what is seen and from the robot's path."""
 
     config: RoomConfig
-    book: DoorMap = field(default_factory=DoorMap)
+    door_map: DoorMap = field(default_factory=DoorMap)
     current: int = 0
     in_doorway: bool = False
     rooms: list[int] = field(default_factory=lambda: [0])
     merged: dict[int, int] = field(default_factory=dict)
     next_room: int = 1
-    newest: int = UNKNOWN_ROOM  # the room opened by the last crossing, while the robot has not left it
-    elsewhere: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
+    newest: int = UNKNOWN_ROOM  # the room that the last crossing opened, until the robot leaves it
+    other_room_signs: list[tuple[int, float, float]] = field(default_factory=list)  # room recognised, x, y
     trail: Trail = field(default_factory=Trail)  # the path since this room was entered
     parted: dict[int, tuple[int, int]] = field(default_factory=dict)  # as in RoomGraph
-    moved_from: dict[int, int] = field(default_factory=dict)  # landmark -> room it was in before it was moved
-    shared: set[tuple[int, int, int]] = field(default_factory=set)  # landmarks moved and moved back, and the two rooms
+    previous_room: dict[int, int] = field(default_factory=dict)  # landmark -> room it was in before it was moved
+    seen_from_both: set[tuple[int, int, int]] = field(
+        default_factory=set
+    )  # landmarks moved and moved back, and the two rooms
 
     def graph(self) -> RoomGraph:
-        """The room graph as of now."""
+        """The room graph after the last step."""
         return RoomGraph(
             self.current,
             self.in_doorway,
             tuple(self.rooms),
-            tuple(self.book.doors),
-            tuple(self.book.candidates),
+            tuple(self.door_map.doors),
+            tuple(self.door_map.candidates),
             dict(self.merged),
             dict(self.parted),
         )
 
     def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
         """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
-        if not self.book.doors or not len(corners):
+        if not self.door_map.doors or not len(corners):
             return corners, np.full(len(corners), -1, np.int64)
-        sites, doors = corners.sites.copy(), (self.book.jambs, self.book.ids)
+        sites, doors = corners.sites.copy(), (self.door_map.jambs, self.door_map.ids)
         pose, landmarks = belief.T_map_robot, (belief.p_map, belief.ids)
         through = seen_through(pose, corners.z, *landmarks, *doors, self.config.behind_wall_m, sites)
         return corners.with_sites(sites), through
 
     def update(self, seen: Sighting, features: FeatureTable, known: list[MapPolygon]) -> bool:
-        """Record this scan's doorways, follow the robot through doors, settle what belongs to another room.
+        """True when landmarks changed their room, by a merge of rooms or one by one.
 
-        Says whether landmarks changed their room, by a merge or one by one.
+        Records this scan's doorways, follows the robot through doors, and moves landmarks that belong to another room.
         """
         self.trail.add(seen.step, len(features), seen.belief.T_map_robot, self.config)
-        before = self.book.next_id
+        before = self.door_map.next_id
         if not self.in_doorway:
-            record_doorways(self.book, seen, features, self.current, self.config)
-        if self._notice_passed(before, seen.belief, features):
+            record_doorways(self.door_map, seen, features, self.current, self.config)
+        if self._detect_missed_door(before, seen.belief, features):
             return True
         self._follow(seen.belief)
         self._follow_candidates(features, seen.belief)
@@ -101,24 +103,26 @@ class RoomGraphEstimator:
     def rename(self, merged: tuple[tuple[int, int], ...]) -> None:
         """Landmarks were merged: doors now name the ids kept, the first of each pair."""
         for keep, drop in merged:
-            rename_jambs(self.book, keep, drop)
+            rename_jambs(self.door_map, keep, drop)
 
     def forget(self, pruned: Ints) -> None:
         """The landmarks `pruned` (m,) are gone, and with them the doors that have no other face."""
         if len(pruned):
-            forget_jambs(self.book, pruned)
+            forget_jambs(self.door_map, pruned)
 
-    def _notice_passed(self, first: int, belief: Belief, features: FeatureTable) -> bool:
-        """Settle that a door just confirmed (ids from `first` on) lies behind the robot: it passed it unnoticed.
+    def _detect_missed_door(self, first: int, belief: Belief, features: FeatureTable) -> bool:
+        """True when the robot has driven through a door that was only now confirmed (ids from `first` on).
 
-        What was seen since belongs to the room that it opened by that. Says whether it did.
+        What was seen since then belongs to a new room.
         """
-        for d, door in enumerate(self.book.doors if self.book.next_id > first else ()):
+        for d, door in enumerate(self.door_map.doors if self.door_map.next_id > first else ()):
             passed = self.trail.passed(belief.p_map[belief.rows(np.array(door.jambs))]) if door.id >= first else None
             if passed is None:
                 continue
             left, room = self.current, self._open()
-            self.book.set_doors([*self.book.doors[:d], replace(door, rooms=(room, left)), *self.book.doors[d + 1 :]])
+            self.door_map.set_doors(
+                [*self.door_map.doors[:d], replace(door, rooms=(room, left)), *self.door_map.doors[d + 1 :]]
+            )
             step, born = passed
             features.room[born:][features.room[born:] == left] = room
             self.parted[room] = (left, step)
@@ -128,21 +132,21 @@ class RoomGraphEstimator:
 
     def _arrive(self, room: int) -> None:
         """Be in another room."""
-        self.elsewhere.clear()
+        self.other_room_signs.clear()
         self.trail = Trail()
         self.current = room
 
     def _follow(self, belief: Belief) -> None:
         """Change the room when the path crosses a door or a candidate, with hysteresis."""
         self.in_doorway = False
-        if not self.book.doors:
+        if not self.door_map.doors:
             return
-        book, hysteresis = self.book, self.config.hysteresis_m
-        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, book.jambs, hysteresis)
+        door_map, hysteresis = self.door_map, self.config.hysteresis_m
+        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, door_map.jambs, hysteresis)
         for row, ahead, aside, half in near.tolist():
             d = int(row)
             self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < half
-            door = book.doors[d]
+            door = door_map.doors[d]
             if self.current == door.rooms[0] and ahead < -hysteresis:
                 self._enter(d, door.rooms[1])
             elif self.current == door.rooms[1] and ahead > hysteresis:
@@ -152,17 +156,17 @@ class RoomGraphEstimator:
         self.newest = UNKNOWN_ROOM
         if room == UNKNOWN_ROOM:
             room = self._open()
-            door = self.book.doors[d]
-            self.book.doors[d] = replace(door, rooms=(door.rooms[0], room))
+            door = self.door_map.doors[d]
+            self.door_map.doors[d] = replace(door, rooms=(door.rooms[0], room))
         self._arrive(room)
 
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
-        for candidate in self.book.candidates:
+        for candidate in self.door_map.candidates:
             passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
             if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
                 room = self._open()
-                pass_through(self.book, candidate, features, room)
+                pass_through(self.door_map, candidate, features, room)
                 self._arrive(room)
                 return
 
@@ -174,12 +178,12 @@ class RoomGraphEstimator:
         return room
 
     def _recognise(self, seen: Sighting, features: FeatureTable, polygon_room: int) -> bool:
-        """Settle what is seen that belongs to another room: a misplaced landmark, or the robot is in that room."""
+        """True when rooms merged or landmarks moved: landmarks of another room are misplaced, or the robot is there."""
         if self.in_doorway:
             return False
         taken_for, _ = self.parted.get(self.current, (UNKNOWN_ROOM, 0))  # it was given polygons of this room
         if polygon_room not in (UNKNOWN_ROOM, self.current, self.resolve(taken_for)):
-            return self._note_elsewhere(polygon_room, seen.belief, self.config.recognise_m, features)
+            return self._note_other_room(polygon_room, seen.belief, self.config.recognise_m, features)
         ids = _here(seen, features, self.current)
         if not len(ids):
             return False
@@ -189,33 +193,33 @@ class RoomGraphEstimator:
         other = self._majority(rooms)
         if other in (UNKNOWN_ROOM, self.current):
             return False
-        return self._note_elsewhere(other, seen.belief, self.config.recognise_by_corners_m, features)
+        return self._note_other_room(other, seen.belief, self.config.recognise_by_corners_m, features)
 
     def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable, belief: Belief) -> bool:
-        """Move landmarks of the rooms next door to this one, where they are seen from; says whether there were any.
+        """Move landmarks of the rooms next door to this one, where they are seen from; true when there were any.
 
-        They were first seen through a door not yet known, so that they were given to the room of the robot then. Some
-        that are moved back are seen from both sides of a gap, and not through it: it parts no rooms.
+        They were first seen through an unknown door, so that they were assigned to the robot's room at that time. Those
+        that are moved back are seen from both sides of a gap, and not through it: the gap does not separate rooms.
         """
-        next_door = rooms_next_door(self.book, self.current, self.config.confirm_sightings)
-        strayed = [(i, room) for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
-        for i, room in strayed:
-            if self.moved_from.get(i) == self.current:
-                self.shared.add((i, min(room, self.current), max(room, self.current)))
-            self.moved_from[i], features.room[i] = room, self.current
-        for room in sorted({room for _, room in strayed}):
-            if self._are_one(room):
+        next_door = rooms_next_door(self.door_map, self.current, self.config.confirm_sightings)
+        misplaced = [(i, room) for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
+        for i, room in misplaced:
+            if self.previous_room.get(i) == self.current:
+                self.seen_from_both.add((i, min(room, self.current), max(room, self.current)))
+            self.previous_room[i], features.room[i] = room, self.current
+        for room in sorted({room for _, room in misplaced}):
+            if self._is_same_room(room):
                 keep, drop = min(room, self.current), max(room, self.current)
                 self._arrive(keep)
                 self._merge(drop, keep, features, belief)
                 break
-        return bool(strayed)
+        return bool(misplaced)
 
-    def _are_one(self, room: int) -> bool:
-        """True when enough landmarks are seen from both `room` and this one, and no door with two faces parts them."""
+    def _is_same_room(self, room: int) -> bool:
+        """True when enough landmarks are seen from both `room` and this one, and no two-faced door separates them."""
         pair = {room, self.current}
-        seen = sum({first, second} == pair for _, first, second in self.shared)
-        two_faced = any(door.other_face is not None and pair == set(door.rooms) for door in self.book.doors)
+        seen = sum({first, second} == pair for _, first, second in self.seen_from_both)
+        two_faced = any(door.other_face is not None and pair == set(door.rooms) for door in self.door_map.doors)
         return seen >= self.config.recognise_corners and not two_faced
 
     def _majority(self, rooms: list[int]) -> int:
@@ -225,17 +229,17 @@ class RoomGraphEstimator:
         likeliest = max(sorted(set(rooms)), key=rooms.count)
         return likeliest if rooms.count(likeliest) >= 0.75 * len(rooms) else UNKNOWN_ROOM
 
-    def _note_elsewhere(self, other: int, belief: Belief, apart_m: float, features: FeatureTable) -> bool:
-        """Count a sign that this is room `other`; two from places apart settle it. Says whether rooms merged."""
+    def _note_other_room(self, other: int, belief: Belief, apart_m: float, features: FeatureTable) -> bool:
+        """Count a sign that this is room `other`; two, seen from places apart, decide. True when rooms merged."""
         x, y = belief.T_map_robot[:2]
-        before = [e for e in self.elsewhere if e[0] == other]
+        before = [e for e in self.other_room_signs if e[0] == other]
         if any(np.hypot(e[1] - x, e[2] - y) >= apart_m for e in before):
             return self._become(other, features, belief)
-        self.elsewhere.append((other, float(x), float(y)))
+        self.other_room_signs.append((other, float(x), float(y)))
         return False
 
     def _become(self, other: int, features: FeatureTable, belief: Belief) -> bool:
-        """The robot is in `other`: a room just opened was that room all along, an older one was left unnoticed."""
+        """The robot is in `other`: the current room is that room if it is new, else the robot has left it unnoticed."""
         old = self.current
         self._arrive(other)
         if old != self.newest:
@@ -249,12 +253,14 @@ class RoomGraphEstimator:
         self.merged[old] = other
         features.room[features.room == old] = other
         self.rooms.remove(old)
-        doors = [self._with_rooms_resolved(door) for door in self.book.doors]
-        # a door that leads from a room to itself is none: the gap lies inside the room
-        middles = self.book.frames(belief)[:, :2].tolist()
-        self.book.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
-        self.book.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
-        self.book.candidates = [c for c in self.book.candidates if not lies_inside(self.book, c.ends, self.config)]
+        doors = [self._with_rooms_resolved(door) for door in self.door_map.doors]
+        # a gap that leads from a room to itself is not a door: it is inside the room
+        middles = self.door_map.frames(belief)[:, :2].tolist()
+        self.door_map.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
+        self.door_map.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
+        self.door_map.candidates = [
+            c for c in self.door_map.candidates if not lies_inside(self.door_map, c.ends, self.config)
+        ]
 
     def _with_rooms_resolved(self, door: Door) -> Door:
         first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)

@@ -87,9 +87,9 @@ def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
     keeper = RoomGraphEstimator(RoomConfig())
     for expected in (0, 0, 1):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
-        assert len(keeper.book.doors) == expected
-        assert len(keeper.book.candidates) == 1 - expected
-    assert keeper.book.doors[0].rooms == (0, -1)
+        assert len(keeper.door_map.doors) == expected
+        assert len(keeper.door_map.candidates) == 1 - expected
+    assert keeper.door_map.doors[0].rooms == (0, -1)
 
 
 def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
@@ -98,17 +98,17 @@ def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
     for _ in range(2):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
     look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
-    assert [candidate.confirmable for candidate in keeper.book.candidates] == [2]
+    assert [candidate.confirmable for candidate in keeper.door_map.candidates] == [2]
     look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
-    assert [(door.jambs, door.sightings) for door in keeper.book.doors] == [((2, 3), 3)]
+    assert [(door.jambs, door.sightings) for door in keeper.door_map.doors] == [((2, 3), 3)]
 
 
 def test_a_gap_seen_from_afar_stays_a_candidate():
     keeper = RoomGraphEstimator(RoomConfig())
     for _ in range(10):
         look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
-    assert not keeper.book.doors
-    assert len(keeper.book.candidates) == 1
+    assert not keeper.door_map.doors
+    assert len(keeper.door_map.candidates) == 1
 
 
 def test_crossing_the_door_opens_a_room_and_coming_back_is_the_old_one():
@@ -129,10 +129,10 @@ def test_the_same_door_from_both_sides_is_one_door():
     walk(keeper, (-0.5, 0.0, 0.5, 1.5))
     for _ in range(4):
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
-    assert len(keeper.book.doors) == 1
-    assert keeper.book.doors[0].other_face == (3, 2)
-    assert keeper.book.doors[0].rooms == (0, 1)
-    assert np.allclose(keeper.book.frames(belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
+    assert len(keeper.door_map.doors) == 1
+    assert keeper.door_map.doors[0].other_face == (3, 2)
+    assert keeper.door_map.doors[0].rooms == (0, 1)
+    assert np.allclose(keeper.door_map.frames(belief_at(0, 0))[0], [0, 0, 0, -1, 0.45])
 
 
 def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new_room():
@@ -154,7 +154,7 @@ def test_what_is_seen_through_a_door_is_marked_and_no_site():
     belief = belief_at(0.0, -1.5)
     corners, _ = sighting(belief, (0, 2, 7, 8, 4))
     marked, through = keeper.mark_beyond(corners, belief)
-    door = keeper.book.doors[0].id
+    door = keeper.door_map.doors[0].id
     assert through.tolist() == [-1, -1, -1, -1, -1]  # 7 and 8 lie behind the wall, not behind the gap
     far = belief_at(0.0, -0.5)
     marked, through = keeper.mark_beyond(sighting(far, (0, 7, 8, 4))[0], far)
@@ -198,7 +198,7 @@ def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
     for _ in range(3):
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
     assert (keeper.current, keeper.graph().rooms) == (1, (0, 1))
-    assert keeper.book.doors[0].rooms == (1, 0)  # its face is one of the new room
+    assert keeper.door_map.doors[0].rooms == (1, 0)  # its face is one of the new room
     assert table.room[7:].tolist() == [1, 1, 1]
     assert table.room[4:7].tolist() == [0, 0, 0]
     assert keeper.graph().parted[1][0] == 0
@@ -218,18 +218,18 @@ def test_a_door_passed_and_passed_again_parts_nothing():
     for _ in range(3):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
     assert keeper.current == 0
-    assert keeper.book.doors[0].rooms == (0, -1)
+    assert keeper.door_map.doors[0].rooms == (0, -1)
 
 
 def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_from():
     keeper = keeper_with_door()
     walk(keeper, (-0.5, 0.0, 0.5))
     beyond = Door(1, (7, 8), None, (0, -1), 3)  # a door of the upper room, seen through the first one
-    keeper.book.set_doors([*keeper.book.doors, beyond])
+    keeper.door_map.set_doors([*keeper.door_map.doors, beyond])
     look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),), confirmable=False)
-    assert keeper.book.doors[1].rooms == (0, -1)
+    assert keeper.door_map.doors[1].rooms == (0, -1)
     look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),))
-    assert keeper.book.doors[1].rooms == (1, -1)
+    assert keeper.door_map.doors[1].rooms == (1, -1)
 
 
 def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_recognised():
@@ -324,8 +324,8 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
 def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
     keeper = RoomGraphEstimator(RoomConfig())
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
-    assert len(keeper.book.candidates) == 1
+    assert len(keeper.door_map.candidates) == 1
     assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5)) == [0, 0, 0, 1, 1]
-    assert [door.rooms for door in keeper.book.doors] == [(0, 1)]
-    assert not keeper.book.candidates
+    assert [door.rooms for door in keeper.door_map.doors] == [(0, 1)]
+    assert not keeper.door_map.candidates
     assert walk(keeper, (0.1, -0.5)) == [1, 0]
