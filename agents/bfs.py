@@ -1,7 +1,7 @@
-"""The paper's explorer, as a complete example of a policy of your own.
+"""The paper's explorer, as a complete example of a custom policy.
 
     python agents/bfs.py --layout office
-    mecp-env evaluate agents.bfs:BreadthFirst nearest --episodes 20
+    mecp-env evaluate agents.bfs:RoomByRoom nearest --episodes 20
 
 A policy has `actions` (the action mode that it needs), `reset(seed)` and `act(observation, mask)`. The observation's
 `goals` (32,9) has the columns x, y, path length (m), size, kind, room, level, visits, valid.
@@ -32,7 +32,7 @@ class Args:
     render: bool = False  # open a window: ground truth on the left, the robot's estimate on the right
 
 
-class BreadthFirst:
+class RoomByRoom:
     """Completes the room of the robot, then rooms that were left early, then goes through the next door."""
 
     actions = "goal"
@@ -66,7 +66,7 @@ def main(args: Args) -> None:
         max_steps=args.max_steps,
         render_mode="human" if args.render else None,
     )
-    policy = BreadthFirst()
+    policy = RoomByRoom()
     observation, info = env.reset(seed=args.seed)
     policy.reset(args.seed)
     terminated = truncated = False

@@ -14,7 +14,6 @@ from typing import Any
 
 import gymnasium as gym
 import tyro
-from gymnasium.vector import AutoresetMode
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -22,9 +21,8 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.learning.downsampled import DownsampledObservation
 from mecp_env.learning.encoder import ObservationEncoder
-from mecp_env.learning.files import tensor_bytes, weights_of
-from mecp_env.learning.sb3_batch import SB3Batch
-from mecp_env.vector import BatchEnv
+from mecp_env.learning.environments import vectorise
+from mecp_env.learning.files import tensor_bytes, weights_of, write_atomic
 
 
 @dataclass
@@ -55,9 +53,7 @@ def make_env(args: Args, split: str) -> gym.Env[Any, Any]:
 
 def make_many(args: Args, count: int, split: str) -> VecMonitor:
     """Environments side by side."""
-    return VecMonitor(
-        SB3Batch(BatchEnv([partial(make_env, args, split)] * count, autoreset_mode=AutoresetMode.SAME_STEP))
-    )
+    return VecMonitor(vectorise([partial(make_env, args, split)] * count))
 
 
 def main(args: Args) -> None:
@@ -89,8 +85,7 @@ def main(args: Args) -> None:
     mean, deviation = evaluate_policy(model, validation, args.validation)
     validation.close()
     print(f"return on the validation split: {mean:.3f} +- {deviation:.3f}")
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    args.out.write_bytes(tensor_bytes(weights_of(model.policy)))
+    write_atomic(args.out, tensor_bytes(weights_of(model.policy)))
 
 
 if __name__ == "__main__":

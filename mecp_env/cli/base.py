@@ -50,14 +50,10 @@ def check_writable(path: Path) -> Path:
 
     A folder that would have to be made with the name of a file, as in `paper.json/x.json`, is a mistake.
     """
-    for folder in path.absolute().parents:
-        if folder.suffix.lower() in FILE_SUFFIXES and not folder.exists():
-            raise ConfigError(
-                f"out: {path}: {folder.name} is the name of a file, not of a folder; choose another place"
-            )
-    there = path.absolute()
-    while not there.exists() and there != there.parent:
-        there = there.parent
+    missing = [folder for folder in path.absolute().parents if not folder.exists()]
+    for folder in (folder for folder in missing if folder.suffix.lower() in FILE_SUFFIXES):
+        raise ConfigError(f"out: {path}: {folder.name} is the name of a file, not of a folder; choose another place")
+    there = next((place for place in (path.absolute(), *path.absolute().parents) if place.exists()), Path())
     if there != path.absolute() and not there.is_dir():
         raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place")
     if not os.access(there, os.W_OK):

@@ -33,12 +33,15 @@ class UnbreakableStream:
         try:
             operation()
         except BrokenPipeError:
-            with suppress(OSError, ValueError):  # what is buffered in the stream has to go somewhere
-                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
-            if not self._broken:
-                self._broken = True
-                with suppress(OSError):  # stderr may be the same closed pipe
-                    print_error("nobody reads the output any more; the run continues without it")
+            self._discard()
+
+    def _discard(self) -> None:
+        with suppress(OSError, ValueError):  # what is buffered in the stream has to go somewhere
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+        if not self._broken:
+            self._broken = True
+            with suppress(OSError):  # stderr may be the same closed pipe
+                print_error("the output pipe is closed; the run continues without output")
 
 
 @contextmanager

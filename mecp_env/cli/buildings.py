@@ -1,4 +1,4 @@
-"""The words by which commands are told of buildings: shipped names, hard:7, hard:0-9, files, folders."""
+"""How a command line names buildings: shipped names, hard:7, hard:0-9, files, folders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mecp_env.world.schema import Layout
 
 MOST_SEEDS = 10_000
 SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
-NONE_GIVEN = "name at least one building; `mecp-env worlds list` tells which there are"
+NONE_GIVEN = "name at least one building; `mecp-env worlds list` lists them"
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
 Buildings = Annotated[

@@ -29,7 +29,7 @@ Estimator = Literal["slam", "known", "truth"]
 class Evaluate(Command):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
     and, with --record, a film. A policy is bfs, nearest, gain, random_goal, random_walk, maskable_ppo, the folder of a
-    training run, or a class of your own as module:Class."""
+    training run, or a custom class as module:Class."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",

@@ -27,7 +27,7 @@ EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3"
 @dataclass(frozen=True)
 class Explore(Command):
     """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest, gain,
-    random_goal, random_walk, maskable_ppo, the folder of a training run, or a class of your own as module:Class."""
+    random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env explore gain --layout office",

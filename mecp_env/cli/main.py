@@ -1,4 +1,4 @@
-"""The command `mecp-env`: which of its commands a line calls, and how it ends."""
+"""The command `mecp-env`: selects the command of a line, and runs it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
     "train": ("train", "Train", "train a policy, or resume a run"),
-    "play": ("play", "Play", "drive by keyboard: left the world, right the belief"),
+    "play": ("play", "Play", "drive by keyboard: ground truth on the left, the estimate on the right"),
     "warmup": ("warmup", "WarmUp", "compile ahead, on all cores; once per installation"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def split(line: list[str]) -> tuple[str, list[str]]:
-    """The command that a line begins with, and its options; ends the process after `--help`, with 2 without one."""
+    """The command that a line starts with, and its options; ends the process after `--help`, with 2 without one."""
     for count in (2, 1):
         words = " ".join(line[:count])
         if words in COMMANDS:
@@ -50,7 +50,7 @@ def split(line: list[str]) -> tuple[str, list[str]]:
 
 
 def answer(group: str, word: str) -> int:
-    """Say what a line without a command asks for; the exit code."""
+    """Print what a line without a command asks for; the exit code."""
     if word in ("-h", "--help"):
         print(overview(group))
     elif word == "--version":
@@ -61,7 +61,7 @@ def answer(group: str, word: str) -> int:
 
 
 def refuse(words: str, group: str) -> int:
-    """Say that `words` are no command (none: that one is missing), and what is; the exit code."""
+    """Print that `words` are not a command, with a suggestion and the known commands; the exit code."""
     nearest = difflib.get_close_matches(words, COMMANDS, n=1)
     guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
     print(overview(group) + "\n", file=sys.stderr)

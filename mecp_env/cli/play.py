@@ -36,7 +36,7 @@ class Play(Command):
 
     layout: str = "two_rooms"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, a plan, or a folder of plans
     seed: int = 0  # of the noise
-    rate: float = 6.0  # control steps of 0.4 s a second, while a key is held; 2.5 is real time
+    rate: float = 6.0  # control steps of 0.4 s per second, while a key is held; 2.5 is real time
     out: Path = Path("runs/play")  # folder for pictures (P)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
@@ -68,7 +68,7 @@ class Play(Command):
         if self.seed < 0:
             raise ConfigError(f"seed: {self.seed}, at least 0")
         if not RATES[0] <= self.rate <= RATES[1]:
-            raise ConfigError(f"rate: {self.rate:g}, from {RATES[0]:g} to {RATES[1]:g} steps a second")
+            raise ConfigError(f"rate: {self.rate:g}, from {RATES[0]:g} to {RATES[1]:g} steps per second")
 
 
 def later(words: Sequence[str], seed: int, number: int) -> tuple[str, int]:

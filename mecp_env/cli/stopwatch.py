@@ -116,7 +116,7 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
 def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
     """A stopwatch that runs within this block, for all environments of this process.
 
-    It costs 2 us a call; with `each=False` only whole steps and drives are timed.
+    It costs 2 us per call; with `each=False` only whole steps and drives are timed.
     """
     watch = Stopwatch()
     timed = (*STAGES, STEP, DRIVE) if each else (STEP, DRIVE)

@@ -40,7 +40,7 @@ class Train(Command):
 
     @classmethod
     def defaults(cls, line: Sequence[str]) -> Self:
-        """Those of the algorithm that the line begins with. Raises `ConfigError` for an unknown one."""
+        """Those of the algorithm that the line starts with. Raises `ConfigError` for an unknown one."""
         named = bool(line) and not line[0].startswith("-")
         return cls(fields=TrainConfig.build({"algorithm": check_algorithm(line[0])} if named else {}))
 

@@ -70,7 +70,7 @@ class Validate(Command):
 
 
 def sound(word: str, reading: Reading) -> bool:
-    """Whether a building is sound, or all of a series or folder; says so of each, or what is wrong with it."""
+    """Whether a building is sound, or all of a series or folder; prints a line for each, with the reason if not."""
     try:
         singles = expand(word, reading)
         if singles != [word]:
@@ -98,7 +98,7 @@ class Convert(Command):
     reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
-        """Read, write, and say what was written."""
+        """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
             raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")

@@ -11,7 +11,7 @@ from mecp_env.world.generator.fields import FIELDS, WORDS
 
 
 def read_line(words: Sequence[str]) -> dict[str, Any]:
-    """`rooms 12 door_width_m 0.7 0.9 shapes L T` of a command line as fields; a name begins where no value can stand.
+    """`rooms 12 door_width_m 0.7 0.9 shapes L T` of a command line as fields; a word that cannot be a value is a name.
 
     Raises `ValueError` for a name without a value, and a value without a name.
     """

@@ -74,7 +74,7 @@ class Checkpoints:
         return 0
 
     def load(self, model: OnPolicyAlgorithm, report: Callable[[str], None]) -> TrainingState | None:
-        """Restore the newest valid checkpoint into a model; None where there is no file.
+        """Restore the newest valid checkpoint into a model; None without a file.
 
         Damaged ones are skipped, and reported. Raises `WeightError` when none is valid.
         """

@@ -185,7 +185,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 def check_algorithm(name: Any) -> str:
     """`name` if it is an algorithm. Raises `ConfigError` with those there are."""
     if name not in ALGORITHMS:
-        raise ConfigError(f"algorithm: {name!r:.80} is none of {', '.join(ALGORITHMS)}{guess(name, ALGORITHMS)}")
+        raise ConfigError(f"algorithm: {name!r:.80} is not one of {', '.join(ALGORITHMS)}{guess(name, ALGORITHMS)}")
     return str(name)
 
 
@@ -212,7 +212,7 @@ def check_batches(config: TrainConfig) -> None:
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """The fields in a JSON file, by their names of today. Raises `ConfigError` for what is no such file."""
+    """The fields in a JSON file, by their names of today. Raises `ConfigError` for another kind of file."""
     try:
         if path.stat().st_size > MOST_CONFIG_BYTES:
             raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")

@@ -213,7 +213,7 @@ def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
     return TimedVecEnv(venv)
 
 
-def vectorise(makers: Sequence[Callable[[], Env]], workers: str) -> VecEnv:
+def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch") -> VecEnv:
     """Many environments as one: in few processes, each in its own process, or all in this one."""
     if workers == "here":
         return DummyVecEnv(list(makers))

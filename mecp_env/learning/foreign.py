@@ -6,45 +6,18 @@ import json
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.models import CLASSES
+from mecp_env.learning.predicting import PredictingPolicy
 
 MOST_BYTES, MOST_UNPACKED = 256_000_000, 1_000_000_000
 UNREADABLE = (KeyError, TypeError, ValueError, RecursionError, RuntimeError, NotImplementedError, EOFError, OSError)
 MARKS = {"sb3_contrib.common.maskable": "maskable_ppo", "sb3_contrib.common.recurrent": "recurrent_ppo"}
 
 
-class ZipPolicy:
-    """A model that was trained with Stable-Baselines3 on the environment's own observation."""
-
-    def __init__(self, model: OnPolicyAlgorithm, algorithm: str, name: str) -> None:
-        self.model, self.name = model, name
-        self.masked = algorithm == "maskable_ppo"
-        self.actions = "goal" if self.masked else "velocity"
-        self.reset()
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode."""
-        self.memory: Any = None
-        self.episode_start = np.ones(1, np.bool_)
-
-    def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
-        """The most probable action."""
-        masks = {"action_masks": mask} if self.masked else {}
-        action, self.memory = self.model.predict(
-            observation, self.memory, self.episode_start, deterministic=True, **masks
-        )
-        self.episode_start = np.zeros(1, np.bool_)
-        return int(action) if self.masked else np.asarray(action, np.float32)
-
-
-def load_zip(path: Path, trust: bool) -> ZipPolicy:
+def load_zip(path: Path, trust: bool) -> PredictingPolicy:
     """The model in a file of Stable-Baselines3.
 
     Raises `ConfigError` without `trust` or a file, `WeightError` for a file with another content.
@@ -61,16 +34,20 @@ def load_zip(path: Path, trust: bool) -> ZipPolicy:
         model = CLASSES[algorithm].load(path, device="cpu")
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    return ZipPolicy(model, algorithm, str(path))
+    return PredictingPolicy(model, "goal" if algorithm == "maskable_ppo" else "velocity", None, str(path))
+
+
+def check_size(path: Path, unpacked: int) -> None:
+    """Raise `WeightError` for a file that is too large, or becomes too large."""
+    if path.stat().st_size > MOST_BYTES or unpacked > MOST_UNPACKED:
+        raise WeightError(f"{path}: {unpacked} bytes unpacked, at most {MOST_UNPACKED}")
 
 
 def algorithm_of(path: Path) -> str:
     """The algorithm of a model file, from the name of its policy's class; no code is loaded for that."""
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(part.file_size for part in archive.infolist())
-            if path.stat().st_size > MOST_BYTES or unpacked > MOST_UNPACKED:
-                raise WeightError(f"{path}: {unpacked} bytes unpacked, at most {MOST_UNPACKED}")
+            check_size(path, sum(part.file_size for part in archive.infolist()))
             kind = str(json.loads(archive.read("data"))["policy_class"]["__module__"])
     except WeightError:
         raise

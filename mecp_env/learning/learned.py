@@ -10,17 +10,14 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from stable_baselines3.common.policies import BasePolicy
-
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.learning.downsampled import downsample, goal_masks
 from mecp_env.learning.files import WeightError
-from mecp_env.learning.foreign import ZipPolicy, load_zip
+from mecp_env.learning.foreign import load_zip
 from mecp_env.learning.models import make_network, use_threads
+from mecp_env.learning.predicting import PredictingPolicy
 from mecp_env.learning.run_folder import CONFIG, POLICY
 from mecp_env.policies.registry import WEIGHTS, shipped
 
@@ -28,33 +25,7 @@ FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
 
 
-class LearnedPolicy:
-    """A trained policy: takes its most probable action, as a function of the observation alone."""
-
-    def __init__(self, network: BasePolicy, config: TrainConfig, name: str) -> None:
-        self.network, self.config, self.name = network, config, name
-        self.actions = config.actions
-        self.reset()
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode; nothing here is random."""
-        self.memory: Any = None
-        self.episode_start = np.ones(1, np.bool_)
-
-    def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
-        """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows."""
-        goals = self.actions == "goal"
-        inputs = downsample(observation, goals)
-        masks: dict[str, Any] = {}
-        if goals:
-            masks["action_masks"] = np.asarray(goal_masks(inputs) if mask is None else mask, np.bool_)[None]
-        batch = {name: values[None] for name, values in inputs.items()}
-        actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)
-        self.episode_start = np.zeros(1, np.bool_)
-        return int(actions[0]) if goals else np.asarray(actions[0], np.float32)
-
-
-def load(name_or_folder: str | Path, trust: bool = False) -> LearnedPolicy | ZipPolicy:
+def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy:
     """The policy of that name from `mecp_env/learning/weights`, or that of a run folder.
 
     With `trust` also the model file of Stable-Baselines3 at that path, which may run arbitrary code while it is loaded.
@@ -75,7 +46,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> LearnedPolicy | Zip
     config = TrainConfig.build(read_config(folder / CONFIG))
     network = make_network(config)
     files.put_weights(network, *read_weights(folder, config))
-    return LearnedPolicy(network, config, str(path))
+    return PredictingPolicy(network, config.actions, config, str(path))
 
 
 def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Path]:

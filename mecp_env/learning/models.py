@@ -65,12 +65,11 @@ def bootstrap_truncated(policy: BasePolicy, rewards: np.ndarray, infos: list[dic
 
     sb3-contrib would use the constant discount, that of an option without metres.
     """
-    for row, info in enumerate(infos):
-        if info["TimeLimit.truncated"]:
-            info["TimeLimit.truncated"] = False  # it is added here
-            with torch.no_grad():
-                value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
-            rewards[row] += info["discount"] * float(value)
+    for row, info in [(row, info) for row, info in enumerate(infos) if info["TimeLimit.truncated"]]:
+        info["TimeLimit.truncated"] = False  # it is added here
+        with torch.no_grad():
+            value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
+        rewards[row] += info["discount"] * float(value)
 
 
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:

@@ -108,6 +108,6 @@ def at_goals(maps: Tensor, goals: Tensor) -> Tensor:
 
 
 def surroundings(coarse: Tensor) -> tuple[Tensor, Tensor]:
-    """The coarse grid (B,8,24,24) at 1.6 m a cell, (B,8,12,12), and its means over 4.8 m, (B,8,12,12)."""
+    """The coarse grid (B,8,24,24) at 1.6 m per cell, (B,8,12,12), and its means over 4.8 m, (B,8,12,12)."""
     half = functional.avg_pool2d(coarse, 2)
     return half, functional.avg_pool2d(half, 3, 1, 1, count_include_pad=False)

@@ -37,9 +37,7 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
             workers_ignore_ctrl_c()
         log = RunLog(folder, config.steps, config.log.tensorboard)
         with TrainingRun(run_folder, log) as run, log, stopped_by_ctrl_c(run):  # the log starts threads after the forks
-            if resume:
-                run.resume()
-            return run.train()
+            return run.train(resume)
 
 
 def check(config: TrainConfig) -> None:
@@ -85,8 +83,10 @@ class TrainingRun:
         self.venv.seed(int(np.random.SeedSequence([self.config.seed, found.decisions]).generate_state(1)[0]) // 2)
         self.log.echo(f"resumed after {found.decisions:,} decisions")
 
-    def train(self) -> bool:
+    def train(self, resume: bool) -> bool:
         """Train to the end, or until `stop`; then everything is saved. An interrupted warm start is not."""
+        if resume:
+            self.resume()
         self.log.start(self.state.decisions)
         self.model.set_logger(self.log.training)
         teacher = self.config.warm_start.teacher and not self.state.decisions

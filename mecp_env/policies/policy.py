@@ -23,7 +23,7 @@ class Policy(Protocol):
         """Start an episode; all randomness in it follows from `seed`."""
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> Any:
-        """An action of that mode; `mask` (32,) excludes rows of `goals`, None where the action is no goal."""
+        """An action of that mode; `mask` (32,) excludes rows of `goals`, None for other actions."""
 
 
 def choices(observation: dict[str, Any], mask: Mask = None) -> NDArray[np.int64]:

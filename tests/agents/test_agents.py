@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.bfs import BreadthFirst
+from agents.bfs import RoomByRoom
 from mecp_env.policies.bfs import BreadthFirstPolicy
 from tests.policies.scenes import goal, observation
 
@@ -41,7 +41,7 @@ def test_the_example_selects_as_the_policy_of_the_package() -> None:
         seen["goals"][:, 5:7] = rng.integers(0, 3, (32, 2))
         mask = rng.random(32) < 0.7
         for given in (None, mask):
-            assert BreadthFirst().act(seen, given) == BreadthFirstPolicy().act(seen, given)
+            assert RoomByRoom().act(seen, given) == BreadthFirstPolicy().act(seen, given)
 
 
 def test_evaluation_prints_the_means(tmp_path: Path) -> None:

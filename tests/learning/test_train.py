@@ -319,7 +319,7 @@ def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch)
     from mecp_env.learning.train import TrainingRun
     from mecp_env.vector import WorkerDied
 
-    def run_into_trouble(self):
+    def run_into_trouble(self, resume):
         raise WorkerDied("worker 0 (environments 0 to 1) was killed by SIGKILL")
 
     monkeypatch.setattr(TrainingRun, "train", run_into_trouble)

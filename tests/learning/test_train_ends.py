@@ -124,7 +124,7 @@ def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("sys.stdout", output)
         folder, code = run(tmp_path, steps=12)
     assert code == 0
-    assert capsys.readouterr().err.count("nobody reads the output any more") == 1
+    assert capsys.readouterr().err.count("the output pipe is closed") == 1
     assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()][-1] == "000000000012"
 
 
