@@ -56,10 +56,10 @@ class SegmentConfig(Settings):
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
     merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; paper: none
     shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face
-    face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
     trim_beams: int = Field(2, ge=0, le=10)  # left out of the fit at each end, where the segment is long enough
     long_beams: int = Field(15, ge=1, le=1000)  # from here on a bad fit widens the covariance, below it is no wall
+    face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
     pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a circle up to this radius is no wall
 
@@ -67,40 +67,29 @@ class SegmentConfig(Settings):
 class GapConfig(Settings):
     """III, doors: which gaps between two line ends are doors."""
 
-    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between the two walls beside a door that are in line
+    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between the two walls beside a door, faces in or square to it
     oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between them, where the door is in line with one
     offset_m: float = Field(0.15, gt=0.0, le=2.0)  # of a jamb from the line of the other wall
-    stub_deg: float = Field(20.0, gt=0.0, lt=90.0)  # of the faces of a concave corner from the wall and its normal
-    stub_m: float = Field(0.3, gt=0.0, le=2.0)  # length of the unseen wall that a concave corner may stand for
-    stub_share: float = Field(0.85, ge=0.0, le=1.0)  # `through_share` where a concave corner stands for a jamb
-    through_share: float = Field(0.6, ge=0.0, le=1.0)  # of the beams between the jambs pass by `corners.end_jump_m`
-    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of them pass by the larger `depth_m`: else the gap is a niche
-    plain_width_m: float = Field(1.05, gt=0.0, le=10.0)  # up to here a gap in a wall is a door, above it only
-    depth_m: Limits = (0.35, 0.7)  # where the floor gets wider in this range behind it (a wall is thinner)
-    passed_m: float = Field(0.12, ge=0.0, le=2.0)  # beams that go so far beside the gap's width show that it does
-    stopped_m: float = Field(0.05, ge=0.0, le=2.0)  # beams that end so near to the gap's width show that it does not
-    odd_width_m: float = Field(1.3, gt=0.0, le=10.0)  # the widest door that is not between two walls in line of
-    beside_m: float = Field(0.5, ge=0.0, le=10.0)  # at least this length
+    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on behind the gap for
+    deep_m: float = Field(0.7, gt=0.0, le=10.0)  # so far: else it is a niche
+    plain_width_m: float = Field(1.3, gt=0.0, le=10.0)  # wider, a gap is a door only between walls in line, and
+    # where the floor is seen to get wider behind it, between the wall's thickness and `deep_m`
 
 
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
     min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
-    break_m: float = Field(0.08, ge=0.0, le=2.0)  # of an intersection from the ends of its two segments, plus noise
-    end_jump_m: float = Field(0.25, gt=0.0, le=5.0)  # behind a line end or a gap beams are farther by this, plus noise
-    line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line by less: a hit may be on it, a corner is not behind it
+    detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
+    line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
     edge_beams: int = Field(2, ge=1, le=10)  # beams that bearing noise mixes at an edge; one more makes sure
-    count_beams: int = Field(3, ge=1, le=100)  # of a segment, before its end, that are counted to find the end
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
     step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
-    post_m: float = Field(0.4, gt=0.0, le=5.0)  # a face shorter than this may be the end of a wall
+    wall_thickness_m: float = Field(0.4, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
     passing_cost: float = Field(2.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
     misfit: float = Field(3.5, gt=0.0, le=100.0)  # mean chi-square of its beams at most
-    twin_m: float = Field(0.25, ge=0.0, le=2.0)  # two corners nearer than this, with faces that differ by less than
-    twin_deg: float = Field(45.0, ge=0.0, le=180.0)  # this, are one
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
     covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma
@@ -116,11 +105,10 @@ class PolygonConfig(Settings):
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
     crossing_beams: int = Field(3, ge=1, le=100)  # neighbours that end in front of an edge: a wall crosses it
-    depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, or behind an edge: by more than this
+    depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, behind, or off an edge: by more than this
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     open_width_m: float = Field(0.4, gt=0.0, le=5.0)  # a narrower interval that beams pass is none
     widest_gap_m: float = Field(2.1, gt=0.0, le=10.0)  # between walls: a door, or one seen from the side; else open
-    jamb_offset_m: float = Field(0.3, ge=0.0, le=2.0)  # of the jambs of a gap from the edge
 
 
 class DynamicObjectsConfig(Settings):

@@ -16,7 +16,6 @@ from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-WIDEST_STEP = 1.75  # nominal bearing steps between two beams that may still be neighbours
 
 
 class Threshold(NamedTuple):
@@ -77,7 +76,7 @@ def find_clusters(
 def join_beams(beams: tuple[Array, Array, Bools, Ints], step: float, threshold: Threshold) -> Bools:
     """(B,) True where the beam and the next one (the first one after the last) may lie on one line."""
     ranges, bearings, hit, count = beams
-    size, widest = ranges.shape[0], WIDEST_STEP * step
+    size, widest = ranges.shape[0], 2.0 * step  # farther apart, a beam between them is missing
     joined = np.empty(size, np.bool_)
     for i in range(size - 1):  # without branches: several beams at once
         turn = bearings[i + 1] - bearings[i]

@@ -126,13 +126,10 @@ def one_each(rows: Records, line_cov: Array, limits: Record) -> Records:
 
 @compiled
 def is_twin(one: Record, other: Record, limits: Record) -> bool:
-    """True when two corners are one: near each other, of one convexity, with no face that contradicts."""
+    """True when two corners are one: near each other and of one convexity."""
     turn = wrap_angle(one.z[1] - other.z[1])
-    if one.convex != other.convex or math.hypot(one.z[0] - other.z[0], other.z[0] * turn) > limits.twin_m:
-        return False
-    before = abs(wrap_angle(one.normals[0] - other.normals[0]))
-    after = abs(wrap_angle(one.normals[1] - other.normals[1]))
-    return not (before > limits.twin_rad or after > limits.twin_rad)  # nan, a face unseen, contradicts nothing
+    near = math.hypot(one.z[0] - other.z[0], other.z[0] * turn) <= limits.detail_m
+    return bool(near and one.convex == other.convex)
 
 
 @compiled

@@ -33,8 +33,8 @@ def find_doorways(
         if directions.shape[1] == 0:  # of all beams, taken once per scan
             directions = np.empty((2, scan.polar.shape[1]))
             directions[0], directions[1] = np.cos(scan.polar[1]), np.sin(scan.polar[1])
-        a, b = gap_end(found, p_robot, right, left, gaps), gap_end(found, p_robot, left, right, gaps)
-        if not passes_through(found, scan, directions, lines, (right, left), (a, b), limits, gaps):
+        a, b = gap_end(found, p_robot, right, left, limits), gap_end(found, p_robot, left, right, limits)
+        if not passes_through(found, scan, directions, lines, (right, left), (a, b), gaps):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
         (ax, ay), (bx, by) = (p_robot[right, 0], p_robot[right, 1]), (p_robot[left, 0], p_robot[left, 1])
@@ -45,7 +45,7 @@ def find_doorways(
         steep = across >= math.cos(limits.door_incidence_rad) * distance
         good[size] = distance <= limits.door_range_m and steep
         wider = widening(scan, directions, a, b, limits, gaps)
-        plain, _, sides = width_limits(found, lines, right, left, gaps)
+        plain, _, sides = width_limits(found, lines, right, left, limits, gaps)
         size += wider >= sides or (wider == 0 and width[size] <= plain)
     return jambs[:size], width[:size], good[:size]
 
@@ -66,7 +66,7 @@ def nearest_partners(found: Records, p_robot: Array, lines: Lines, limits: Recor
                 continue
             if not face_each_other(found, p_robot, lines, right, left, gaps):
                 continue
-            if width > width_limits(found, lines, right, left, gaps)[1]:
+            if width > width_limits(found, lines, right, left, limits, gaps)[1]:
                 continue
             if width <= to_left[right]:
                 to_left[right], lefts[right] = width, left
@@ -97,7 +97,7 @@ def face_each_other(found: Records, p_robot: Array, lines: Lines, right: int, le
     for face in range(2):
         along = abs(wrap_angle(normals[face] - lines.line[segment, 0] - math.pi))
         aside = abs(wrap_angle(normals[1 - face] - across))
-        stub = stub or (along <= gaps.stub_rad and aside <= gaps.stub_rad)
+        stub = stub or (along <= gaps.parallel_rad and aside <= gaps.parallel_rad)
     return stub
 
 
@@ -109,22 +109,24 @@ def off_line(lines: Lines, segment: int, p: Array) -> float:
 
 
 @compiled
-def width_limits(found: Records, lines: Lines, right: int, left: int, gaps: Record) -> tuple[float, float, int]:
+def width_limits(
+    found: Records, lines: Lines, right: int, left: int, limits: Record, gaps: Record
+) -> tuple[float, float, int]:
     """How wide a gap is a door without, and with the floor seen to get wider behind it, m, and on how many sides."""
     ending, beginning = found[right].border[0], found[left].border[1]
     if ending < 0 or beginning < 0:
-        return 0.0, gaps.odd_width_m, 1
+        return 0.0, gaps.plain_width_m, 1
     if abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0])) > gaps.parallel_rad:
-        return 0.0, gaps.odd_width_m, 2
+        return 0.0, gaps.plain_width_m, 2
     shorter = min(lines.length[ending], lines.length[beginning])
-    return gaps.plain_width_m, math.inf if shorter >= gaps.beside_m else gaps.odd_width_m, 1
+    return gaps.plain_width_m, math.inf if shorter >= 2.0 * limits.detail_m else gaps.plain_width_m, 1
 
 
 @compiled
-def gap_end(found: Records, p_robot: Array, corner: int, opposite: int, gaps: Record) -> Point:
-    """x, y where a gap begins: at its corner, or `stub_m` nearer to the `opposite` one where that is concave."""
+def gap_end(found: Records, p_robot: Array, corner: int, opposite: int, limits: Record) -> Point:
+    """x, y where a gap begins: at its corner, or `detail_m` nearer to the `opposite` one where that is concave."""
     dx, dy = p_robot[opposite, 0] - p_robot[corner, 0], p_robot[opposite, 1] - p_robot[corner, 1]
-    share = 0.0 if found[corner].convex else min(gaps.stub_m / math.hypot(dx, dy), 0.5)
+    share = 0.0 if found[corner].convex else min(limits.detail_m / math.hypot(dx, dy), 0.5)
     return p_robot[corner, 0] + share * dx, p_robot[corner, 1] + share * dy
 
 
@@ -136,20 +138,16 @@ def passes_through(
     lines: Lines,
     jambs: tuple[int, int],
     ends: tuple[Point, Point],
-    limits: Record,
     gaps: Record,
 ) -> bool:
-    """True when most beams between the two walls beside the gap pass well beyond the line through its ends, some far.
-
-    Where a concave corner is in place of a jamb, almost all but those beside it: the wall there is short.
-    """
+    """True when enough of the beams between the two walls beside the gap pass far beyond the line through its ends."""
     (right, left), (a, b), size = jambs, ends, scan.polar.shape[1]
     ending, beginning = found[right].border[0], found[left].border[1]
     last = lines.last[ending] if ending >= 0 else lines.first[beginning] - size + 1
     first = lines.first[beginning] if beginning >= 0 else last - 1
     start = math.atan2(a[1], a[0])
     turn = wrap_angle(math.atan2(b[1], b[0]) - start)
-    between, beyond, deep = 0, 0, 0
+    between, deep = 0, 0
     for k in range(1, (first - last) % size):
         q = (last + k) % size
         ahead = wrap_angle(scan.polar[1, q] - start)
@@ -157,9 +155,8 @@ def passes_through(
             continue
         p = (scan.polar[0, q] * directions[0, q], scan.polar[0, q] * directions[1, q])
         depth = depth_behind(a, b, p) if scan.hit[q] else math.inf
-        between, beyond, deep = between + 1, beyond + (depth > limits.end_jump_m), deep + (depth > gaps.depth_m[1])
-    share = gaps.through_share if found[right].convex and found[left].convex else gaps.stub_share
-    return between > 0 and beyond >= share * between and deep >= gaps.deep_share * between
+        between, deep = between + 1, deep + (depth > gaps.deep_m)
+    return between > 0 and deep >= gaps.deep_share * between
 
 
 @compiled
@@ -180,11 +177,11 @@ def widening(scan: RolledScan, directions: Array, a: Point, b: Point, limits: Re
             continue
         side = 1 if sideways > 0.0 else 0
         reach = ((width if side == 1 else 0.0) - along) / sideways
-        if not gaps.depth_m[0] <= depth + reach * onward <= gaps.depth_m[1]:
+        if not limits.wall_thickness_m <= depth + reach * onward <= gaps.deep_m:
             continue
         outside = (scan.polar[0, q] - reach) * abs(sideways)
-        passed[side] += (not scan.hit[q]) or outside > gaps.passed_m
-        stopped[side] += scan.hit[q] and abs(outside) <= gaps.stopped_m
+        passed[side] += (not scan.hit[q]) or outside > limits.line_m
+        stopped[side] += scan.hit[q] and abs(outside) <= limits.line_m
     wider = 0
     for side in range(2):
         wider += passed[side] >= limits.edge_beams and passed[side] > stopped[side]

@@ -15,7 +15,7 @@ from mecp_env.slam.frontend.line_intersections import Lines, RolledScan, add_flo
 from mecp_env.slam.messages import CornerKind
 
 Array = NDArray[np.float64]
-SMEAR = 0.5642  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
+SMEAR = 1.0 / math.sqrt(math.pi)  # integral of Phi (1 - Phi): a transition blurred by the bearing noise
 
 
 class LineEnd(NamedTuple):
@@ -47,7 +47,7 @@ def add_end(
     Either something farther follows (the line end of III-A.1), or a second face at a right angle is seen that is too
     short for a segment of its own; it recedes at a convex corner and comes nearer at a concave one.
     """
-    jump = limits.end_jump_m + noise.outlier * noise.range_m
+    jump = limits.detail_m + noise.outlier * noise.range_m
     end = end_of(scan, lines, segment, side, jump, limits, noise)
     if not end.free and end.rest < limits.edge_beams:
         return False
@@ -135,10 +135,10 @@ def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noi
     total, size = scan.raw_ranges.shape[0], scan.polar.shape[1]
     sweeps = total // size
     spacing = (scan.raw_bearings[total - 1] - scan.raw_bearings[0]) / (total - 1)
-    beam = (end.position - end.side * limits.count_beams + scan.roll) % size
+    beam = (end.position - end.side * limits.edge_beams + scan.roll) % size
     first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
     on_line = 0
-    for k in range((limits.count_beams + 1 + end.rest + limits.edge_beams) * sweeps):
+    for k in range((2 * limits.edge_beams + 1 + end.rest) * sweeps):
         raw = (first + end.side * k) % total
         cosine = math.cos(scan.raw_bearings[raw] - end.alpha)
         if cosine < noise.least_cosine:

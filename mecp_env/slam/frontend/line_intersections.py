@@ -86,12 +86,12 @@ def add_intersection(
         gap = abs(along - rho * math.tan(bearing)) - limits.edge_beams * spacing
         far = gap if slot == 0 else max(far, gap)
         found.normals[slot] = wrap_angle(alpha + math.pi)
-    if variance > limits.max_sigma_m**2 or far > limits.break_m + noise.gate * math.sqrt(variance):
+    if variance > limits.max_sigma_m**2 or far > limits.line_m + noise.gate * math.sqrt(variance):
         return False
     found.kind, found.convex = CornerKind.CROSSING, math.sin(turn) < 0.0
-    if found.convex and lines.length[after] < limits.post_m:
+    if found.convex and lines.length[after] < limits.wall_thickness_m:
         found.border[0] = before
-    if found.convex and lines.length[before] < limits.post_m:
+    if found.convex and lines.length[before] < limits.wall_thickness_m:
         found.border[1] = after
     add_floor(found, floor)
     return True
@@ -113,6 +113,7 @@ def write_intersection(found: Record, line: Array, pair: tuple[int, int]) -> tup
         along = y * math.cos(own) - x * math.sin(own)  # n dp = drho - along dalpha
         by_rho_r, by_rho_b = (x * dx + y * dy) / r, (x * dy - y * dx) / (r * r)
         found.lines[slot] = pair[slot]
+        found.own[slot, 0] = found.own[slot, 1] = 0.0  # a line end that was tried before has left its own
         found.jacobian[slot, 0, 0], found.jacobian[slot, 0, 1] = -along * by_rho_r, by_rho_r
         found.jacobian[slot, 1, 0], found.jacobian[slot, 1, 1] = -along * by_rho_b, by_rho_b
     return x, y

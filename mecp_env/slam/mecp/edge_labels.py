@@ -17,7 +17,6 @@ Bools = NDArray[np.bool_]
 Record = Any  # a row of `Settings.record`: numbers by name
 
 PASSES, STOPS, SHORT = 1, 0, -1  # what a beam does at an edge
-FARTHER = 1.001  # a beam this many times longer than an edge is far ends behind it, whatever the error of the cosine
 
 
 class EdgeBeams(NamedTuple):
@@ -99,7 +98,7 @@ def edge_is_cut(edge: Edge, beams: EdgeBeams, limits: Record) -> bool:
     """
     ranges, bearings, size = beams.ranges, beams.bearings, beams.ranges.shape[0]
     needed, depth, spacing = limits.crossing_beams, limits.depth_m, 2.0 * math.pi / size
-    behind = FARTHER * edge.farthest - depth
+    behind = edge.farthest - depth  # the edge is nowhere farther
     for probe in range(needed - 1, edge.beams, needed):
         i = edge.first + probe if edge.first + probe < size else edge.first + probe - size
         if ranges[i] >= behind or not in_front(ranges[i], bearings[i], edge, depth, spacing):
@@ -180,7 +179,7 @@ def is_gap(a: Array, b: Array, interval: Array, doors: Array, limits: Record) ->
             low, high = min(low, along), max(high, along)
             off = max(off, abs(x * dy - y * dx) / length)
         common = min(high, end) - max(low, begin)
-        if off < limits.jamb_offset_m and 2.0 * common >= max(end - begin, high - low):
+        if off < limits.depth_m and 2.0 * common >= max(end - begin, high - low):
             return True
     return False
 

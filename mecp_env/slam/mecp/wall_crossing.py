@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-LAZY_ATTEMPTS = 3
+LAZY_ATTEMPTS = 2
 MATCHABLE = 4  # a triangle is no evidence of a place (derivations 1.4)
 
 

@@ -326,7 +326,9 @@ def plain_intersection(line):
 def test_derivatives_of_an_intersection_against_finite_differences():
     base = np.array([[0.3, 2.0], [1.7, 1.5]])
     found = empty_corners(1)[0]
+    write_end(found, 0, (0.4, 2.0), EndBearing(0.9, 1e-4, 0.0))  # a line end that was tried in vain leaves nothing
     x, y = write_intersection(found, base, (0, 1))
+    assert not found["own"].any()
     np.testing.assert_allclose(found["z"], plain_intersection(base))
     np.testing.assert_allclose(found["z"], (math.hypot(x, y), math.atan2(y, x)))
     for slot in range(2):
