@@ -37,7 +37,7 @@ class Doctor(Command):
     seconds: float = 2.0  # how long the self-test drives
 
     def run(self, line: Sequence[str]) -> int:
-        """Say what each check finds, as it finds it."""
+        """Print the finding of each check as soon as it is known."""
         if not SECONDS[0] <= self.seconds <= SECONDS[1]:
             raise ConfigError(f"seconds: {self.seconds:g}, from {SECONDS[0]:g} to {SECONDS[1]:g}")
         counts = dict.fromkeys(COLOURS, 0)
@@ -55,7 +55,7 @@ def examine(checks: Sequence[Callable[[], Iterator[Finding]]]) -> Iterator[Findi
             yield from check()
         except Exception as error:  # whatever is wrong with the machine is to be said
             name = getattr(check, "__name__", "self-test").strip("<>").replace("lambda", "self-test")
-            yield Finding("FAIL", name, f"{type(error).__name__}: {error}", "install mecp_env anew, or report this")
+            yield Finding("FAIL", name, f"{type(error).__name__}: {error}", "install mecp_env again, or report this")
 
 
 def echo(finding: Finding) -> None:

@@ -117,7 +117,7 @@ def cache(place: Path) -> Iterator[Finding]:
 
 
 def display() -> Iterator[Finding]:
-    """Whether a window can be opened; asked in a process of its own, which SDL may end or fill with messages."""
+    """Whether a window can be opened; tested in a separate process, which SDL may end or fill with messages."""
     line = [sys.executable, "-c", OPEN_WINDOW]
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(

@@ -120,7 +120,7 @@ class Game:
             self.message = "The robot touches something." if info["contact"] else HELP
 
     def keep_picture(self) -> None:
-        """Write the present frame as PNG; where it cannot be written, say so in the window."""
+        """Write the current frame as PNG; an error is shown in the window."""
         path = self.folder / f"{NOT_IN_NAMES.sub('-', self.view.title).strip('-')}.png"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -54,7 +54,7 @@ class Environment(EnvConfig):
 class BuildingsConfig(Settings):
     """Where the robot learns: another generated building at every reset, or always the same layout."""
 
-    # dealt out to the environments in turn
+    # distributed over the environments
     difficulty: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_many)] = ("medium",)
     split: Literal["train", "validation", "test"] = "train"
     # fields of `GeneratorSpec` over the difficulty's own: rooms 12 door_width_m 0.7 0.9 shapes L T
@@ -77,25 +77,25 @@ class BuildingsConfig(Settings):
 class NetworkConfig(Settings):
     """Sizes of the network (docs/training.md has the picture)."""
 
-    width: int = Field(64, ge=4, le=1024)  # of the code of a goal, of a landmark and of the context
+    width: int = Field(64, ge=4, le=1024)  # of the code of a goal and of the context
     grid_channels: int = Field(16, ge=2, le=256)  # of the convolutions
-    attention: bool = True  # goals see each other before they are scored
-    prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy does as
-    sharpness: float = Field(5.0, ge=0.0, le=100.0)  # how surely it does so
+    attention: bool = True  # between goals, before they are scored
+    prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy imitates
+    sharpness: float = Field(5.0, ge=0.0, le=100.0)  # of the logits of that explorer
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
 
 
 class PpoConfig(Settings):
-    """Hyper-parameters of PPO; a decision is a drive with goals, a control step with velocities."""
+    """Hyper-parameters of PPO; a decision is an option (the drive to a goal) or, with velocities, a control step."""
 
-    steps: int = Field(32, ge=2, le=100_000)  # decisions of each environment between two updates
-    batch: int = Field(128, ge=2, le=1_000_000)  # decisions a gradient step
+    steps: int = Field(32, ge=2, le=100_000)  # decisions per environment and update
+    batch: int = Field(128, ge=2, le=1_000_000)  # decisions per gradient step
     epochs: int = Field(10, ge=1, le=100)
     learning_rate: float = Field(1.5e-3, gt=0.0, le=1.0)
-    anneal: bool = True  # the learning rate falls to 0 in a straight line
+    anneal: bool = True  # the learning rate falls linearly to 0
     gae_lambda: float = Field(0.95, ge=0.0, le=1.0)
-    discount: float = Field(1.0, gt=0.0, le=1.0)  # a decision; with velocities a step
-    discount_m: float = Field(60.0, gt=0.0, le=1e6)  # goals: what comes so many metres later counts 1/e
+    discount: float = Field(1.0, gt=0.0, le=1.0)  # per decision
+    discount_m: float = Field(60.0, gt=0.0, le=1e6)  # goals: a reward that many metres later counts 1/e
     clip: float = Field(0.2, gt=0.0, le=1.0)
     entropy: float = Field(0.0, ge=0.0, le=1.0)
     value: float = Field(0.5, ge=0.0, le=10.0)
@@ -105,10 +105,10 @@ class PpoConfig(Settings):
 
 
 class WarmStartConfig(Settings):
-    """What is learned of an explorer before PPO begins."""
+    """What is learned from an explorer before PPO starts."""
 
-    teacher: str | None = None  # nearest, gain, bfs: an explorer of `agents`
-    imitate: bool = True  # no: only the critic learns, what the teacher earns
+    teacher: str | None = None  # nearest, gain or bfs
+    imitate: bool = True  # no: only the critic learns, from the returns of the teacher
     decisions: int = Field(4000, ge=16, le=10_000_000)
     epochs: int = Field(10, ge=1, le=1000)
 
@@ -118,19 +118,19 @@ class LogConfig(Settings):
 
     evaluate_every: int = Field(10_000, ge=1)  # decisions
     evaluate_buildings: int = Field(20, ge=0, le=1000)  # of the validation split; 0: no evaluation
-    checkpoint_s: float = Field(60.0, ge=0.0, le=86_400.0)  # at most so much is lost
+    checkpoint_s: float = Field(60.0, ge=0.0, le=86_400.0)  # at most so much training is lost
     keep: int = Field(3, ge=1, le=1000)  # checkpoints
     tensorboard: bool = True
 
 
 class TrainConfig(Settings):
-    """All that a training run depends on."""
+    """The complete configuration of a training run."""
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
-    workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one an environment; none
+    workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
     threads: int = Field(1, ge=1, le=256)  # of PyTorch
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
@@ -170,7 +170,9 @@ COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
     "environments": 16,
-    "env": {"reward": {"contact": -0.01, "time": -0.001}},  # at the environment's own weights it learns to stand still
+    "env": {
+        "reward": {"contact": -0.01, "time": -0.001}
+    },  # with the environment's own weights it learns to stand still
     "network": {"width": 32, "grid_channels": 8},
     "ppo": {"steps": 128, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
     "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},
