@@ -66,17 +66,14 @@ def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:
     """The first fault of ranges and bearings (K,B) in the order of the beams."""
     if is_sound(ranges, bearings, max_range):
         return Fault.NONE
-    for sweep, sweep_bearings in zip(ranges.tolist(), bearings.tolist(), strict=True):
-        last = -math.inf
-        for r, bearing in zip(sweep, sweep_bearings, strict=True):
-            if not (math.isfinite(r) and math.isfinite(bearing)):
-                return Fault.NOT_FINITE
-            if r < 0.0 or r > max_range:
-                return Fault.OUT_OF_RANGE
-            if bearing <= last or abs(bearing) > math.pi:
-                return Fault.OUT_OF_ORDER
-            last = bearing
-    return Fault.NONE
+    previous = np.column_stack((np.full(len(bearings), -math.inf), bearings[:, :-1]))
+    faulty = {
+        Fault.NOT_FINITE: ~(np.isfinite(ranges) & np.isfinite(bearings)),
+        Fault.OUT_OF_RANGE: (ranges < 0.0) | (ranges > max_range),
+        Fault.OUT_OF_ORDER: (bearings <= previous) | (abs(bearings) > math.pi),
+    }
+    first = {fault: int(beams.argmax()) for fault, beams in faulty.items() if beams.any()}
+    return min(first, key=first.__getitem__, default=Fault.NONE)
 
 
 @compiled
