@@ -10,6 +10,7 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
+from mecp_env.slam.config import SlamConfig
 from mecp_env.world.generator.spec import GeneratorSpec
 
 
@@ -47,6 +48,15 @@ def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
     again = parse(["--config", str(path)]).config
     assert again == config
     assert again.env.estimator_config == config.env.estimator_config
+
+
+def test_older_names_of_dynamic_objects_in_a_run_folder_are_read(tmp_path):
+    file = tmp_path / "config.json"
+    older = {"transients": {"refutations": 6, "longest_m": 1.5, "most_sigma_m": 0.2}, "tracks": {"fuse_m": 0.1}}
+    file.write_text(json.dumps({"environment": {"slam": older}}))
+    slam = SlamConfig(**read_config(file)["environment"]["slam"])
+    assert (slam.dynamic_objects.prune_scans, slam.dynamic_objects.wall_m) == (6, 1.5)
+    assert (slam.dynamic_objects.max_sigma_m, slam.tracks.merge_m) == (0.2, 0.1)
 
 
 def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
