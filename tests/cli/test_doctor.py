@@ -81,10 +81,15 @@ def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     assert "NUMBA_CACHE_DIR" in found.fix
 
 
-def test_a_cold_cache_is_told(tmp_path: Path) -> None:
+def test_a_cold_cache_is_reported_and_a_warm_one_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mecp_env.core.warm_up.missing_entries", lambda: ["an entry"])
     writable, cold = doctor_machine.cache(tmp_path / "new")
     assert (writable.verdict, cold.verdict) == ("PASS", "WARN")
     assert "compiles first" in cold.said
+    assert cold.fix == "mecp-env warmup"
+    monkeypatch.setattr("mecp_env.core.warm_up.missing_entries", list)
+    (warm,) = doctor_machine.cache(tmp_path / "new")
+    assert warm.verdict == "PASS"
 
 
 def test_kernels_that_are_not_compiled_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
