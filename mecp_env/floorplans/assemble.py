@@ -10,8 +10,7 @@ import shapely
 from shapely.geometry import Point, Polygon
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.floorplans.clean import largest_part, reachable_floor
-from mecp_env.floorplans.doors_of import (
+from mecp_env.floorplans.door_detection import (
     FINE_STEP_M,
     Gap,
     Walls,
@@ -20,9 +19,10 @@ from mecp_env.floorplans.doors_of import (
     measure,
     without_furniture,
 )
+from mecp_env.floorplans.furniture import fitted
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
-from mecp_env.floorplans.pieces import fitted
-from mecp_env.floorplans.rooms_of import Rooms, split
+from mecp_env.floorplans.reachable_floor import largest_part, reachable_floor
+from mecp_env.floorplans.room_partition import Rooms, split
 from mecp_env.floorplans.straighten import along_directions, directions, straightened, thinned
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.outline import ROBOT_RADIUS_M

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import colorsys
-import json
 import math
 import os
-import re
 from collections.abc import Iterator
 from html import escape
 from itertools import pairwise
@@ -14,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import shapely
+import yaml
 from numpy.typing import NDArray
 from PIL import Image
 from shapely.geometry import Polygon
@@ -29,14 +28,6 @@ FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # as map_server's own saver writes them
 WALL_M = 0.15  # so much of what bounds the floor is drawn as wall; behind it nothing is known
 THIN = 0.95  # of a pixel: a thinner wall would have holes
 MAX_PIXELS = 4096 * 4096
-YAML = """image: {image}
-mode: trinary
-resolution: {resolution:.6f}
-origin: [{x:.6f}, {y:.6f}, 0.000000]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
 
 
 def save_map_server(
@@ -55,13 +46,11 @@ def save_map_server(
     sheet, image = (stem.with_name(stem.name + ending) for ending in (".yaml", ".pgm"))
     Image.fromarray(levels[::-1]).save(image, format="PPM")
     x, y = origin.tolist()
-    sheet.write_text(YAML.format(image=_scalar(image.name), resolution=resolution_m, x=x, y=y), encoding="utf-8")
+    fields = {"image": image.name, "mode": "trinary", "resolution": round(resolution_m, 6)}
+    fields |= {"origin": [round(x, 6), round(y, 6), 0.0], "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196}
+    text = yaml.safe_dump(fields, sort_keys=False, allow_unicode=True, default_flow_style=None, width=math.inf)
+    sheet.write_text(text, encoding="utf-8")
     return sheet, image
-
-
-def _scalar(name: str) -> str:
-    """The name of a file as yaml has it, in quotes where it holds more than letters, digits, dots and dashes."""
-    return name if re.fullmatch(r"[\w.-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def _raster(outline: Outline, resolution_m: float) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:

@@ -19,7 +19,7 @@ from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 
 MAX_YAML_BYTES = 20_000
-MAX_EVENTS = 500
+MAX_PARTS = 500
 MAX_YAML_DEPTH = 4
 MODES = ("trinary", "scale", "raw")
 REQUIRED = ("image", "resolution", "origin")
@@ -50,10 +50,7 @@ def image_of(path: Path) -> Path | None:
 def _fields(data: bytes) -> dict[str, Any]:
     """The fields of the yaml file. Raises LayoutError for tags, anchors, aliases, and what is no flat mapping."""
     try:
-        text = data.decode("utf-8")
-        _check_events(text)
-        _check_keys(text)
-        fields = yaml.safe_load(text)
+        fields = yaml.load(data.decode("utf-8"), Loader=_PlainLoader)  # a SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, LayoutError):
             raise
@@ -66,37 +63,32 @@ def _fields(data: bytes) -> dict[str, Any]:
     return fields
 
 
-def _check_events(text: str) -> None:
-    """Nothing in the text makes objects, refers to others, or is nested."""
-    depth = 0
-    for count, event in enumerate(yaml.parse(text, Loader=yaml.SafeLoader)):
-        opens = isinstance(event, yaml.events.CollectionStartEvent)
-        depth += opens - isinstance(event, yaml.events.CollectionEndEvent)
-        if isinstance(event, yaml.events.AliasEvent) or getattr(event, "anchor", None):
-            raise LayoutError("yaml with anchors or aliases is refused")
+class _PlainLoader(yaml.SafeLoader):
+    """A loader that refuses tags, anchors, aliases, deep nesting, and a key that a mapping has twice."""
+
+    depth = parts = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         tag = getattr(event, "tag", None)
+        self.depth, self.parts = self.depth + 1, self.parts + 1
+        if isinstance(event, yaml.events.AliasEvent) or event.anchor:
+            raise LayoutError("yaml with anchors or aliases is refused")
         if tag:
             raise LayoutError(f"yaml with tags is refused (given: {shown(tag)})")
-        if depth > MAX_YAML_DEPTH or count > MAX_EVENTS:
-            raise LayoutError(f"yaml is nested deeper than {MAX_YAML_DEPTH} or has more than {MAX_EVENTS} parts")
+        if self.depth - isinstance(event, yaml.ScalarEvent) > MAX_YAML_DEPTH or self.parts > MAX_PARTS:
+            raise LayoutError(f"yaml is nested deeper than {MAX_YAML_DEPTH} or has more than {MAX_PARTS} parts")
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        if isinstance(node, yaml.MappingNode):
+            self._require_unique_keys(node)
+        return node
 
-
-def _check_keys(text: str) -> None:
-    """Raise LayoutError for a field that the file, or a mapping in it, gives twice: which one is meant is unknown."""
-    left = [yaml.compose(text, Loader=yaml.SafeLoader)]
-    while left:
-        node = left.pop()
-        if isinstance(node, yaml.SequenceNode):
-            left += node.value
-        elif isinstance(node, yaml.MappingNode):
-            left += [value for _, value in node.value]
-            _check_unique([key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)])
-
-
-def _check_unique(keys: list[str]) -> None:
-    for key, count in Counter(keys).items():
-        if count > 1:
-            raise LayoutError(f"{key:.80}: given {'twice' if count == 2 else f'{count} times'}")
+    def _require_unique_keys(self, node: yaml.MappingNode) -> None:
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for key, count in keys.items():
+            if count > 1:
+                raise LayoutError(f"{key:.80}: given {'twice' if count == 2 else f'{count} times'}")
 
 
 def _placement(origin: Any, resolution: float) -> Placement:

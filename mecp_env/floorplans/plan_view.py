@@ -7,13 +7,13 @@ import math
 import numpy as np
 import shapely
 from shapely.affinity import affine_transform, rotate
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 
-from mecp_env.render.floor_plan import LETTER, LINES, Array, FloorPlan, PlanRoom, Shape
-from mecp_env.world.outline import Outline, build_outline, obstacle_shape, solid_shape
+from mecp_env.render.floor_plan import LETTER, LINES, FloorPlan, PlanRoom, Shape
+from mecp_env.world.outline import Outline, build_outline, door_ring, obstacle_shape, solid_shape, wall_solids
 from mecp_env.world.schema import Layout
 
 CLEAR_M = 0.06  # between a name and walls or furniture
@@ -29,16 +29,12 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
     """The picture's data of a checked layout, under its own name or another title."""
     outline = build_outline(layout)
     blocks = [obstacle_shape(obstacle) for obstacle in layout.obstacles]
-    walls = [
-        LineString(wall.points).buffer(wall.thickness_m / 2.0, cap_style="square", join_style="mitre")
-        for wall in layout.walls
-    ]
-    walls += map(solid_shape, layout.solids)
+    walls = [*wall_solids(layout), *map(solid_shape, layout.solids)]
     return FloorPlan(
         name=title or layout.name,
         walls=tuple(_shape(part) for part in shapely.get_parts(shapely.union_all(walls))),
         rooms=_rooms(outline),
-        doors=_gaps(outline),
+        doors=tuple(door_ring(outline.doors, i, 0.0) for i in range(len(outline.doors))),
         obstacles=tuple(np.array(block.exterior.coords)[:-1] for block in blocks),
         starts=outline.starts,
         free_m2=float(outline.free_area.area),
@@ -49,16 +45,6 @@ def _shape(part: Polygon) -> Shape:
     """Its rings, the holes the other way round than the outside, so that they are not filled."""
     part = orient(part)
     return tuple(np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors))
-
-
-def _gaps(outline: Outline) -> tuple[Array, ...]:
-    """The gap (4,2) of each door in its wall."""
-    doors, gaps = outline.doors, []
-    for i, angle in enumerate(doors.normal):
-        across = np.array([np.cos(angle), np.sin(angle)]) * doors.thickness[i] / 2.0
-        along = np.array([-np.sin(angle), np.cos(angle)]) * doors.width[i] / 2.0
-        gaps.append(doors.centre[i] + np.array([-across - along, across - along, across + along, along - across]))
-    return tuple(gaps)
 
 
 def _rooms(outline: Outline) -> tuple[PlanRoom, ...]:
@@ -108,14 +94,9 @@ def _space(free: BaseGeometry, aspect: float, turn_deg: float) -> Label:
 
 def _colours(rooms: tuple[Polygon, ...]) -> list[int]:
     """For each room the colour that is used least, of those that no neighbour before it has."""
-    colours: list[int] = []
-    for i, others in enumerate(_neighbours(rooms)):
-        taken = {colours[j] for j in others if j < i}
+    tree, colours = shapely.STRtree(rooms), list[int]()
+    for i, room in enumerate(rooms):
+        taken = {colours[j] for j in tree.query(room.buffer(0.1), predicate="intersects").tolist() if j < i}
         left = [colour for colour in COLOURS if colour not in taken] or list(COLOURS)
         colours.append(min(left, key=colours.count))
     return colours
-
-
-def _neighbours(rooms: tuple[Polygon, ...]) -> list[list[int]]:
-    tree = shapely.STRtree(rooms)
-    return [tree.query(room.buffer(0.1), predicate="intersects").tolist() for room in rooms]

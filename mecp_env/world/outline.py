@@ -214,7 +214,7 @@ def _free_area(layout: Layout, doors: Doors) -> Polygon:
     """The free space around the first start."""
     cuts = [Polygon(door_ring(doors, i, 0.02)) for i in np.flatnonzero(~doors.gap).tolist()]
     blocks = [*map(obstacle_shape, layout.obstacles), *map(solid_shape, layout.solids)]
-    solids = shapely.difference(shapely.union_all(_wall_solids(layout)), shapely.union_all(cuts))
+    solids = shapely.difference(shapely.union_all(wall_solids(layout)), shapely.union_all(cuts))
     solids = shapely.union(solids, shapely.union_all(blocks))
     x0, y0, x1, y1 = solids.bounds
     around = box(x0 - 1.0, y0 - 1.0, x1 + 1.0, y1 + 1.0)
@@ -222,7 +222,7 @@ def _free_area(layout: Layout, doors: Doors) -> Polygon:
     return _part_with_start(shapely.set_precision(free, 0.0), around, layout)  # 0: what follows is not rounded
 
 
-def _wall_solids(layout: Layout) -> NDArray[np.object_]:
+def wall_solids(layout: Layout) -> NDArray[np.object_]:
     """The solid of each wall, with square ends and mitred corners."""
     points = np.array([point for wall in layout.walls for point in wall.points]).reshape(-1, 2)
     wall_of = np.repeat(np.arange(len(layout.walls)), [len(wall.points) for wall in layout.walls])

@@ -145,14 +145,6 @@ class Layout(_Part):
         except ValidationError as error:
             raise LayoutError(describe(error, "layout", type(self))) from None
 
-    @field_validator("solids")
-    @classmethod
-    def _are_few_points(cls, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
-        points = sum(len(ring) for solid in solids for ring in (solid.outer, *solid.holes))
-        if points > MAX_SOLID_POINTS:
-            raise ValueError(f"{points} points, at most {MAX_SOLID_POINTS}")
-        return solids
-
     @field_validator("walls")
     @classmethod
     def _has_some_material(cls, walls: tuple[WallSpec, ...], info: ValidationInfo) -> tuple[WallSpec, ...]:

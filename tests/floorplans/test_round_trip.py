@@ -66,14 +66,20 @@ def test_rooms_doors_and_walls_come_back(building: str, thin: bool, resolution_m
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution_m", [0.05, 0.025])
-@pytest.mark.parametrize("thin", [False, True])
+@pytest.mark.parametrize(
+    ("thin", "resolution_m", "first"), [(False, 0.05, 0), (False, 0.025, 15), (True, 0.05, 30), (True, 0.025, 45)]
+)
 @pytest.mark.parametrize("difficulty", ["easy", "medium", "hard", "huge"])
-def test_thirty_buildings_come_back(difficulty: str, thin: bool, resolution_m: float, tmp_path: Path) -> None:
-    """A shelf in front of a corner can look like a jamb; in walls of one pixel a jamb may be blurred away."""
+def test_sixty_buildings_come_back(
+    difficulty: str, thin: bool, resolution_m: float, first: int, tmp_path: Path
+) -> None:
+    """Each case has 15 buildings of its own, 60 of each difficulty.
+
+    A shelf in front of a corner can look like a jamb; in walls of one pixel a jamb may be blurred away.
+    """
     doors = missing = false = 0
     off = []
-    for seed in range(30):
+    for seed in range(first, first + 15):
         layout = generate(spec(difficulty, thin), seed)
         plan = again(layout, tmp_path, resolution_m)
         lost, made = doors_apart(layout, plan)
@@ -81,7 +87,7 @@ def test_thirty_buildings_come_back(difficulty: str, thin: bool, resolution_m: f
         off.append(walls_off_m(layout, plan))
     one_pixel = thin and resolution_m == THIN_M
     assert missing <= (0.015 if one_pixel else 0.005) * doors
-    assert false <= 0.005 * doors + 1
+    assert false <= 0.005 * doors + 0.5
     assert np.median(off) < 0.015
     assert max(off) < 0.05
 

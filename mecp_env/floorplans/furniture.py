@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry import Polygon
 
-from mecp_env.floorplans.doors_of import is_furniture
+from mecp_env.floorplans.door_detection import is_furniture
 
 ROUND = 0.93  # 4 pi area / perimeter^2: 0.79 for a square, 0.95 for an octagon
 HULL = 0.9  # of its convex hull a pillar fills

@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.polygon import orient
 
-from mecp_env.floorplans.doors_of import Gap
+from mecp_env.floorplans.door_detection import Gap
 from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.outline import ROBOT_RADIUS_M
 
