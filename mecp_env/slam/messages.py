@@ -269,6 +269,12 @@ class Match:
     known: int  # index of the MapPolygon matched (in the store at the time), or -1
     closure: bool  # loop closure: a room not seen for a while was recognised, and the update is iterated
 
+    def __post_init__(self) -> None:
+        """Make the columns read-only: a stage that decides differently returns a new match."""
+        for column in (self.ids, self.decision, self.reason, self.nis):
+            if isinstance(column, np.ndarray):  # `check_match` reports anything else
+                column.setflags(write=False)
+
     def assign(self, corners: Any, ids: Any, decision: Any, reason: Any) -> Match:
         """A new match with these columns (c,), or one value, for some `corners` (c,)."""
         columns = self.ids.copy(), self.decision.copy(), self.reason.copy()

@@ -8,8 +8,9 @@ import pytest
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import downdate
 from mecp_env.core.se2 import polar_to_map, polar_to_points, to_map, wrap_angle
+from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map.map_polygons import find_whole, link
-from mecp_env.slam.messages import Corners, Decision, Doorways, Match
+from mecp_env.slam.messages import Corners, Decision, Doorways, Match, Reason
 from tests.slam.tables import table_of
 
 
@@ -114,3 +115,13 @@ def test_whole_polygons_are_found_as_one_by_one():
     whole = are_whole(rings, rooms, rows)
     assert whole == [are_whole([ring], [now], rows)[0] for ring, now in zip(rings, rooms, strict=True)]
     assert 10 < sum(whole) < 290
+
+
+def test_nobody_can_change_a_match():
+    match = MatchBuilder(3).match()
+    for column in (match.ids, match.decision, match.reason, match.nis):
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1
+    changed = match.assign([1], 7, Decision.LANDMARK, Reason.ROOM)
+    assert changed.ids.tolist() == [-1, 7, -1]
+    assert match.ids.tolist() == [-1, -1, -1]
