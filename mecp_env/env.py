@@ -226,7 +226,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         generator = make_generator(state["random"])
         body, moving, episode = (decode(state[part]) for part in PARTS)
         check_parts(state["seed"], body, moving, episode, self._oracle.make_pipeline(self._slam))
-        self._true_world.restore(building, moving, body)
+        self._true_world.restore(building, moving, body, episode)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
 

@@ -8,6 +8,8 @@ as a dict with the one key "@KIND"; arrays and objects that are reached twice st
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import Enum
 from typing import Any
 
@@ -147,12 +149,23 @@ def encode(value: Any) -> Any:
     return Encoder().encode(value)
 
 
+@contextmanager
+def damage_refused() -> Iterator[None]:
+    """Turns whatever unexpected data makes Python raise into `StateError`."""
+    try:
+        yield
+    except StateError:
+        raise
+    except MecpError as error:
+        raise StateError(f"state: {error}") from None
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError, MemoryError) as error:
+        raise StateError(f"state: damaged ({error!r:.80})") from None
+
+
 def decode(data: Any) -> Any:
     """The value that `encode` made `data` from; shares no memory with it. Raises `StateError`."""
-    try:
+    with damage_refused():
         return Decoder().decode(data)
-    except (TypeError, ValueError, LookupError, AttributeError, RecursionError) as error:
-        raise error if isinstance(error, StateError) else StateError(f"state: damaged ({error!r:.80})") from None
 
 
 def array_data(array: np.ndarray[Any, Any]) -> dict[str, Any]:

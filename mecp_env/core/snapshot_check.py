@@ -24,8 +24,13 @@ def examples_of(value: Any) -> Examples:
         if is_object(item):
             found.update(examples_of(item))
             if not is_dataclass(item):
-                found[type(item)] = {name: type(part) for name, part in fields_of(item).items()}
+                found[type(item)] = {name: kind_of(part) for name, part in fields_of(item).items()}
     return found
+
+
+def kind_of(value: Any) -> Any:
+    """The type of a field; of an array with that of its elements."""
+    return np.ndarray[Any, np.dtype[value.dtype.type]] if isinstance(value, np.ndarray) else type(value)
 
 
 def check_fields(value: Any, hint: Any, where: str, examples: Examples) -> None:

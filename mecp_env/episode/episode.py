@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
-from mecp_env.core.snapshot import StateError
+from mecp_env.core.snapshot import StateError, damage_refused
 from mecp_env.core.snapshot_check import check_fields, examples_of
 from mecp_env.episode.observations import TravelledPath
 from mecp_env.episode.rewards import RewardMemory
@@ -76,9 +76,10 @@ def check_state(state: Any, config: EnvConfig) -> None:
 def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipeline) -> None:
     """Raise `StateError` unless the parts of a state are of their types; `fresh` is a pipeline just made."""
     examples = examples_of(fresh)
-    check_fields(seed, int | None, "state.seed", examples)
-    check_fields(body, dict[str, Array], "state.simulation", examples)
-    check_fields(moving, Moving, "state.moving", examples)
-    if not is_whole(moving):
-        raise StateError("state.moving: arrays of the wrong shape")
-    check_fields(episode, EpisodeState, "state.episode", examples)
+    with damage_refused():
+        check_fields(seed, int | None, "state.seed", examples)
+        check_fields(body, dict[str, Array], "state.simulation", examples)
+        check_fields(moving, Moving, "state.moving", examples)
+        if not is_whole(moving):
+            raise StateError("state.moving: arrays of the wrong shape")
+        check_fields(episode, EpisodeState, "state.episode", examples)

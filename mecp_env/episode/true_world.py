@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.messages import Scan
-from mecp_env.core.snapshot import StateError
+from mecp_env.core.snapshot import StateError, damage_refused
 from mecp_env.episode.buildings import check_building, draw_building, make_source
+from mecp_env.episode.episode import EpisodeState
 from mecp_env.episode.start import Start, check_start, start_pose
+from mecp_env.episode.state_shapes import check_arrays, check_truth
 from mecp_env.evaluation.ground_truth import CELL_M, NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.laser import Laser
@@ -58,8 +60,22 @@ class TrueWorld:
         self._populate(pose, rng)
         self.simulation.reset(pose)
 
-    def restore(self, building: int, moving: Moving, body: dict[str, Array]) -> None:
-        """Continue in that building with the given dynamic obstacles and body."""
+    def restore(self, building: int, moving: Moving, body: dict[str, Array], episode: EpisodeState) -> None:
+        """Continue in that building with the given dynamic obstacles and body.
+
+        Raises `StateError` where they, or the episode's arrays, do not fit; then this world is as before.
+        """
+        before = self.building, self.movers.state, self.simulation.get_state()
+        try:
+            with damage_refused():
+                check_arrays(body, episode, moving)
+                self._continue(building, moving, body)
+                check_truth(episode, self.truth.free.shape)
+        except MecpError:
+            self._continue(*before)
+            raise
+
+    def _continue(self, building: int, moving: Moving, body: dict[str, Array]) -> None:
         self._move_to(building)
         self._admit(moving)
         self.simulation.set_state(body)
