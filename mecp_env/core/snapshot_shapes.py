@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import is_dataclass
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,7 @@ class ShapeCheck:
         for path, text in self._shapes.get(type(value).__name__, {}).items():
             for array, words in arrays_at(value, path, text, sizes, f"{where}.{path}"):
                 check_declared(array, words, sizes, f"{where}.{path}")
-        frozen = is_dataclass(value) and type(value).__dataclass_params__.frozen  # type: ignore[attr-defined]
+        frozen = getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
         for name, item in fields_of(value).items():
             if isinstance(item, np.ndarray) and not (frozen or item.flags.writeable):
                 raise StateError(f"{where}.{name}: an array that cannot be written to")

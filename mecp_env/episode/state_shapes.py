@@ -80,9 +80,9 @@ SHAPES: Shapes = {
         "beyond": "n in -1:n",
         "sites": "n",
         "doorways.jambs": "d 2 in -1:n",
-        "doorways.width": "d",
-        "doorways.confirmable": "d",
     },
+    "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
+    "Candidate": {"ends": "2 2"},
     "Polygon": {"corners": "k", "intervals": "i 4"},
     "Match": {"ids": "n in -2:F", "decision": "n", "reason": "n", "nis": "n"},
     "EpisodeMetrics": {
@@ -111,7 +111,7 @@ SHAPES: Shapes = {
     },
     "TravelledPath": {"points": f"c 2 in {NEAR}", "count": " in 0:c+1"},
     "Moving": {
-        "people": f"n 11 in -{LONG}:{LONG}",
+        "pedestrians": f"n 11 in -{LONG}:{LONG}",
         "routes": f"n 96 2 in -{LONG}:{LONG}",
         "legs": "n 2 in 0:97",
         "places": f"p 2 in {NEAR}",
