@@ -50,7 +50,7 @@ class ClusteringConfig(Settings):
 
 
 class SegmentConfig(Settings):
-    """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a cluster that holds no segment is no wall."""
+    """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a wall has room for one."""
 
     min_beams: int = Field(5, ge=3, le=100)
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
@@ -58,10 +58,12 @@ class SegmentConfig(Settings):
     shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
     trim_beams: int = Field(2, ge=0, le=10)  # left out of the fit at each end, where the segment is long enough
-    long_beams: int = Field(15, ge=1, le=1000)  # from here on a bad fit widens the covariance, below it is no wall
+    long_beams: int = Field(
+        15, ge=1, le=1000
+    )  # from here on a bad fit widens the covariance, below it discards the line
     face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
-    pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a circle up to this radius is no wall
+    pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar
 
 
 class GapConfig(Settings):

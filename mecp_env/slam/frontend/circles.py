@@ -63,8 +63,10 @@ def circle_cost(points: Array, first: int, last: int, largest: float, outlier: f
             cost += min(residual * residual / variance, outlier * outlier)
             for a in range(3):
                 g[a] += row[a] * residual / variance
-                for b in range(a + 1):
-                    A[a, b] += row[a] * row[b] / variance
+                A[a, 0] += row[a] * row[0] / variance
+            A[1, 1] += row[1] * row[1] / variance
+            A[2, 1] += row[2] * row[1] / variance
+            A[2, 2] += row[2] * row[2] / variance
         A[0, 1], A[0, 2], A[1, 2] = A[1, 0], A[2, 0], A[2, 1]
         solve3(A, g)
         x, y, radius = x + g[0], y + g[1], radius + g[2]

@@ -102,13 +102,15 @@ def all_corners(scan: RolledScan, lines: Lines, limits: Record, noise: Noise) ->
 
 @compiled
 def one_each(rows: Records, line_cov: Array, limits: Record) -> Records:
-    """The rows by bearing; of a corner found from both its faces the one that is more certain."""
+    """The rows by bearing; of two near each other and of one convexity the one that is more certain."""
     chosen, kept = np.empty(rows.shape[0], np.int64), 0
     for i in range(rows.shape[0]):
         twin = -1
         for j in range(kept):
-            if is_twin(rows[i], rows[chosen[j]], limits):
-                twin = j
+            other = rows[chosen[j]]
+            across = other.z[0] * wrap_angle(rows[i].z[1] - other.z[1])
+            near = math.hypot(rows[i].z[0] - other.z[0], across) <= limits.detail_m
+            twin = j if near and rows[i].convex == other.convex else twin
         if twin < 0:
             chosen[kept] = i
             kept += 1
@@ -122,14 +124,6 @@ def one_each(rows: Records, line_cov: Array, limits: Record) -> Records:
             at -= 1
         found[at] = rows[row]
     return found
-
-
-@compiled
-def is_twin(one: Record, other: Record, limits: Record) -> bool:
-    """True when two corners are one: near each other and of one convexity."""
-    turn = wrap_angle(one.z[1] - other.z[1])
-    near = math.hypot(one.z[0] - other.z[0], other.z[0] * turn) <= limits.detail_m
-    return bool(near and one.convex == other.convex)
 
 
 @compiled

@@ -95,13 +95,12 @@ def visible_edges(points: Array, tolerance: float) -> Bools:
             side, dx, dy = cross(x, y, around[0, j], around[1, j]), around[0, j] - x, around[1, j] - y
             if side < 0.0:
                 break
-            k, least = j - 1, tolerance * tolerance * (dx * dx + dy * dy)
-            while side > 0.0 and k >= nearest:
+            k, least, empty = j - 1, tolerance * tolerance * (dx * dx + dy * dy), side > 0.0
+            while empty and k >= nearest:
                 depth = cross(dx, dy, around[0, k] - x, around[1, k] - y)
-                if depth > 0.0 and depth * depth > least:
-                    break
+                empty = not (depth > 0.0 and depth * depth > least)
                 k -= 1
-            allowed[i, j if j < n else j - n] = side > 0.0 and k < nearest
+            allowed[i, j if j < n else j - n] = empty
     return allowed
 
 

@@ -145,5 +145,5 @@ def find_polygons(
 
 
 def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:
-    """(B,) which beams are on clusters with lines, and may cross a polygon. A pillar or a person is no wall."""
+    """(B,) which beams are on clusters with lines, and may cross a polygon. Pillars and people are not walls."""
     return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))
