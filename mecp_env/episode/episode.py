@@ -21,7 +21,7 @@ from mecp_env.world.moving_obstacles import Moving, is_whole
 
 Array = NDArray[np.float64]
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 4
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 5
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 
