@@ -1,4 +1,4 @@
-"""Parts of the estimator that others may bring: the names that a configuration may hold, and what makes each."""
+"""Custom parts of the estimator: the names that a configuration may hold, and the maker of each."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Make = TypeVar("Make", bound=Callable[..., object])
 
 
 class Names:
-    """The names that a field may hold: ours, and those that were registered since."""
+    """The names that a field may hold: built-in and registered ones."""
 
     def __init__(self, *ours: str) -> None:
         self.ours, self.others = ours, list[str]()
 
     def check(self, name: str) -> str:
-        """`name` itself. Raises `ValueError` for one that nobody has registered."""
+        """`name` itself. Raises `ValueError` for an unknown one."""
         known = [*self.ours, *self.others]
         if name not in known:
             listed = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"

@@ -57,7 +57,7 @@ class Filter(Protocol):
         """Mean (3+2m,) x, y, heading, landmarks and its covariance, in world coordinates."""
 
     def fuse(self, keep: int, drop: int) -> None:
-        """Make two landmarks one: `drop` is told to lie where `keep` lies, then removed."""
+        """Merge two landmarks: both are at one place, then `drop` is removed."""
 
     def remove(self, ids: Ints) -> None:
         """Forget landmarks."""

@@ -1,4 +1,4 @@
-"""Data association (III-B): a small interface, the associators that ship, and a place for others."""
+"""Data association (III-B): the associators that ship, and the registry for custom ones."""
 
 from collections.abc import Callable
 
@@ -20,10 +20,10 @@ ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
 
 
 def register_associator(name: str, make: Callable[[AssociationConfig], Associator]) -> None:
-    """Let `association.method` name an associator of your own, in every configuration that this process reads.
+    """Let `association.method` name a custom associator, in every configuration that this process reads.
 
-    `make(config.association)` is called for each pipeline. A name may be registered again, one of ours may not: raises
-    `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
+    `make(config.association)` is called for each pipeline. A built-in name raises `ConfigError`; any other may be
+    registered again. Other processes know it if they are forked from this one or import what registers it. States of
     an environment can hold it if `make` is its class.
     """
     register(METHODS, ASSOCIATORS, name, make)

@@ -45,7 +45,7 @@ def pairing_table(
 ) -> PairingTable:
     """NIS of each pair, inf where descriptor or room differ.
 
-    A corner that has no landmark of its room inside `home_gate` may be one of any room; inf: of its own room only.
+    A corner that has no landmark of its room inside `home_gate` may be one of any room; inf: of the same room only.
     """
     ids, features, graph = view.belief.ids, view.features.rows, view.graph
     nis = belief.individual_nis(corners.z, corners.R, ids)
@@ -98,7 +98,7 @@ def mask_by_room(
 ) -> None:
     """Write nis (n,N) to `costs` (n,N), inf where the rooms differ, unless one of the two rooms is unknown.
 
-    A corner is in `home`, in an unknown room when it is `beyond` (n,) a gap that is no door yet, or in the room
+    A corner is in `home`, in an unknown room when it is `beyond` (n,) an unconfirmed gap, or in the room
     `behind` (n,) a door. Jambs belong to both rooms. The row of a corner that has nothing inside `home_gate` in its
     room stays as it was. `features` and `ids` are as in `mask_by_descriptor`.
     """

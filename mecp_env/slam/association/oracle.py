@@ -33,7 +33,7 @@ class NoCorrespondences:
 class OracleAssociator(Associator):
     """Pairs each corner with the feature that was initialised from the same true corner.
 
-    Whoever knows the truth sets `correspondences` before each scan; it must be plain data to be part of a state.
+    The owner of the ground truth sets `correspondences` before each scan: plain data, so that a state can hold it.
     """
 
     config: AssociationConfig

@@ -16,10 +16,10 @@ FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {"riekf": RightInvariantE
 
 
 def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:
-    """Let `filter.kind` name a filter of your own, in every configuration that this process reads.
+    """Let `filter.kind` name a custom filter, in every configuration that this process reads.
 
-    `make(config.filter)` is called for each pipeline. A name may be registered again, one of ours may not: raises
-    `ConfigError`. Other processes know it where they are forked from this one, or import what registers it. States of
+    `make(config.filter)` is called for each pipeline. A built-in name raises `ConfigError`; any other may be
+    registered again. Other processes know it if they are forked from this one or import what registers it. States of
     an environment can hold it if `make` is its class.
     """
     register(KINDS, FILTERS, name, make)

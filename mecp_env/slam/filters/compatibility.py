@@ -37,11 +37,12 @@ def pairwise_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
         for i in range(n):
             u, s_uu = z[i, 0] - h[j, 0], s_rr + R[i, 0, 0]
             nis[i, j] = math.inf
-            if u * u < FAR * s_uu:  # most pairs fail by their range alone
-                v, s_uv, s_vv = wrap_angle(z[i, 1] - h[j, 1]), s_rb + R[i, 1, 0], s_bb + R[i, 1, 1]
-                det = s_uu * s_vv - s_uv * s_uv
-                if det > 0.0 and v * v < FAR * s_vv:
-                    nis[i, j] = (s_vv * u * u - 2.0 * s_uv * u * v + s_uu * v * v) / det
+            if not u * u < FAR * s_uu:  # most pairs fail by their range alone
+                continue
+            v, s_uv, s_vv = wrap_angle(z[i, 1] - h[j, 1]), s_rb + R[i, 1, 0], s_bb + R[i, 1, 1]
+            det = s_uu * s_vv - s_uv * s_uv
+            if det > 0.0 and v * v < FAR * s_vv:
+                nis[i, j] = (s_vv * u * u - 2.0 * s_uv * u * v + s_uu * v * v) / det
     return True
 
 

@@ -16,7 +16,7 @@ from mecp_env.slam.protocols import Filter
 class OraclePoseFilter:
     """The filter `inner`, except that each prediction ends at the true pose.
 
-    Whoever knows the truth sets `T_map_robot` before each step.
+    The owner of the ground truth sets `T_map_robot` before each step.
     """
 
     inner: Filter
