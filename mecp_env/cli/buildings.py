@@ -31,7 +31,7 @@ Buildings = Annotated[
 class Reading:
     """How files are read, where they do not say it themselves."""
 
-    resolution_m: float | None = None  # metres a pixel, of an image without a map_server yaml
+    resolution_m: float | None = None  # metres per pixel, of an image without a map_server yaml
     kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
 
 

@@ -94,7 +94,7 @@ class Convert(Command):
 
     source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
     target: Out  # .json, .yaml or .svg
-    map_resolution_m: float = 0.05  # metres a pixel of a .yaml map that is written
+    map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
     reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:

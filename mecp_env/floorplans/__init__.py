@@ -34,7 +34,7 @@ def load_plan(
     """The layout of a plan file: our JSON, HouseExpo JSON, a map_server yaml, or a PNG or PGM image.
 
     `kind` is found by what is in the file; only a labelled image has to be called `"labelled"`. An image without a
-    yaml file needs `resolution_m`, metres a pixel. `options` are the fields of `PlanOptions`.
+    yaml file needs `resolution_m`, metres per pixel. `options` are the fields of `PlanOptions`.
 
     Raises LayoutError naming file, field, value and bound for a file that is damaged, out of its limits or impossible,
     and ConfigError for a wrong option.

@@ -41,7 +41,7 @@ WALL_M = 0.15  # thickness of the walls around the building
 MOST_STARTS = 4
 START_CLEAR_M = 0.4  # between a start and every wall, where there is room
 DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
-NEAR_M = 0.1  # a point so near to a floor is on it
+NEAR_M = 0.1  # a point this close to a floor is on it
 MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 
@@ -58,7 +58,7 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     _require_rooms(plan.drawn, rooms.floors)
     try:
         return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
-    except LayoutError:  # a piece of furniture is in the way by less than a pixel
+    except LayoutError:  # a piece of furniture blocks a door by less than a pixel
         return _layout(plan, area, rooms, [])
 
 
@@ -97,7 +97,7 @@ def _is_ragged(floor: Polygon) -> bool:
 
 
 def _without_steps(floor: Polygon) -> Polygon:
-    """`floor` without the vertices that stand at every pixel along a straight edge."""
+    """`floor` without the vertices at every pixel along a straight edge."""
     points, ring = shapely.get_coordinates(shapely.get_rings(floor), return_index=True)
     before, across = points[1:-1] - points[:-2], points[2:] - points[:-2]
     off = np.abs(before[:, 0] * across[:, 1] - before[:, 1] * across[:, 0])
@@ -163,7 +163,7 @@ def _outline(floor: Polygon) -> list[tuple[float, float]]:
 
 
 def _solids(area: Polygon, holes: list[Polygon]) -> list[dict[str, object]]:
-    """A wall around the floor, and what stands in it."""
+    """A wall around the floor, and the islands in it."""
     around = largest_part(Polygon(area.exterior).buffer(WALL_M, join_style="mitre", mitre_limit=2.0))
     walls: dict[str, object] = {"outer": _ring(around.exterior), "holes": [_ring(area.exterior)]}
     islands: list[dict[str, object]] = [{"outer": _ring(hole.exterior)} for hole in holes]

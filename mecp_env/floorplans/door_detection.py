@@ -1,8 +1,8 @@
-"""Doors as short narrow passages: between two posts, wider on both sides, closed by walls that go on behind the posts.
+"""Doors as short narrow passages: between two posts, wider on both sides, with walls that continue behind the posts.
 
 Candidates run from a convex corner of the walls to another one, or square to a face. At each the width of the floor is
-measured along lines parallel to it, a little before and behind. The best of them is closed first: what was wide only
-because of its opening is a door no longer.
+measured along lines parallel to it, a little before and behind. The best of them is closed first: a passage that was
+wide only because of that opening is then no door.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Bools = NDArray[np.bool_]
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
-SQUARE_COS = math.cos(math.radians(72.0))  # a passage is narrowest where it is square to what stands beside it
-STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building goes that way
+SQUARE_COS = math.cos(math.radians(72.0))  # a passage is narrowest where it is square to the walls beside it
+STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building is turned to it
 SAME_WIDTH_M = 0.08  # a passage may vary so much between its faces
-POST_M = 0.5  # a wall that goes on for so long behind a post is a wall
-FLUSH_COS = math.cos(math.radians(14.0))  # the face of the wall goes on behind a post as the passage does
+POST_M = 0.5  # a wall continues at least so far behind a post
+FLUSH_COS = math.cos(math.radians(14.0))  # the face of the wall continues behind a post in the direction of the passage
 FURNITURE_M = (0.2, 2.0)  # an island at least so wide and at most so long is a piece of furniture, not a wall,
 PILLAR_M = 0.45  # and so is a smaller one of any shape
 FURNITURE_FILL = 0.55  # when it fills so much of the rectangle around it
@@ -46,7 +46,7 @@ class Gap:
     width_m: float
     depth_m: float
     gain_m: float  # how much wider it is beside the doorway, on the narrower side
-    post_m: float  # how far the wall goes on behind the weaker post, at most `POST_M`
+    post_m: float  # how far the wall continues behind the weaker post, at most `POST_M`
     to_walls_m: tuple[float, float]  # from the centre to the walls, against `along` and with it
 
     @property
@@ -104,7 +104,7 @@ def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> 
 
 
 def _still(gap: Gap, walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> Gap | None:
-    """The doorway, measured finely, as it is now that others are closed; None when it is none any more."""
+    """The doorway, measured finely, as it is now that others are closed; None when it is no longer a door."""
     if _crosses(gap, walls):
         return None
     again = measure(Crossing(gap.centre, gap.along), walls, axes, options, FINE_STEP_M)
@@ -121,7 +121,7 @@ def is_between_walls(gap: Gap, area: Polygon) -> bool:
 
 
 def without_furniture(area: Polygon) -> Polygon:
-    """`area` as if the pieces of furniture that stand free in it were not there."""
+    """`area` without free-standing furniture."""
     return Polygon(area.exterior, [hole for hole in area.interiors if not is_furniture(Polygon(hole))])
 
 
@@ -176,14 +176,14 @@ def _corner_pairs(corners: Array, before: Array, after: Array, width_m: tuple[fl
     i, j = cKDTree(corners).query_pairs(width_m[1], output_type="ndarray").reshape(-1, 2).T
     width = np.linalg.norm(corners[j] - corners[i], axis=1)
     i, j, width = (column[width >= width_m[0]] for column in (i, j, width))
-    way = (corners[j] - corners[i]) / width[:, None]
-    square = _is_square(way, before[i], after[i]) & _is_square(-way, before[j], after[j])
+    direction = (corners[j] - corners[i]) / width[:, None]
+    square = _is_square(direction, before[i], after[i]) & _is_square(-direction, before[j], after[j])
     return corners[i[square]], corners[j[square]]
 
 
-def _is_square(way: Array, before: Array, after: Array) -> Bools:
-    """Whether (n,) the unit vectors `way` lead away from a corner, straight on from one of its faces."""
-    to_before, to_after = np.sum(way * before, axis=1), np.sum(way * after, axis=1)
+def _is_square(direction: Array, before: Array, after: Array) -> Bools:
+    """Whether (n,) the unit vectors `direction` lead away from a corner, straight on from one of its faces."""
+    to_before, to_after = np.sum(direction * before, axis=1), np.sum(direction * after, axis=1)
     square: Bools = np.maximum(to_before, to_after) < SQUARE_COS
     flush: Bools = square & (np.minimum(to_before, to_after) < -FLUSH_COS)
     return flush
@@ -277,11 +277,11 @@ def _widest(width: Array, edge: int, count: int) -> float:
 
 
 def _posts(centre: Array, along: Array, width: float, walls: Walls) -> float:
-    """How far the wall goes on behind the weaker of both posts, at most `POST_M`."""
+    """How far the wall continues behind the weaker of both posts, at most `POST_M`."""
     behind = np.arange(0.04, POST_M + 1e-9, 0.02)
     lengths = []
-    for way in (-along, along):
-        left, right = _extent(centre + (width / 2.0 + behind)[:, None] * way, along, walls)
+    for direction in (-along, along):
+        left, right = _extent(centre + (width / 2.0 + behind)[:, None] * direction, along, walls)
         open_floor = np.flatnonzero(left + right > 0.0)
         lengths.append(behind[open_floor[0]] if len(open_floor) else POST_M)
     return float(min(lengths))

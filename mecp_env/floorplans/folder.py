@@ -29,7 +29,7 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
     named = _named_images(files) if set(IMAGES) & set(endings) else set()
     plans = [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
     if not plans:
-        hint = "" if images else "; images are taken where resolution_m says their metres a pixel"
+        hint = "" if images else "; images are taken where resolution_m gives their metres per pixel"
         raise ConfigError(f"plan: {folder}, no file in it ends in {', '.join(endings)}{hint}")
     return tuple(plans)
 

@@ -1,4 +1,4 @@
-"""What stands free on the floor as pieces of furniture: round pillars and boxes instead of outlines of pixels."""
+"""Islands in the floor as pieces of furniture: round pillars and boxes instead of outlines of pixels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mecp_env.floorplans.door_detection import is_furniture
 ROUND = 0.93  # 4 pi area / perimeter^2: 0.79 for a square, 0.95 for an octagon
 HULL = 0.9  # of its convex hull a pillar fills
 FULL = 0.9  # of the rectangle around it a box fills
-SEEN_M = 5.0  # times the noise: a smaller pillar cannot be told from a box
+SEEN_M = 5.0  # times the noise: a smaller pillar looks like a box
 SAME = 0.8  # share of overlap of what is drawn with what was read
 
 

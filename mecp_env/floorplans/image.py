@@ -19,17 +19,17 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     if options.resolution_m is None:
         sheet = path.with_suffix(".yaml")
         beside = f" ({sheet.name} lies beside it)" if exists(sheet) else ""
-        raise LayoutError(f"resolution_m: metres a pixel are missing; give them, or name a map_server yaml{beside}")
+        raise LayoutError(f"resolution_m: missing, metres per pixel; give it, or name a map_server yaml{beside}")
     levels, opaque = grey(read_image(path))
     threshold = otsu(levels) if options.free_above is None else options.free_above
     free = levels > threshold if opaque is None else (levels > threshold) & opaque
     placement = Placement(options.resolution_m)
-    note = f"From {path.name}: {options.resolution_m:g} m a pixel, floor where brighter than {threshold}."
+    note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."
     return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
 
 
 def otsu(levels: NDArray[np.uint8]) -> int:
-    """The grey level that parts dark from bright best (Otsu 1979): greatest variance between both."""
+    """The grey level that separates dark from bright best (Otsu 1979): greatest variance between both."""
     strips = np.array_split(levels, max(1, levels.size // STRIP_PIXELS))
     counts = np.sum([np.bincount(strip.ravel(), minlength=256) for strip in strips], axis=0, dtype=np.float64)
     below = np.cumsum(counts)

@@ -33,7 +33,7 @@ def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
     Raises LayoutError where two rooms touch without a door, and for a door that does not join two rooms.
     """
     if options.resolution_m is None:
-        raise LayoutError("resolution_m: metres a pixel are missing; give them")
+        raise LayoutError("resolution_m: missing, metres per pixel")
     image = read_image(path)
     if image.width * image.height > MAX_CELLS:
         raise LayoutError(f"image: {image.width} x {image.height} pixels, at most {MAX_CELLS} with labels")
@@ -41,7 +41,7 @@ def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
     _check_closed(labels)
     placement = Placement(options.resolution_m)
     area = floor_polygon(labels != WALL, placement)
-    note = f"From {path.name}, labelled: {options.resolution_m:g} m a pixel."
+    note = f"From {path.name}, labelled: {options.resolution_m:g} m per pixel."
     crossings, drawn = _crossings(labels, placement), _drawn(labels, placement)
     return FreeSpace(path.stem, note, area, placement.noise_m, crossings=crossings, drawn=drawn)
 
@@ -59,7 +59,7 @@ def _labels(image: Image.Image) -> Labels:
     codes = np.where(is_room, np.arange(1, len(values) + 1), 0).astype(np.int32)[index.reshape(colour.shape)]
     places = [(code, place) for code, place in enumerate(ndimage.find_objects(codes), 1) if place is not None]
     if sum(labels[place].size for _, place in places) > MAX_SPREAD:
-        raise LayoutError(f"image: {len(places)} colours lie across each other; save it without blur or compression")
+        raise LayoutError(f"image: {len(places)} colours overlap; save it without blur or compression")
     last = DOOR
     for code, place in places:
         last = _number_patches(labels[place], codes[place] == code, last)

@@ -35,7 +35,7 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     image = _beside(path, fields["image"])
     levels, opaque = grey(_decoded(image, fields["image"]))
     free = floor[levels] if opaque is None else floor[levels] & opaque
-    note = f"From {path.name} and {image.name}: {resolution:g} m a pixel."
+    note = f"From {path.name} and {image.name}: {resolution:g} m per pixel."
     return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
 
 

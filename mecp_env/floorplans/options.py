@@ -1,4 +1,4 @@
-"""What a caller may say about a plan, and what every importer hands on."""
+"""The options of a plan, and the output of every importer."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class FreeSpace:
     name: str
     description: str
     area: Polygon  # m, world frame
-    noise_m: float  # how far its edges are from the walls that they stand for
+    noise_m: float  # how far its edges are from the true walls
     labels: tuple[tuple[str, Polygon], ...] = ()  # names of rooms and roughly where they lie
     crossings: tuple[Crossing, ...] | None = None  # None: doors have to be found
     drawn: tuple[tuple[str, Point], ...] = ()  # where the file has each room, and a point in it; all have to be found

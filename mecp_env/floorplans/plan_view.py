@@ -42,7 +42,7 @@ def floor_plan(layout: Layout, title: str = "") -> FloorPlan:
 
 
 def _shape(part: Polygon) -> Shape:
-    """Its rings, the holes the other way round than the outside, so that they are not filled."""
+    """Its rings, the holes in the opposite order to the outside, so that they are not filled."""
     part = orient(part)
     return tuple(np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors))
 

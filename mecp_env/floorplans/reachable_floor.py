@@ -1,4 +1,4 @@
-"""Of all that a plan calls floor, what a robot can reach, without specks and without rays through glass."""
+"""The part of a plan's floor that a robot can reach, without specks and without rays through glass."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def _door_of_a_nook(rooms: Rooms, options: PlanOptions) -> list[int]:
 
 
 def _touching(rooms: Rooms, index: int) -> list[int]:
-    """The doors that a sliver of floor lies between."""
+    """The doors on either side of a sliver of floor."""
     lines = shapely.linestrings(np.array([door.closing for door in rooms.doors]).reshape(-1, 2, 2))
     touching: list[int] = np.flatnonzero(shapely.distance(lines, rooms.floors[index]) < 2.0 * CLOSED_M).tolist()
     return touching
@@ -82,7 +82,7 @@ def _one_ring(floor: Polygon, floors: list[Polygon]) -> Polygon:
     inside = [hole for hole in floor.interiors if any(Polygon(hole).contains(other) for other in floors)]
     ring = Polygon(floor.exterior, inside)
     for hole in inside:
-        way = LineString(shapely.get_coordinates(shapely.shortest_line(hole, ring.exterior)))
-        longer = shapely.affinity.scale(way, 1.0 + 0.1 / way.length, 1.0 + 0.1 / way.length)
+        cut = LineString(shapely.get_coordinates(shapely.shortest_line(hole, ring.exterior)))
+        longer = shapely.affinity.scale(cut, 1.0 + 0.1 / cut.length, 1.0 + 0.1 / cut.length)
         ring = max(shapely.get_parts(ring.difference(longer.buffer(SLIT_M / 2.0))), key=lambda part: part.area)
     return orient(Polygon(ring.exterior), 1.0)

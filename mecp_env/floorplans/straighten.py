@@ -1,8 +1,8 @@
 """Edges as a draughtsman would draw them: staircases made straight, edges turned to the building's directions.
 
 A ring is thinned (Douglas-Peucker), each of its edges becomes a line: along a direction of the building where that
-stays near to what was drawn, else through its two ends. Lines that go the same way at nearly the same offset are one.
-The corners are where neighbouring lines cross.
+stays near to what was drawn, else through its two ends. Lines with the same direction and nearly the same offset are
+joined. The corners are where neighbouring lines cross.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing
 # the share of the noise that is believed, and what of it may be between faces of one line, one after the other until
-# nothing crosses and no wall is lost: walls as thin as a pixel stand less beside each other than it
+# nothing crosses and no wall is lost: walls as thin as a pixel are less than that apart
 BELIEVED = ((1.0, (1.0, 0.5, 0.25, 0.0)), (0.6, (1.0,)), (0.4, (1.0,)))
 LEAST_WALL_M = 0.01  # a thinner one is lost
 BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
@@ -35,14 +35,14 @@ AXIS_SHARE = 0.12  # of the length of all edges, for a direction to be one of th
 ONE_AXIS, OTHER_AXIS = math.radians(2.0), math.radians(10.0)  # edges nearer are of one, further of another direction
 DRAWN_AXIS = math.radians(3.0)  # an edge of a drawing that is nearer goes along it
 BINS, SPREAD = 360, 6  # of a quarter of a degree; a peak is so many bins wide on either side
-LEVEL = math.radians(0.25)  # a building turned by less stands along x and y
+LEVEL = math.radians(0.25)  # a building turned by less is along x and y
 NEAR_AXIS = math.radians(40.0)  # no edge is turned by more
 BLUNT = math.radians(20.0)  # lines that meet at less have their corner where it was drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """An edge on its way to be straight."""
+    """An edge that is being straightened."""
 
     angle: float  # rad, along the ring
     offset: float  # m, of the line from the origin, to the left of its direction
@@ -56,7 +56,7 @@ class Try(NamedTuple):
     """A straightened floor."""
 
     crossing: int  # rings left as they were, for their edges would cross
-    lost_m: float  # length of the walls whose faces have come to lie on each other
+    lost_m: float  # length of the walls whose faces coincide
     area: Polygon
 
 
@@ -265,7 +265,7 @@ def _end_of_wall(face: Line, line: Line) -> Line:
     return replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True)
 
 
-def _same_way(a: Line, b: Line) -> bool:
+def _same_direction(a: Line, b: Line) -> bool:
     return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) > 0.999
 
 
@@ -273,11 +273,15 @@ def _merged(lines: list[Line], noise_m: float) -> list[Line]:
     """`lines` of a ring with neighbours that are one line joined; a step is left between others that are parallel."""
     joined: list[Line] = []
     for line in lines:
-        if joined and _same_way(joined[-1], line) and abs(joined[-1].offset - line.offset) <= noise_m:
+        if joined and _same_direction(joined[-1], line) and abs(joined[-1].offset - line.offset) <= noise_m:
             joined[-1] = _union(joined[-1], line)
         else:
             joined.append(line)
-    if len(joined) > 4 and _same_way(joined[-1], joined[0]) and abs(joined[-1].offset - joined[0].offset) <= noise_m:
+    if (
+        len(joined) > 4
+        and _same_direction(joined[-1], joined[0])
+        and abs(joined[-1].offset - joined[0].offset) <= noise_m
+    ):
         joined = [*joined[1:-1], replace(_union(joined[-1], joined[0]), end=joined[0].end)]
     return [piece for a, b in zip(joined, [*joined[1:], joined[0]], strict=True) for piece in _with_step(a, b)]
 
@@ -288,7 +292,7 @@ def _union(a: Line, b: Line) -> Line:
 
 
 def _with_step(a: Line, b: Line) -> list[Line]:
-    """`a`, and a line square to it where `b` goes the same way, or back."""
+    """`a`, and a line square to it where `b` is parallel to it."""
     if not (a.on_axis and b.on_axis and abs(math.cos(a.angle - b.angle)) > 0.999):
         return [a]
     across = a.angle + math.copysign(math.pi / 2.0, (b.end - a.end) @ (-math.sin(a.angle), math.cos(a.angle)) or 1.0)
@@ -296,7 +300,7 @@ def _with_step(a: Line, b: Line) -> list[Line]:
 
 
 def _aligned(rings: list[list[Line]], in_line_m: float) -> list[list[Line]]:
-    """Faces of the building that look the same way at nearly the same offset get one offset."""
+    """Faces of the building with the same direction and nearly the same offset get one offset."""
     lines = [line for ring in rings for line in ring]
     for group in _groups(lines, in_line_m):
         offset = float(np.average([lines[i].offset for i in group], weights=[lines[i].length + 1e-6 for i in group]))
@@ -312,7 +316,7 @@ def _groups(lines: list[Line], in_line_m: float) -> list[list[int]]:
     groups: list[list[int]] = []
     for i in sorted(on_axis, key=lambda i: (round(lines[i].angle % (2.0 * math.pi), 3), lines[i].offset)):
         first = lines[groups[-1][0]] if groups else None
-        if first and _same_way(first, lines[i]) and lines[i].offset - first.offset <= in_line_m:
+        if first and _same_direction(first, lines[i]) and lines[i].offset - first.offset <= in_line_m:
             groups[-1].append(i)
         else:
             groups.append([i])

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_CELLS = 4_000_000  # of the box around the floor
-MAX_SPECKS = 20_000  # pieces of wall that stand free
+MAX_SPECKS = 20_000  # free-standing pieces of wall
 MAX_CORNERS = 400_000
 SPECK_CELLS = 4
 LEAST_NOISE_M = 0.03
@@ -28,7 +28,7 @@ LEAST_NOISE_M = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the pixels of an image lie in the world."""
+    """The pose of an image in the world."""
 
     resolution_m: float  # side of a pixel
     origin: tuple[float, float] = (0.0, 0.0)  # m, the lower left corner of the lower left pixel
@@ -36,7 +36,7 @@ class Placement:
 
     @property
     def noise_m(self) -> float:
-        """How far an edge may lie from the pixels that it stands for, m."""
+        """How far an edge may be from its pixels, m."""
         return max(LEAST_NOISE_M, min(1.2 * self.resolution_m, 0.05 + 0.5 * self.resolution_m))
 
     def to_world(self, pixels: Array) -> Array:
@@ -64,7 +64,7 @@ def floor_polygon(free: Mask, placement: Placement) -> Polygon:
 
 
 def _largest(free: Mask) -> Mask:
-    """The largest part of `free` that hangs together by the sides of its pixels."""
+    """The largest 4-connected part of `free`."""
     parts, _ = ndimage.label(free)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
@@ -73,7 +73,7 @@ def _largest(free: Mask) -> Mask:
 
 
 def _without_specks(floor: Mask) -> Mask:
-    """`floor` with the free-standing walls of a few pixels in it called floor."""
+    """`floor` where free-standing walls of a few pixels are floor."""
     parts, count = ndimage.label(~floor, structure=np.ones((3, 3)))
     if count > MAX_SPECKS:
         raise LayoutError(f"image: {count} pieces of wall, at most {MAX_SPECKS}")

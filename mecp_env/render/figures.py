@@ -65,7 +65,7 @@ def map_figure(view: SceneView) -> Figure:
 
 
 def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]) -> Figure:
-    """One panel a quantity, one line a method: the value with its 95 % interval. `measured[quantity][method]`."""
+    """One panel per quantity, one line per method: the value with its 95 % interval. `measured[quantity][method]`."""
     figure = Figure(figsize=(3.4 * len(measured), 2.9), layout="constrained")
     panels = figure.subplots(1, len(measured), squeeze=False)[0]
     for axes, (quantity, methods) in zip(panels, measured.items(), strict=True):
@@ -158,7 +158,7 @@ def _plain(axes: Axes, bounds: Array) -> None:
 def _map_legend(view: SceneView) -> list[Patch | Line2D]:
     ink, blue, red, amber = (unit(c) for c in (palette.INK, palette.ESTIMATE, palette.LANDMARK, palette.DOOR))
     room = unit(palette.ROOMS[0])
-    movers = [Patch(color=unit(palette.MOVER), alpha=0.6, label="person, box")] if len(view.moving) else []
+    movers = [Patch(color=unit(palette.MOVER), alpha=0.6, label="pedestrian, box")] if len(view.moving) else []
     return [
         Patch(color=TRUTH_GREY, label="true walls"),
         Line2D([], [], color=ink, alpha=0.35, linewidth=2.2, label="true path"),

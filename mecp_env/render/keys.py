@@ -10,7 +10,7 @@ from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush, Image
 
 HEIGHT, MARGIN, CAP = 62, 12, 22  # px: of the strip, at its sides, of a key
-KeyHelp = tuple[Sequence[str], str]  # what stands on the keys, what they do
+KeyHelp = tuple[Sequence[str], str]  # labels of the keys, what they do
 
 
 def key_strip(width: int, keys: Sequence[KeyHelp], message: str) -> Image:

@@ -1,4 +1,4 @@
-"""The two halves of a frame: the world, and what the estimator believes of it."""
+"""The two halves of a frame: ground truth and the estimate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; 
 
 
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
-    """The true walls, the robot with its scan, and the way it has come."""
+    """The true walls, the robot with its scan, and its path."""
     camera = Camera.fit(view.bounds, box)
     for strip in shapes.wall_strips(view.segments):
         brush.area(camera.pixels(strip), palette.SOLID)
@@ -45,7 +45,7 @@ def draw_nothing(brush: Brush, view: SceneView, box: Box) -> None:
 
 
 def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
-    """Grid, polygons, doors, landmarks, goals, the estimated way and pose, laid over the place of the world."""
+    """Grid, polygons, doors, landmarks, goals, the estimated path and pose, laid over the place of the world."""
     camera = Camera.fit(view.bounds, box)
     brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
     _draw_polygons(brush, view, camera)

@@ -134,7 +134,7 @@ def _draw_plan(cell: PlanAxes, plan: FloorPlan) -> None:
 
 
 def _draw_door(axes: Axes, gap: Array) -> None:
-    """The floor goes on through the wall; a line in amber is the threshold."""
+    """The floor continues through the wall; a line in amber is the threshold."""
     axes.add_patch(Polygon(gap, facecolor="white", edgecolor="white", linewidth=0.5))
     ends = np.stack([gap[:2].mean(axis=0), gap[2:].mean(axis=0)])
     axes.plot(*ends.T, color=unit(palette.DOOR), linewidth=2.0, solid_capstyle="butt")

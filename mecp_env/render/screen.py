@@ -1,4 +1,4 @@
-"""Frames of an episode: left the world, right the belief, a line of figures above and a legend below."""
+"""Frames of an episode: ground truth at the left, the estimate at the right, figures above, a legend below."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEGEND: Legend = (
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
-MOVER_LEGEND: Legend = (("person, box", palette.MOVER, "dot"),)
+MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "dot"),)
 
 
 class ScreenConfig(Settings):

@@ -1,4 +1,4 @@
-"""One picture a stage of what becomes of one scan (docs/one-scan.md), all in the robot's frame."""
+"""One picture per stage of the processing of one scan (docs/one-scan.md), all in the robot's frame."""
 
 from __future__ import annotations
 

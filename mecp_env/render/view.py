@@ -16,15 +16,15 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneView:
-    """One moment of an episode: the truth, what the estimator believes of it, and where the agent wants to go."""
+    """One moment of an episode: the truth, the estimate, and the goal of the agent."""
 
     segments: Array  # (S,2,2) m, world frame: faces of all solids, free space on the left of start -> end
     T_world_robot: Array  # (3,) true pose
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     path_world: Array  # (n,2) m, world frame: where the robot has been
-    path_map: Array  # (n,2) m, map frame: where it believed to be
+    path_map: Array  # (n,2) m, map frame: its estimated positions
     slam_output: SlamOutput
-    moving: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (m,2,2) m, world: faces of people and boxes
+    moving: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (m,2,2) m, world: faces of pedestrians, boxes
     robot_radius_m: float = 0.22
     p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
     goal_kinds: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind

@@ -47,7 +47,7 @@ class Bodies:
         self._robot = pymunk.Body(ROBOT_KG, ROBOT_KG * robot.radius_m**2 / 2.0)
         self._space = space = pymunk.Space()
         space.collision_slop = 0.0
-        space.collision_bias = 1.0  # off: pymunk keeps its way out of a wall where no state sees it
+        space.collision_bias = 1.0  # off: pymunk keeps this correction in memory that no snapshot has
         space.collision_persistence = 1  # 0 switches contacts off
         space.iterations = ITERATIONS if self._boxes else space.iterations
         discs = np.vstack([[*state[:2], robot.radius_m], obstacles.box_discs[pushed]])

@@ -98,7 +98,7 @@ def _touching(shapes: NDArray[np.object_], most: int, field: str) -> tuple[Ints,
             touching += pairs[-1].shape[1]
         if boxes > MAX_BOXES or touching > most:
             bounds = f"at most {most} pairs, of the boxes around them at most {MAX_BOXES}"
-            raise LayoutError(f"{field}: too many of them lie across each other, {bounds}")
+            raise LayoutError(f"{field}: too many of them overlap, {bounds}")
     i, j = np.concatenate(pairs, axis=1)
     return i, j
 

@@ -100,7 +100,7 @@ class CrowdConfig(Settings):
     people: int = Field(0, ge=0, le=50)  # at most; fewer if no more fit, see `summary()`
     radius_m: Sizes = (0.2, 0.3)
     speed_m_s: Speeds = (0.3, 1.2)
-    pause_s: Times = (0.0, 5.0)  # how long a person stands at a destination
+    pause_s: Times = (0.0, 5.0)  # how long a pedestrian stays at a destination
     polite: bool = True  # they avoid each other and the robot; otherwise they walk until they touch it
 
 

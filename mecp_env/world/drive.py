@@ -72,8 +72,7 @@ def drive_on(
 
     The substep reached is the last one, or the one before a substep that pymunk has to make because something that
     moves is within reach: `course` then holds the velocity that the wheels aim at, and, in the next call, the velocity
-    that pymunk left. Written are the state (6,), the readings of the arcs that end on the way, `increments` (M,2), and
-    the pedestrians in `obstacles`.
+    that pymunk left. Updates the state (6,), the readings `increments` (M,2) of the arcs that end, and the pedestrians.
     """
     touched, boxes, box_discs, robot = False, obstacles.boxes, obstacles.box_discs, obstacles.robot
     if done > 0:

@@ -202,7 +202,7 @@ def require_walls(layout: Layout) -> None:
     """Raises LayoutError for a door that is cut out of a wall where the layout has none."""
     cut = next((i for i, door in enumerate(layout.doors) if door.opening == "cut" and not layout.walls), None)
     if cut is not None:
-        raise LayoutError(f"doors.{cut}.opening: cut, but there is no wall to cut it from; solids have gaps")
+        raise LayoutError(f"doors.{cut}.opening: cut, but the layout has no walls; solids have gaps")
 
 
 def solid_shape(solid: Solid) -> Polygon:

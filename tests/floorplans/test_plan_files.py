@@ -206,7 +206,7 @@ def test_labelled_images_that_are_none(tmp_path: Path) -> None:
         "two rooms touch at column": touching,
         "joins 0 rooms": door,
         "more than 2000 colours": colours,
-        "lie across": mixed,
+        "colours overlap": mixed,
     }
     for message, picture in cases.items():
         with pytest.raises(LayoutError, match=message):

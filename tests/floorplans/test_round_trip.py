@@ -73,7 +73,7 @@ def test_rooms_doors_and_walls_come_back(building: str, thin: bool, resolution_m
 def test_sixty_buildings_come_back(
     difficulty: str, thin: bool, resolution_m: float, first: int, tmp_path: Path
 ) -> None:
-    """Each case has 15 buildings of its own, 60 of each difficulty.
+    """Each case has 15 other buildings, 60 of each difficulty.
 
     A shelf in front of a corner can look like a jamb; in walls of one pixel a jamb may be blurred away.
     """

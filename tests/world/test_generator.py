@@ -16,7 +16,7 @@ from shapely.geometry import Polygon
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.checks import check_geometry, checked_outline
 from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
-from mecp_env.world.generator.furniture import Room, _is_clear, _is_off, _is_off_walls, _shelf, _standing
+from mecp_env.world.generator.furniture import Room, _free_standing, _is_clear, _is_off, _is_off_walls, _shelf
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
 from mecp_env.world.schema import BoxSpec, Layout
@@ -280,7 +280,7 @@ def test_what_is_in_the_way_is_the_same_whatever_is_looked_at_first(kind: str) -
     for _ in range(60):
         room = Room(ring, np.array([[2.0, 0.0], [4.0, 5.0]]), 0.12)
         room.put_all(["box", "round_pillar", "shelf"][: rng.integers(4)], rng)
-        places = _shelf(ring, 0.12, rng) if kind == "shelf" else _standing(kind, room, rng)
+        places = _shelf(ring, 0.12, rng) if kind == "shelf" else _free_standing(kind, room, rng)
         clear = _is_off(places, room.circles, 0.8) & _is_off(places, room.doors, 1.1)
         clear &= _is_off_walls(places, room)
         assert np.array_equal(_is_clear(places, room), clear)

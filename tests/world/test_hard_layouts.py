@@ -41,10 +41,10 @@ def test_layouts_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) ->
     ("name", "said"),
     [
         ("9,000 scattered walls", r"36010 faces, at most 20000 \(two for each point of a wall"),
-        ("woven walls", r"walls: too many of them lie across each other, at most 10000 pairs"),
+        ("woven walls", r"walls: too many of them overlap, at most 10000 pairs"),
         ("pillars beyond number", r"320010 faces, at most 20000"),
         ("a comb", r"walls: too many faces within 0\.44 m of each other, at most 200000 pairs"),
-        ("rooms around a point", r"rooms: too many of them lie across each other, at most 10000 pairs"),
+        ("rooms around a point", r"rooms: too many of them overlap, at most 10000 pairs"),
         ("rooms beyond number", r"layout\.rooms: .*at most 1000"),
         ("too many corners of rooms", r"layout\.rooms: 30000 points, at most 20000"),
         ("starts beyond number", r"layout\.starts: .*at most 1000"),

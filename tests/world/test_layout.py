@@ -359,7 +359,7 @@ def test_bad_solids_are_refused_with_their_field(name: str) -> None:
 def test_a_cut_needs_a_wall() -> None:
     document = solid_house()
     document["doors"][0] |= {"opening": "cut", "depth_m": None}
-    with pytest.raises(LayoutError, match=r"doors\.0\.opening: cut, but there is no wall"):
+    with pytest.raises(LayoutError, match=r"doors\.0\.opening: cut, but the layout has no walls"):
         load_layout(document)
 
 

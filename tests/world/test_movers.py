@@ -32,7 +32,7 @@ ROBOT = RobotConfig()
 
 
 def world(name: str, seed: int = 0, **fields: Any) -> tuple[Simulation, Movers]:
-    """A simulation with people and boxes in a shipped layout, the robot at its first start."""
+    """A simulation with pedestrians and boxes in a shipped layout, the robot at its first start."""
     outline = OUTLINES[name]
     config = CrowdConfig(**{"people": 6} | {k: v for k, v in fields.items() if k in CrowdConfig.model_fields})
     clutter = ClutterConfig(**{k: v for k, v in fields.items() if k in ClutterConfig.model_fields})
@@ -54,7 +54,7 @@ def with_box(outline: Outline, box: list[float], size: list[float], robot: list[
 
 
 def gaps(movers: Movers, p_robot: Array) -> tuple[Array, Array]:
-    """(n,) m from the skin of each person to the robot's, and to the nearest other person's."""
+    """(n,) m from the outline of each pedestrian to that of the robot, and to the nearest other pedestrian."""
     pedestrians = movers.state.pedestrians
     p, radius = pedestrians[:, :2], pedestrians[:, crowd.RADIUS]
     apart = np.hypot(*(p[:, None] - p[None]).T) - radius[:, None] - radius[None]
@@ -79,9 +79,9 @@ def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) ->
     walked = np.zeros(len(movers.state.pedestrians))
     for _ in random_drive(simulation, 400):
         pedestrians = movers.state.pedestrians
-        for person in pedestrians:
-            assert wall_distance(OUTLINES[name].segments, person[0], person[1]) > person[crowd.RADIUS] - 1e-6
-            assert OUTLINES[name].free_area.contains(shapely.Point(person[:2]))
+        for walker in pedestrians:
+            assert wall_distance(OUTLINES[name].segments, walker[0], walker[1]) > walker[crowd.RADIUS] - 1e-6
+            assert OUTLINES[name].free_area.contains(shapely.Point(walker[:2]))
         assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
         walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
     assert walked.mean() > 20.0  # m in 160 s: they do walk

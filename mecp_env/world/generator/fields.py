@@ -10,7 +10,7 @@ from mecp_env.core.settings import as_many, as_range, guess, number
 from mecp_env.world.generator.spec import GeneratorSpec, Piece, Shape
 
 FIELDS = tuple(GeneratorSpec.model_fields)
-WORDS = {*get_args(Shape), *get_args(Piece)}  # which a field may be told
+WORDS = {*get_args(Shape), *get_args(Piece)}  # possible values of the fields with words
 Value = float | tuple[float, ...] | tuple[str, ...]
 
 

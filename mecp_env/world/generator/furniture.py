@@ -21,10 +21,10 @@ from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that it does not stand against
+CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that is not behind it
 DOOR_CLEAR_M = 1.1  # between a piece and the middle of a door
-PLACES = 32  # that are looked at for a piece in a room
-ROUNDS = 3  # through all rooms with what found no place in the room that it was meant for
+PLACES = 32  # candidate places of a piece in a room
+ROUNDS = 3  # attempts to put the remaining pieces into any room
 LEAST_SHARE = 0.85  # of the pieces that are asked for
 
 
@@ -40,7 +40,7 @@ class Places(NamedTuple):
 
     centres: Array  # (m,k,2) m, of its circles
     radius: float  # m, of each
-    wall: NDArray[np.int64]  # (m,) the wall that it stands against, or -1
+    wall: NDArray[np.int64]  # (m,) the wall behind it, or -1
     middles: Array  # (m,2) m, of the piece
     piece: dict[str, Any]  # as the layout has it, without its place
     turns: Array | None = None  # (m,) degrees, where the wall turns it
@@ -57,7 +57,7 @@ def furnish(
 ) -> list[Placed] | Rejected:
     """The furniture of all rooms but the corridors, as many pieces as the specification says; else what did fit.
 
-    Each room has its share; what finds no place there stands in another one.
+    Each room has its share; what does not fit there is put into another one.
     """
     rooms = [_room(index, space, doors, thickness) for index, space in enumerate(spaces) if not space.corridor]
     areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
@@ -108,7 +108,7 @@ class Room:
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Place a piece where it blocks no passage; False where no such place was found."""
-        places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _standing(kind, self, rng)
+        places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _free_standing(kind, self, rng)
         fits = np.flatnonzero(_is_clear(places, self))
         if not len(fits):
             return False
@@ -155,9 +155,9 @@ def following(ring: Array) -> Array:
 
 
 def _is_clear(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece stands in the room, away from doors, pieces, and walls but its own.
+    """At which places (m,) a piece is in the room, away from doors, pieces and walls, except the wall behind it.
 
-    What is refused at little cost is not looked at again: in a full room that is nearly everything.
+    Cheap tests come first: in a full room they reject nearly everything.
     """
     clear = _may_be_off_walls(places, room)
     left = np.flatnonzero(clear)
@@ -173,7 +173,7 @@ def _is_clear(places: Places, room: Room) -> Bools:
 
 
 def _may_be_off_walls(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece that stands against no wall is far enough from the box around the room.
+    """At which places (m,) a piece without a wall behind it is far enough from the box around the room.
 
     Inside of the room its walls are nearer than the box.
     """
@@ -185,7 +185,7 @@ def _may_be_off_walls(places: Places, room: Room) -> Bools:
 
 
 def _is_off_walls(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece stands in the room, away from walls but its own."""
+    """At which places (m,) a piece is in the room, away from walls, except the wall behind it."""
     far = edge_distances(room.ring, places.centres).min(axis=1)
     own = places.wall[:, None] == np.arange(len(room.ring))
     least = places.radius + CLEAR_M + room.thickness / 2.0
@@ -203,7 +203,7 @@ def _is_off(places: Places, others: Array, least_m: float) -> Bools:
     return off
 
 
-def _standing(kind: str, room: Room, rng: np.random.Generator) -> Places:
+def _free_standing(kind: str, room: Room, rng: np.random.Generator) -> Places:
     """A pillar or a box anywhere in the box around a room."""
     centres = rng.uniform(room.low, room.high, (PLACES, 2)).round(3)
     offsets, radius, piece = _piece(kind, rng)

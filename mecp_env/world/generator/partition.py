@@ -12,8 +12,8 @@ import numpy as np
 from mecp_env.world.generator.spec import ROOMS_OF, GeneratorSpec
 
 GRID_M = 0.05  # walls lie on multiples of this
-CUTS = 20  # through one rectangle that are looked at,
-ATTEMPTS = 3  # and followed, before the one around it is cut again
+CUTS = 20  # candidate cuts of one rectangle
+ATTEMPTS = 3  # of them are followed before the rectangle around it is cut again
 CORRIDOR_M = 1.8  # wide, for a first guess of the plot
 LONGEST = 3.0  # times as long as wide a room may be
 NARROWEST_M = 2.6  # of a room
@@ -41,7 +41,7 @@ class Rect(NamedTuple):
 
 
 class Item(NamedTuple):
-    """What gets its own rectangle: a room, a shaped room with those in its notches, or a yard."""
+    """One rectangle of the plan: a room, a shaped room with those in its notches, or a yard."""
 
     shape: str
     area: float  # m^2
