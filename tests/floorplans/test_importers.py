@@ -268,7 +268,7 @@ def test_wrong_options_are_named(tmp_path: Path) -> None:
         load_plan(path, resolution_m=0.05, colour="red")
     with pytest.raises(ConfigError, match=r"door_width_m"):
         load_plan(path, resolution_m=0.05, door_width_m=(1.0, 0.5))
-    with pytest.raises(LayoutError, match=r"plan\.png: resolution_m: .* missing"):
+    with pytest.raises(LayoutError, match=r"plan\.png: resolution_m: missing"):
         load_plan(path)
 
 

@@ -107,13 +107,15 @@ def output() -> SlamOutput:
     right = MapPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
     none = np.full(4, -1)
     nothing = np.empty(0, np.int64)
+    match = Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1, False)
     return SlamOutput(
         step=12,
         beams=beams,
         segments=Segments(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 2, 2)), nothing, nothing, nothing, 0),
         corners=corners(),
         polygons=(),
-        match=Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1, False),
+        associated=match,
+        match=match,
         belief=belief,
         graph=RoomGraph(0, False, (0, 1), (door,), (candidate,), {}),
         map_polygons=(known, right),
