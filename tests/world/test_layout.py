@@ -336,7 +336,10 @@ BAD_SOLIDS = {
     "crosses itself": (replace("solids.0.holes.0", BOW_TIE), r"solids\.0: not a simple polygon"),
     "hole outside": (replace("solids.0.holes.0.3", [-3, 0]), r"solids\.0: not a simple polygon"),
     "nothing at all": (replace("solids", []), r"layout\.walls: .*at least 1 item"),
-    "too many points": (replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2), r"solids, obstacles: 24\d{3} faces, at most 20000"),
+    "too many points": (
+        replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2),
+        r"solids, obstacles: 24\d{3} faces, at most 20000",
+    ),
     "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
     "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
