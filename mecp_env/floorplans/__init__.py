@@ -9,10 +9,10 @@ from typing import Any, Literal, get_args
 from shapely.errors import GEOSException
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import exists
+from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
-from mecp_env.floorplans.files import MAX_JSON_BYTES, read_bytes
+from mecp_env.floorplans.files import MAX_JSON_BYTES
 from mecp_env.floorplans.folder import IMAGES, YAML, plan_files
 from mecp_env.floorplans.houseexpo import read_houseexpo
 from mecp_env.floorplans.image import read_plain_image

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import read_bytes
 from mecp_env.core.settings import shown
 
 MAX_JSON_BYTES = 2_000_000
@@ -24,20 +25,6 @@ MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 FORMATS = ("PNG", "PPM")
 PORTABLE_HEADER, COMMENT = 2_000, re.compile(rb"#[^\n]*")  # of PGM; a long one is slow to read
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
-
-
-def read_bytes(path: Path, most: int) -> bytes:
-    """The bytes of a file. Raises LayoutError for one that is missing, no plain file, or larger than `most`."""
-    try:
-        if not path.is_file():
-            raise LayoutError("no such file")
-        size = path.stat().st_size
-        if size > most:
-            raise LayoutError(f"the file has {size} bytes, at most {most}")
-        with path.open("rb") as file:
-            return file.read(most)
-    except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
-        raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
 
 
 def read_image(path: Path) -> Image.Image:

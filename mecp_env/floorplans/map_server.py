@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import read_bytes
 from mecp_env.core.settings import shown
-from mecp_env.floorplans.files import grey, read_bytes, read_image, require
+from mecp_env.floorplans.files import grey, read_image, require
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 

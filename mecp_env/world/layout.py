@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.schema import Layout
@@ -56,16 +57,11 @@ def _read(given: str | Path) -> bytes:
     """The bytes of the file that a shipped name or a path stands for."""
     names = shipped_layouts()
     path = LIBRARY / f"{given}.json" if str(given) in names else Path(given)
-    try:
-        if not path.is_file():
-            raise LayoutError(f"no such file; shipped layouts are {', '.join(names)}{guess(given, names)}")
-        if path.suffix != ".json":
-            raise LayoutError(f"a layout file ends in .json, given {path.suffix!r}")
-        if path.stat().st_size > MAX_BYTES:
-            raise LayoutError(f"the file has {path.stat().st_size} bytes, at most {MAX_BYTES}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
-        raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
+    if not exists(path) or path.is_dir():
+        raise LayoutError(f"no such file; shipped layouts are {', '.join(names)}{guess(given, names)}")
+    if path.suffix != ".json":
+        raise LayoutError(f"a layout file ends in .json, given {path.suffix!r:.80}")
+    return read_bytes(path, MAX_BYTES)
 
 
 def decode_json(data: bytes) -> dict[str, Any]:
