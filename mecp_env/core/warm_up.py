@@ -1,6 +1,6 @@
 """Compile what an episode calls before it is called, on all cores: `mecp-env warmup`, and the first use.
 
-Each process takes one file's functions after the other from the list (warm_up_list.py) and puts them into the cache.
+Each process takes one folder's functions after the other from the list (warm_up_list.py) and puts them into the cache.
 What the list lacks is compiled when it is called. `MECP_ENV_WARM_UP` sets how many processes there may be on first
 use; 0 switches it off.
 """
@@ -96,7 +96,7 @@ def show(done: int, total: int) -> None:
 
 def compile_all(entries: list[Entry], count: int, report: Report) -> None:
     """Compile the entries in `count` processes, or in this one; what fails or dies is compiled when it is called."""
-    groups = [list(group) for _, group in itertools.groupby(sorted(entries), key=lambda entry: entry[0])]
+    groups = [list(group) for _, group in itertools.groupby(sorted(entries, key=_folder), key=_folder)]
     groups.sort(key=len, reverse=True)
     todo: queue.SimpleQueue[list[Entry]] = queue.SimpleQueue()
     for group in groups:
@@ -116,6 +116,11 @@ def compile_all(entries: list[Entry], count: int, report: Report) -> None:
     finally:
         for helper in helpers:
             helper.stop()
+
+
+def _folder(entry: Entry) -> str:
+    """The package of a function: in one folder, functions share what they call, which is compiled once per process."""
+    return str(entry[0]).rpartition(".")[0]
 
 
 def compile_entry(entry: Entry) -> None:
