@@ -213,12 +213,13 @@ def wants_movers(crowd: CrowdConfig, clutter: ClutterConfig) -> bool:
 
 
 def is_whole(moving: Moving) -> bool:
-    """True when the arrays are consistent."""
+    """True when the arrays are consistent, and the next point of each route is one of its points."""
     n, b, p = len(moving.pedestrians), len(moving.boxes), len(moving.places)
     known = moving.pedestrians, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
     shapes = (n, pedestrians.PEDESTRIAN), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
     fits = all(array.shape == shape for array, shape in zip(known, shapes, strict=True))
-    return fits and moving.closed.ndim == 1 and moving.start.shape == (2,) and (p > 0 or n == 0)
+    within = fits and bool((moving.legs[:, 0] <= np.maximum(moving.legs[:, 1] - 1, 0)).all())
+    return within and moving.closed.ndim == 1 and moving.start.shape == (2,) and (p > 0 or n == 0)
 
 
 def no_movers(robot: RobotConfig) -> Movers:

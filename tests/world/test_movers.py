@@ -235,6 +235,10 @@ def test_wrong_fields_and_torn_states_are_refused() -> None:
         CrowdConfig(people=-1)
     _, movers = world("two_rooms")
     assert is_whole(movers.state)
+    legs = movers.state.legs.copy()
+    movers.state.legs[0, 0] = legs[0, 1]  # behind the end of the route
+    assert not is_whole(movers.state)
+    movers.state.legs = legs
     movers.state.routes = movers.state.routes[:2]
     assert not is_whole(movers.state)
 
