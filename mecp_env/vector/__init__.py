@@ -10,7 +10,7 @@ import gymnasium
 
 from mecp_env.vector.batch import BatchEnv
 from mecp_env.vector.checks import check_count
-from mecp_env.vector.crew import WorkerDied, WorkerError
+from mecp_env.vector.worker_pool import WorkerDied, WorkerError
 
 __all__ = ["BatchEnv", "WorkerDied", "WorkerError", "make_batch"]
 

@@ -1,4 +1,4 @@
-"""Many environments in few processes, each of which holds a share of them and answers once a step."""
+"""Many environments in few processes, each of which holds a slice of them and answers once per step."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mecp_env.vector.board import ALONE, INFO, OBSERVATION, Fields, below, lay_out, memory_bytes, plan_fields
 from mecp_env.vector.checks import Seeds, check_copy, check_mode, check_options, check_seeds, check_workers
-from mecp_env.vector.crew import Crew, WorkerDied, shares, start_method
+from mecp_env.vector.shared_buffers import ALONE, INFO, OBSERVATION, Fields, below, lay_out, memory_bytes, plan_fields
 from mecp_env.vector.worker import Infos, Makers, Task
+from mecp_env.vector.worker_pool import WorkerDied, WorkerPool, slices, start_method
 
 STEPS, DRIVES = 1, 4  # workers a core: steps take equally long; drives do not, and the system evens them out
 RESERVED = ("reset", "step", "close")  # not for `call`
@@ -36,7 +36,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     with `copy=False` observations are views that the next step overwrites.
 
     An exception in an environment is raised here with its own type and text; `reset` goes on. When a worker dies, the
-    batch is closed and `WorkerDied` names it. A batch that nobody holds any more closes itself.
+    batch is closed and `WorkerDied` names it. A batch without references closes itself.
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         check_workers(workers)
         method = start_method(context)
         fields = self._describe(makers[0]())
-        self._shares = shares(self.num_envs, workers, DRIVES if self.masked else STEPS)
+        self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
         memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
-        self._board = lay_out(fields, memory)
-        self._seen, self._listed = below(self._board, OBSERVATION), below(self._board, INFO)
+        self._buffers = lay_out(fields, memory)
+        self._seen, self._listed = below(self._buffers, OBSERVATION), below(self._buffers, INFO)
         self._pending: str | None = None
         self._fresh = self._stale = np.ones(self.num_envs, np.bool_)  # never reset; to be reset before the next step
-        self._crew = Crew(self._tasks(makers, fields, memory), method)
-        self._close_crew = weakref.finalize(self, self._crew.close)
+        self._pool = WorkerPool(self._tasks(makers, fields, memory), method)
+        self._close_crew = weakref.finalize(self, self._pool.close)
 
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observations and infos of new episodes, in all environments or in those of a mask.
@@ -73,7 +73,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         seeds = check_seeds(seed, self.num_envs)
         rest, chosen = check_options(options, self.num_envs)
         self._stale = self._stale | chosen
-        infos = self._ask("reset", [(seeds[s.start : s.stop], rest, chosen[s.start : s.stop]) for s in self._shares])
+        infos = self._ask("reset", [(seeds[s.start : s.stop], rest, chosen[s.start : s.stop]) for s in self._slices])
         self._fresh, self._stale = self._fresh & ~chosen, self._stale & ~chosen
         return self._observations(), self._batched(infos, chosen)
 
@@ -89,7 +89,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
             raise ValueError(f"actions: {len(actions)} of them, expected one for each of {self.num_envs} environments")
         if self._stale.any():
             raise ResetNeeded(f"step() before reset() of the environments {np.flatnonzero(self._stale).tolist()}")
-        self._begin("step", [(actions[own.start : own.stop],) for own in self._shares])
+        self._begin("step", [(actions[own.start : own.stop],) for own in self._slices])
 
     def step_wait(self) -> Step:
         """What the step that `step_async` began gave."""
@@ -97,7 +97,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
             raise NoAsyncCallError("step_wait() without step_async()", "step")
         self._stale = ~self._fresh  # should an environment raise
         infos = self._answers()
-        reward, terminated, truncated = (self._board[name].copy() for name in ("reward", "terminated", "truncated"))
+        reward, terminated, truncated = (self._buffers[name].copy() for name in ("reward", "terminated", "truncated"))
         self._stale = (terminated | truncated) & (self._mode == AutoresetMode.DISABLED)
         return self._observations(), reward, terminated, truncated, self._batched(infos, ~self._fresh)
 
@@ -125,15 +125,15 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self._assert_free("call")
         if len(arguments) != self.num_envs:
             raise ValueError(f"{len(arguments)} values, expected one for each of {self.num_envs} environments")
-        answers = self._ask("each", [(function, arguments[own.start : own.stop]) for own in self._shares])
-        return [found for share in answers for found in share]
+        answers = self._ask("each", [(function, arguments[own.start : own.stop]) for own in self._slices])
+        return [found for part in answers for found in part]
 
     def action_masks(self) -> Bools:
         """(N,32) which rows of each observation hold a goal; no worker is asked.
 
         Raises `AttributeError` without goal actions, `ResetNeeded` before the first `reset`.
         """
-        masks: Bools = self._board["mask"]
+        masks: Bools = self._buffers["mask"]
         if not self.masked:
             raise AttributeError("action_masks: these environments have none; those with actions='goal' have")
         if self._fresh.any():
@@ -151,7 +151,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     @property
     def pids(self) -> list[int]:
         """Of the workers."""
-        return self._crew.pids
+        return self._pool.pids
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -164,7 +164,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         return self.get_attr("np_random_seed")
 
     def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
-        """Take spaces and metadata from an environment of the batch's kind; what it needs on the board.
+        """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
 
         The environment runs for a step, so that every kernel is loaded: forked workers then have them, others find them
         in the cache.
@@ -184,7 +184,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     def _tasks(self, makers: Makers, fields: Fields, memory: Any) -> list[Task]:
         kinds = self.single_observation_space, self.single_action_space
         return [
-            Task(own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds) for own in self._shares
+            Task(own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds) for own in self._slices
         ]
 
     def _assert_free(self, name: str) -> None:
@@ -200,14 +200,14 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     def _begin(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         self._pending = name
         try:
-            self._crew.ask(name, arguments)
+            self._pool.ask(name, arguments)
         except WorkerDied:
             self.close()
             raise
 
     def _answers(self) -> list[Any]:
         try:
-            answers = self._crew.gather()
+            answers = self._pool.gather()
         except WorkerDied:
             self.close()
             raise
@@ -223,13 +223,13 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
 
     def _batched(self, shared: list[Infos], chosen: Bools) -> dict[str, Any]:
         """The infos of the chosen environments as Gymnasium batches them: an array and a mask for each key."""
-        listed = self._board["listed"] & chosen
+        listed = self._buffers["listed"] & chosen
         infos = dict[str, Any]()
         if listed.any():
             for name, column in self._listed.items():
                 infos[name], infos[f"_{name}"] = column.copy(), listed.copy()
                 infos[name][~listed] = 0
-        for env, rest in (item for share in shared for item in share.items()):
+        for env, rest in (item for part in shared for item in part.items()):
             infos = self._add_info(infos, rest, env)
         return infos
 

@@ -22,25 +22,25 @@ def check_mode(mode: str | AutoresetMode) -> AutoresetMode:
         return AutoresetMode(mode)
     except ValueError:
         names = ", ".join(repr(known.value) for known in AutoresetMode)
-        raise ValueError(f"autoreset_mode: {mode!r} is none of {names}") from None
+        raise ValueError(f"autoreset_mode: {mode!r}, expected one of {names}") from None
 
 
 def check_count(count: int) -> int:
-    """`count` itself. Raises `ValueError` for what is no number of environments."""
+    """`count` itself. Raises `ValueError` unless it is an integer of at least 1."""
     if not _is_integer(count) or count < 1:
         raise ValueError(f"num_envs: {count!r:.80}, expected an integer of at least 1")
     return int(count)
 
 
 def check_copy(copy: bool) -> bool:
-    """`copy` itself. Raises `ValueError` for what is no truth value, such as the text "no"."""
+    """`copy` itself. Raises `ValueError` unless it is a boolean; the text "no" is not one."""
     if not isinstance(copy, bool | np.bool_):
         raise ValueError(f"copy: {copy!r:.80}, expected True or False")
     return bool(copy)
 
 
 def check_workers(workers: int | None) -> None:
-    """Raises `ValueError` for what is no number of workers."""
+    """Raises `ValueError` unless it is an integer of at least 1, or None."""
     if workers is not None and (type(workers) is not int or workers < 1):
         raise ValueError(f"workers: {workers!r}, expected an integer of at least 1, or None for as many as fit")
 

@@ -16,13 +16,13 @@ from typing import Any, SupportsFloat
 import gymnasium
 from gymnasium.vector import AutoresetMode
 
-from mecp_env.vector.board import ALONE, INFO, OBSERVATION, Board, Fields, below, lay_out
+from mecp_env.vector.shared_buffers import ALONE, INFO, OBSERVATION, Fields, SharedBuffers, below, lay_out
 
-PATIENCE_S = 2.0  # after which an idle worker looks whether there is still somebody to work for
+PATIENCE_S = 2.0  # after which an idle worker checks that its parent process is alive
 GONE = (EOFError, BrokenPipeError, ConnectionResetError)
 
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
-Infos = dict[int, dict[str, Any]]  # by number of the environment: what of its info does not lie on the board
+Infos = dict[int, dict[str, Any]]  # by number of the environment: the part of its info that has no place in the buffers
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +47,13 @@ class Failure:
     trace: str
 
 
-class Share:
-    """The environments of one worker and their rows on the board."""
+class WorkerEnvironments:
+    """The environments of one worker and their rows of the shared buffers."""
 
-    def __init__(self, task: Task, board: Board) -> None:
+    def __init__(self, task: Task, buffers: SharedBuffers) -> None:
         self.env = self.first = task.first  # `env`: the one at work, for error messages
         self._mode = task.mode
-        self._board, self._seen, self._listed = board, below(board, OBSERVATION), below(board, INFO)
+        self._buffers, self._seen, self._listed = buffers, below(buffers, OBSERVATION), below(buffers, INFO)
         self._envs: list[gymnasium.Env[Any, Any]] = []
         self._masks: list[Callable[[], Any]] = []
         self._over = [False] * len(task.makers)
@@ -66,7 +66,7 @@ class Share:
             self._envs.append(maker())
             if (self._envs[-1].observation_space, self._envs[-1].action_space) != kinds:
                 raise ValueError(f"environment {env} has other spaces than the first one")
-        if self._board["mask"].size:
+        if self._buffers["mask"].size:
             self._masks = [env.get_wrapper_attr("action_masks") for env in self._envs]
 
     def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None, chosen: Sequence[bool]) -> Infos:
@@ -122,17 +122,17 @@ class Share:
         return self._show(place, observation, info)
 
     def _note(self, place: int, reward: SupportsFloat, terminated: bool, truncated: bool) -> None:
-        row, board = self.first + place, self._board
-        board["reward"][row], board["terminated"][row], board["truncated"][row] = reward, terminated, truncated
+        row, buffers = self.first + place, self._buffers
+        buffers["reward"][row], buffers["terminated"][row], buffers["truncated"][row] = reward, terminated, truncated
 
     def _show(self, place: int, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
-        """Put observation, info and mask on the board; what of the info has no place there comes back."""
+        """Write observation, info and mask to the buffers; the part of the info without a place there is returned."""
         row = self.first + place
         parts = observation if isinstance(observation, dict) else {ALONE: observation}
         for name, array in self._seen.items():
             array[row] = parts[name]
         self._show_mask(place)
-        listed = self._board["listed"][row] = info.keys() >= self._listed.keys()
+        listed = self._buffers["listed"][row] = info.keys() >= self._listed.keys()
         if not listed:
             return info
         for name, column in self._listed.items():
@@ -141,21 +141,21 @@ class Share:
 
     def _show_mask(self, place: int) -> None:
         if self._masks and self._started[place]:
-            self._board["mask"][self.first + place] = self._masks[place]()
+            self._buffers["mask"][self.first + place] = self._masks[place]()
 
 
 def work(pipe: Connection, others: Sequence[Connection], task: Task) -> None:
-    """The process: do what comes through the pipe until told to stop, or until nobody is there any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that we work for
+    """The process: run the commands that arrive on the pipe, until `stop` or until the other end is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
     gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
     for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
         other.close()
-    share = Share(task, lay_out(task.fields, task.memory))
+    environments = WorkerEnvironments(task, lay_out(task.fields, task.memory))
     with contextlib.suppress(*GONE), pipe:
-        _answer(pipe, share, "open", (task.makers, task.spaces))
+        _answer(pipe, environments, "open", (task.makers, task.spaces))
         for name, arguments in _questions(pipe):
-            _answer(pipe, share, name, arguments)
+            _answer(pipe, environments, name, arguments)
 
 
 def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
@@ -167,14 +167,14 @@ def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
             yield name, arguments
 
 
-def _answer(pipe: Connection, share: Share, name: str, arguments: tuple[Any, ...]) -> None:
-    """Send what the share's `name` returns, or what went wrong."""
+def _answer(pipe: Connection, environments: WorkerEnvironments, name: str, arguments: tuple[Any, ...]) -> None:
+    """Send what the method `name` returns, or what went wrong."""
     try:
-        pipe.send(getattr(share, name)(*arguments))
+        pipe.send(getattr(environments, name)(*arguments))
     except GONE:
         raise
     except Exception as error:  # of an environment, or an answer that cannot be sent
-        pipe.send(_failure(share.env, error))
+        pipe.send(_failure(environments.env, error))
 
 
 def _failure(env: int, error: Exception) -> Failure:

@@ -15,7 +15,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistic
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.vector import BatchEnv
-from mecp_env.vector.crew import cores, shares, start_method
+from mecp_env.vector.worker_pool import cores, slices, start_method
 from tests.env.helpers import IDS, NEEDED, SMALL, same
 from tests.vector.helpers import LAYOUT, N, equal, make_small
 
@@ -245,11 +245,11 @@ def test_an_unknown_keyword_is_refused_before_a_process_is_started() -> None:
 
 
 def test_shares_are_even_and_no_worker_is_idle() -> None:
-    assert [len(share) for share in shares(16, 3)] == [5, 5, 6]
-    assert [len(share) for share in shares(2, 8)] == [1, 1]
-    assert len(shares(1000, None)) == cores()
-    assert len(shares(1000, None, each_core=4)) == 4 * cores()
-    assert [i for share in shares(17, 5) for i in share] == list(range(17))
+    assert [len(part) for part in slices(16, 3)] == [5, 5, 6]
+    assert [len(part) for part in slices(2, 8)] == [1, 1]
+    assert len(slices(1000, None)) == cores()
+    assert len(slices(1000, None, each_core=4)) == 4 * cores()
+    assert [i for part in slices(17, 5) for i in part] == list(range(17))
 
 
 def test_processes_are_forked_only_where_no_other_thread_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
 from mecp_env.core.errors import ActionError
 from mecp_env.vector import BatchEnv, WorkerDied, WorkerError
-from mecp_env.vector.crew import STOP_S
+from mecp_env.vector.worker_pool import STOP_S
 from tests.env.helpers import make
 from tests.vector.helpers import LAYOUT, N, gone_within, make_by, make_small, needs_linux
 
@@ -251,7 +251,7 @@ def test_after_an_interrupted_wait_the_step_can_still_be_had() -> None:
     venv = make_small()
     venv.reset(seed=1)
     venv.step_async(STILL)
-    real, calls = venv._crew._answer, []
+    real, calls = venv._pool._answer, []
 
     def interrupted(worker: int) -> Any:
         calls.append(worker)
@@ -259,7 +259,7 @@ def test_after_an_interrupted_wait_the_step_can_still_be_had() -> None:
             raise KeyboardInterrupt
         return real(worker)
 
-    venv._crew._answer = interrupted
+    venv._pool._answer = interrupted
     with pytest.raises(KeyboardInterrupt):
         venv.step_wait()
     assert venv.step_wait()[4]["period"].tolist() == [1] * N

@@ -34,19 +34,19 @@ class WorkerError(RuntimeError):
 def start_method(wanted: str | None = None) -> str:
     """How to start workers: "fork" where this process has no other thread, else "forkserver" or "spawn".
 
-    A forked worker has every kernel loaded and starts in milliseconds; but a lock that another thread holds at that
-    moment stays locked in it for ever. Raises `ValueError` for a method that there is not on this system.
+    A forked worker has every compiled function loaded and starts in milliseconds; but a lock that another thread holds at that
+    moment stays locked in it for ever. Raises `ValueError` for a method that this system lacks.
     """
     methods = multiprocessing.get_all_start_methods()
     if wanted is None:
         alone = threading.active_count() == 1 and sys.platform == "linux"
         return next(name for name in ("fork", "forkserver", "spawn") if name in methods and (alone or name != "fork"))
     if wanted not in methods:
-        raise ValueError(f"context: {wanted!r} is none of {', '.join(methods)}")
+        raise ValueError(f"context: {wanted!r}, expected one of {', '.join(methods)}")
     return wanted
 
 
-def shares(count: int, workers: int | None, each_core: int = 1) -> list[range]:
+def slices(count: int, workers: int | None, each_core: int = 1) -> list[range]:
     """Numbers of the environments of each worker; `workers` None makes `each_core` a core."""
     workers = min(count, workers or each_core * cores())
     ends = [count * k // workers for k in range(workers + 1)]
@@ -58,8 +58,8 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Crew:
-    """Processes that each do a share of the work. `ask` all of them, then `gather` their answers."""
+class WorkerPool:
+    """Processes that each do a slice of the work. `ask` all of them, then `gather` their answers."""
 
     def __init__(self, tasks: Sequence[Task], method: str) -> None:
         if multiprocessing.current_process().daemon:
@@ -82,7 +82,7 @@ class Crew:
         return [process.pid for process in self._processes]
 
     def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
-        """Have each worker call its share's `name` with its arguments. Raises `WorkerDied`."""
+        """Let each worker call its method `name` with its arguments. Raises `WorkerDied`."""
         for worker, (pipe, own) in enumerate(zip(self._pipes, arguments, strict=True)):
             try:
                 pipe.send((name, own))

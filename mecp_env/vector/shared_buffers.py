@@ -1,4 +1,4 @@
-"""What the processes of a batch share: a block of memory with an array for each thing that a step gives."""
+"""Shared memory of a batch: one block with an array for each result of a step."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 ALIGNMENT = 64  # bytes; a line of the processor's cache
-OBSERVATION, INFO = "observation/", "info/"  # what names of fields begin with
+OBSERVATION, INFO = "observation/", "info/"  # prefixes of field names
 ALONE = ""  # the name of an observation that is no Dict
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """An array of the board: a row for each environment."""
+    """An array of the shared buffers: a row for each environment."""
 
     shape: tuple[int, ...]
     dtype: str
@@ -28,7 +28,7 @@ class Field:
 
 
 Fields = dict[str, Field]
-Board = dict[str, NDArray[Any]]
+SharedBuffers = dict[str, NDArray[Any]]
 
 
 def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks: int) -> Fields:
@@ -40,7 +40,7 @@ def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks
         "reward": ((), np.float64),
         "terminated": ((), np.bool_),
         "truncated": ((), np.bool_),
-        "listed": ((), np.bool_),  # whether the row's info has all that the board has room for
+        "listed": ((), np.bool_),  # whether the row's info has all keys that the buffers hold
         "mask": ((masks,), np.bool_),
     }
     rows |= {OBSERVATION + name: (box.shape, box.dtype) for name, box in boxes(space).items()}
@@ -71,19 +71,19 @@ def memory_bytes(fields: Fields) -> int:
     return sum(_padded(field) for field in fields.values())
 
 
-def lay_out(fields: Fields, memory: Any) -> Board:
+def lay_out(fields: Fields, memory: Any) -> SharedBuffers:
     """The arrays of the fields in a block of memory, the same in every process."""
-    board, offset = {}, 0
+    buffers, offset = {}, 0
     for name, field in fields.items():
         flat = np.frombuffer(memory, field.dtype, int(np.prod(field.shape)), offset) if field.bytes else np.zeros(0)
-        board[name] = flat.reshape(field.shape).astype(field.dtype, copy=False)
+        buffers[name] = flat.reshape(field.shape).astype(field.dtype, copy=False)
         offset += _padded(field)
-    return board
+    return buffers
 
 
-def below(board: Board, prefix: str) -> Board:
-    """The arrays whose names begin with `prefix`, by the rest of their names."""
-    return {name.removeprefix(prefix): array for name, array in board.items() if name.startswith(prefix)}
+def below(buffers: SharedBuffers, prefix: str) -> SharedBuffers:
+    """The arrays whose names have the `prefix`, by the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in buffers.items() if name.startswith(prefix)}
 
 
 def _padded(field: Field) -> int:
