@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from tests.architecture import TREES, figures, imports, levels
+from tests.architecture import TREES, figures, functions, imports, levels
 
 MOST = {
     "files at the root": 8,
     "import levels": 11,
     "files to change corner extraction": 9,
+    "code lines of slam/pipeline.py": 150,
+    "compiled functions": 270,
+    "compiled functions with more than 8 arguments": 0,
+    "tunable numbers of the estimator": 120,
 }
 
 
@@ -21,3 +25,10 @@ def test_the_tree_keeps_its_bounds(what: str) -> None:
 @pytest.mark.parametrize("tree", TREES)
 def test_no_import_cycles(tree: str) -> None:
     assert levels(imports(tree)) >= 1  # raises ValueError that names the cycle
+
+
+@pytest.mark.parametrize("tree", ["mecp_env", "agents"])
+def test_functions_are_small(tree: str) -> None:
+    most = {True: (8, 20), False: (6, 8)}  # arguments and complexity of compiled functions, and of all others
+    too_large = [f for f in functions(tree) if f.arguments > most[f.compiled][0] or f.complexity > most[f.compiled][1]]
+    assert not too_large

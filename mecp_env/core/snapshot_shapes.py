@@ -97,17 +97,28 @@ def check_array(array: Any, where: str) -> None:
 def check_declared(value: Any, text: str, sizes: Sizes, where: str) -> None:
     """Raise `StateError` unless an array has the declared dimensions and its values are in their range."""
     dimensions, _, limits = text.partition(" in ")
-    words = dimensions.split()
-    free = set(re.findall(r"[a-z]", dimensions)) if "[]" in where else set()
-    known = {name: size for name, size in sizes.items() if name not in free} if free else sizes
+    words, known = dimensions.split(), sizes_for(dimensions, sizes, where)
     if np.ndim(value) != len(words):
         raise StateError(f"{where}: expected {len(words)} dimensions ({dimensions.strip()}), given {np.shape(value)}")
     for word, size in sorted(zip(words, np.shape(value), strict=True), key=lambda pair: len(pair[0])):
         match_size(word, size, known, where)
     if limits and np.size(value):
-        low, high = (size_of(word, known, where) for word in limits.split(":"))
-        if not (np.min(value) >= low and np.max(value) < high):
-            raise StateError(f"{where}: expected values from {low} to below {high}")
+        match_range(value, limits, known, where)
+
+
+def match_range(value: Any, limits: str, sizes: Sizes, where: str) -> None:
+    """Raise `StateError` for a value below the first of the limits, or not below the second."""
+    low, high = (size_of(word, sizes, where) for word in limits.split(":"))
+    if not (np.min(value) >= low and np.max(value) < high):
+        raise StateError(f"{where}: expected values from {low} to below {high}")
+
+
+def sizes_for(dimensions: str, sizes: Sizes, where: str) -> Sizes:
+    """The sizes that hold for an array; in a list of arrays each has its own size for the letters it names."""
+    if "[]" not in where:
+        return sizes
+    free = set(re.findall(r"[a-z]", dimensions))
+    return {name: size for name, size in sizes.items() if name not in free} if free else sizes
 
 
 def match_size(word: str, size: int, sizes: Sizes, where: str) -> None:

@@ -103,11 +103,20 @@ def compile_all(entries: list[Entry], count: int, report: Report) -> None:
         todo.put(group)
     progress = _Progress(len(entries), report)
     if count <= 1:
-        for entry in _drain(todo):
-            compile_entry(entry)
-            progress.advance()
+        _compile_here(todo, progress)
         return
     helpers = [_Helper(todo, progress) for _ in range(min(count, len(groups)))]
+    _run(helpers)
+
+
+def _compile_here(todo: queue.SimpleQueue[list[Entry]], progress: _Progress) -> None:
+    for entry in _drain(todo):
+        compile_entry(entry)
+        progress.advance()
+
+
+def _run(helpers: list[_Helper]) -> None:
+    """Start the helpers and wait for them; whatever happens, none is left running."""
     try:
         for helper in helpers:
             helper.start()

@@ -152,9 +152,8 @@ def check_truth(episode: Any, free: tuple[int, ...]) -> None:
 def check_filter(filter_: Any, features: int) -> None:
     """Raise `StateError` unless the filter has a slot per landmark and a row and column per number."""
     ids, state = filter_.slot_ids, filter_.state
-    rows = state.shape[0] if state.ndim == 2 else 0
-    slots = (rows - 4) // 2
-    if rows < 4 or rows % 2 or state.shape[1] != rows - 1 or ids.ndim != 1 or len(ids) > slots:
+    slots = ((len(state) if state.ndim else 0) - 4) // 2
+    if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
         raise StateError(f"state.episode.pipeline.filter: state {state.shape} for slot_ids {ids.shape}")
     if len(ids) and not (ids.min() >= 0 and ids.max() < features and len(set(ids.tolist())) == len(ids)):
         raise StateError("state.episode.pipeline.filter.slot_ids: expected different ids of features")

@@ -34,8 +34,8 @@ class WorkerError(RuntimeError):
 def start_method(wanted: str | None = None) -> str:
     """How to start workers: "fork" where this process has no other thread, else "forkserver" or "spawn".
 
-    A forked worker has every compiled function loaded and starts in milliseconds; but a lock that another thread holds at that
-    moment stays locked in it for ever. Raises `ValueError` for a method that this system lacks.
+    A forked worker has every compiled function loaded and starts in milliseconds; but a lock that another thread holds
+    at that moment stays locked in it for ever. Raises `ValueError` for a method that this system lacks.
     """
     methods = multiprocessing.get_all_start_methods()
     if wanted is None:
