@@ -21,7 +21,7 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     doctor_machine.dependencies,
     doctor_machine.extras,
     doctor_machine.processor,
-    doctor_machine.kernels,
+    doctor_machine.compiled_functions,
     doctor_machine.display,
 )
 SECONDS = (0.1, 600.0)
@@ -29,8 +29,8 @@ SECONDS = (0.1, 600.0)
 
 @dataclass(frozen=True)
 class Doctor(Command):
-    """Check Python, dependencies, processor, kernel cache and display, then drive for two seconds. PASS, WARN and FAIL
-    begin a line; below what did not pass stands what to do. Exit code 1 if anything failed, else 0."""
+    """Check Python, dependencies, processor, function cache and display, then drive for two seconds. Each line starts
+    with PASS, WARN or FAIL, and the line below it names a fix. Exit code 1 if a check failed, else 0."""
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env doctor", "mecp-env doctor --seconds 10")
 

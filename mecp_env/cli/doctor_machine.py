@@ -81,17 +81,19 @@ def processor() -> Iterator[Finding]:
     yield Finding("PASS", "numba threading", f"{threads}; an environment itself runs on one core, without threads")
 
 
-def kernels() -> Iterator[Finding]:
-    """Where compiled kernels are kept, whether that can be written, and what it holds."""
+def compiled_functions() -> Iterator[Finding]:
+    """Where compiled functions are kept, whether that can be written, and what it holds."""
     import numba
 
     from mecp_env.core.jit import CHECKED_CACHE
 
     if numba.config.DISABLE_JIT:
-        yield Finding("WARN", "kernels", "NUMBA_DISABLE_JIT is set: everything is slow", "unset NUMBA_DISABLE_JIT")
+        yield Finding(
+            "WARN", "compiled functions", "NUMBA_DISABLE_JIT is set: everything is slow", "unset NUMBA_DISABLE_JIT"
+        )
     if not CHECKED_CACHE:
         said = f"numba {numba.__version__} keeps its cache elsewhere: every edit of the package compiles everything"
-        yield Finding("WARN", "kernels", said, 'pip install "numba==0.68.*"')
+        yield Finding("WARN", "compiled functions", said, 'pip install "numba==0.68.*"')
         return
     from mecp_env.core.jit_cache import cache_directory
 
@@ -107,13 +109,17 @@ def cache(place: Path) -> Iterator[Finding]:
         tempfile.TemporaryFile(dir=place).close()
     except OSError as error:
         fix = "set NUMBA_CACHE_DIR to a folder of yours that can be written"
-        yield Finding("WARN", "kernel cache", f"{place}: {error.strerror}; kernels are compiled in every process", fix)
+        yield Finding(
+            "WARN", "function cache", f"{place}: {error.strerror}; functions are compiled in every process", fix
+        )
         return
     sizes = [entry.stat().st_size for entry in place.glob("*.nbc")]
-    yield Finding("PASS", "kernel cache", f"{place}, {len(sizes)} kernels, {sum(sizes) / 1e6:.0f} MB, can be written")
+    yield Finding(
+        "PASS", "function cache", f"{place}, {len(sizes)} functions, {sum(sizes) / 1e6:.0f} MB, can be written"
+    )
     if missing_entries():
         cold = "cold: the self-test compiles first, on all cores; about a minute, once"
-        yield Finding("WARN", "kernel cache", cold, "mecp-env warmup")
+        yield Finding("WARN", "function cache", cold, "mecp-env warmup")
 
 
 def display() -> Iterator[Finding]:

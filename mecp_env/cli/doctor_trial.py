@@ -12,7 +12,7 @@ import numpy as np
 from mecp_env.cli.findings import Finding
 
 LEAST_STEPS = 5
-FAR_M = 0.5  # an estimate so far from the truth after two seconds is no estimate
+FAR_M = 0.5  # an estimate so far from ground truth after two seconds has failed
 SLOW_STEPS_S = 50.0
 
 Env = gymnasium.Env[Any, Any]
@@ -28,7 +28,7 @@ def self_test(seconds: float) -> Iterator[Finding]:
         first = start(env)
         spent = time.perf_counter() - begun
     count = len(compiled.buffer) // 2
-    warm = "nothing had to be compiled: the cache is warm" if not count else f"compiled {count} kernels"
+    warm = "nothing had to be compiled: the cache is warm" if not count else f"compiled {count} functions"
     yield Finding("PASS", "self-test: make", f"PaperMap-v0 made, reset and stepped in {spent:.1f} s; {warm}")
     yield same_again(first, start(env))
     yield from drive(env, seconds)
@@ -68,7 +68,7 @@ def drive(env: Env, seconds: float) -> Iterator[Finding]:
 
 def judge(steps: int, speed: float, error_m: float) -> Finding:
     """What a drive says of the machine."""
-    said = f"{steps} steps, {speed:.0f} a second, the estimate {100.0 * error_m:.1f} cm from the truth"
+    said = f"{steps} steps, {speed:.0f} per second, the estimate {100.0 * error_m:.1f} cm from ground truth"
     if error_m > FAR_M:
         return Finding("FAIL", "self-test: drive", said, "report this, with the lines above")
     if speed < SLOW_STEPS_S:

@@ -60,7 +60,7 @@ DRIVE = ("drive", Navigator, "step")
 class Stopwatch(event.Listener):  # type: ignore[misc]
     """Seconds of each stage so far, on the clock of this thread's processor, so that another load does not count.
 
-    Steps in which numba compiled or loaded a kernel are left out: numba tells a listener of it.
+    Steps in which numba compiled or loaded a function are left out; numba notifies a listener of it.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
 
     @property
     def steps_per_s(self) -> float:
-        """Control steps of the environment a second; 0 before the first."""
+        """Control steps of the environment per second; 0 before the first."""
         return self.steps / self.seconds["step"] if self.steps else 0.0
 
     def microseconds(self) -> dict[str, float]:

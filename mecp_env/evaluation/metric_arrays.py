@@ -69,12 +69,12 @@ def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Arra
     for i in range(n):
         identity[i] = -1
     for i in range(n):
-        settle_row(apart, identity, i)
+        pair_row(apart, identity, i)
     return identity
 
 
 @compiled
-def settle_row(apart: Array, identity: Ints, row: int) -> None:
+def pair_row(apart: Array, identity: Ints, row: int) -> None:
     """Pair `row` with its nearest free column; a row nearer to that column than its present owner takes it."""
     while row >= 0:
         best = np.inf
@@ -109,7 +109,7 @@ def count_pairs(a: Array, b: Array, gate: float) -> int:
             far = math.sqrt(dx * dx + dy * dy)
             apart[i, j] = far if far < gate else np.inf  # nan is never near
     for i in range(a.shape[0]):
-        settle_row(apart, identity, i)
+        pair_row(apart, identity, i)
     for i in range(a.shape[0]):
         pairs += identity[i] >= 0
     return pairs

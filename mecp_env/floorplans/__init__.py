@@ -45,9 +45,9 @@ def load_plan(
     try:
         return _load(Path(path), kind, chosen)
     except LayoutError as error:
-        raise error if str(error).startswith(f"{path}: ") else LayoutError(f"{path}: {error}") from None
+        raise error if str(error).startswith(f"{path}: ") else LayoutError(f"{path!s:.300}: {error}") from None
     except GEOSException as error:
-        raise LayoutError(f"{path}: its geometry cannot be computed ({error})") from None
+        raise LayoutError(f"{path!s:.300}: its geometry cannot be computed ({error})") from None
 
 
 def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:

@@ -1,4 +1,4 @@
-"""An environment a process, as `SubprocVecEnv`: a process that dies is named, and the others are ended."""
+"""One environment per process, as `SubprocVecEnv`: a process that dies is named, and the others are ended."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Processes(SubprocVecEnv):
 
 
 class Line:
-    """The line to a process, which tells when nobody is there any more."""
+    """The connection to a process, which raises `WorkerDied` when the process is gone."""
 
     def __init__(self, remote: Any, processes: Processes, index: int) -> None:
         self.remote, self.processes, self.index = remote, processes, index

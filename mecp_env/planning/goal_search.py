@@ -31,7 +31,7 @@ def floor_clusters(grid: SemanticGrid, lines: Array, config: GoalsConfig) -> tup
     `lines` (d,2,2): doors and candidates, in cells; floor is not joined across one, and goals keep `door_clear_m` from
     the middle of one.
     """
-    room = adopt_rooms(grid.label, grid.room, lines, BARRIER_CELLS)
+    room = assign_rooms(grid.label, grid.room, lines, BARRIER_CELLS)
     span = max(round(config.uncovered_m / 2 / grid.resolution_m), 1)
     middles, clear = (lines[:, 0] + lines[:, 1]) / 2.0, config.door_clear_m / grid.resolution_m
     uncovered, frontier = mark_floor(grid.label, grid.polygon, room, span, middles, clear)
@@ -64,31 +64,31 @@ def starts(lengths: list[int]) -> Ints:
 
 
 @compiled
-def adopt_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Rooms:
+def assign_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Rooms:
     """(H,W) the rooms, also of FREE cells without one (-1) that join the floor of a room, other than across a line.
 
     `lines` (d,2,2): doors and candidates, in cells; cells within `margin` of one are not passed, nor are DOOR cells.
     What was seen of a room from outside, through its door, has no room: it gets one as soon as the room has floor.
     """
-    adopted = room.copy()
+    assigned = room.copy()
     queue = np.empty((label.size + 1, 2), np.int64)
     size, head = 0, 0
     for row in range(1, label.shape[0] - 1):
         for column in range(1, label.shape[1] - 1):
             if label[row, column] == FREE and room[row, column] < 0:
-                adopted[row, column] = _room_beside(label, room, lines, margin, row, column)
+                assigned[row, column] = _room_beside(label, room, lines, margin, row, column)
                 queue[size, 0], queue[size, 1] = row, column
-                size += 1 if adopted[row, column] >= 0 else 0
+                size += 1 if assigned[row, column] >= 0 else 0
     while head < size:
         for k in range(4):
             r, c = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
             inside = 0 < r < label.shape[0] - 1 and 0 < c < label.shape[1] - 1
-            if inside and label[r, c] == FREE and adopted[r, c] < 0:
-                adopted[r, c] = _room_beside(label, adopted, lines, margin, r, c)
+            if inside and label[r, c] == FREE and assigned[r, c] < 0:
+                assigned[r, c] = _room_beside(label, assigned, lines, margin, r, c)
                 queue[size, 0], queue[size, 1] = r, c
-                size += 1 if adopted[r, c] >= 0 else 0
+                size += 1 if assigned[r, c] >= 0 else 0
         head += 1
-    return adopted
+    return assigned
 
 
 @compiled

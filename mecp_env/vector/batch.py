@@ -166,8 +166,8 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
         """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
 
-        The environment runs for a step, so that every kernel is loaded: forked workers then have them, others find them
-        in the cache.
+        The environment runs for a step, so that every compiled function is loaded: forked workers then have them,
+        others find them in the cache.
         """
         self.metadata = {**env.metadata, "autoreset_mode": self._mode}
         self.render_mode = env.render_mode

@@ -23,7 +23,7 @@ def test_a_sound_machine_passes(monkeypatch: pytest.MonkeyPatch, capsys: Said) -
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     assert cli.main(["doctor", "--seconds", "0.1"]) == 0
     said = capsys.readouterr().out
-    for name in ("Python", "numba", "pygame-ce", "kernel cache", "display", "numba threading", "self-test: drive"):
+    for name in ("Python", "numba", "pygame-ce", "function cache", "display", "numba threading", "self-test: drive"):
         assert f"PASS  {name} " in said
     assert said.splitlines()[-1].endswith("0 FAIL")
 
@@ -92,10 +92,10 @@ def test_a_cold_cache_is_reported_and_a_warm_one_is_not(tmp_path: Path, monkeypa
     assert warm.verdict == "PASS"
 
 
-def test_kernels_that_are_not_compiled_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_that_are_not_compiled_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     monkeypatch.setattr(numba, "__version__", "0.99.0")
-    first, second, *_ = doctor_machine.kernels()
+    first, second, *_ = doctor_machine.compiled_functions()
     assert "NUMBA_DISABLE_JIT" in first.said
     assert "0.99.0" in second.said
 

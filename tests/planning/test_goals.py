@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import BARRIER_CELLS, adopt_rooms
+from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms
 from mecp_env.planning.goal_sources import (
     GoalContext,
     barriers,
@@ -31,7 +31,7 @@ def frontiers(toy: Toy) -> Goals:
 
 
 def rooms_of_floor(output: SlamOutput) -> np.ndarray:
-    return adopt_rooms(output.grid.label, output.grid.room, barriers(GoalContext.of(output)), BARRIER_CELLS)
+    return assign_rooms(output.grid.label, output.grid.room, barriers(GoalContext.of(output)), BARRIER_CELLS)
 
 
 def open_edges(output: SlamOutput, config: GoalsConfig) -> Goals:

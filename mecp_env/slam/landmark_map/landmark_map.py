@@ -10,7 +10,7 @@ import numpy as np
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
-from mecp_env.slam.landmark_map.pruning import find_refuted
+from mecp_env.slam.landmark_map.pruning import find_pruned
 from mecp_env.slam.landmark_map.tracks import drop_tracks, room_unseen_since, track_corners
 from mecp_env.slam.messages import (
     Belief,
@@ -97,7 +97,7 @@ class LandmarkMap:
     ) -> tuple[Belief, Ints]:
         """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
         self.polygons.prune(self.features, resolve)  # after tracks ended, rooms changed and landmarks merged
-        gone = find_refuted(beams, segments, seen.belief, self.features, seen.step, self.config.dynamic_objects)
+        gone = find_pruned(beams, segments, seen.belief, self.features, seen.step, self.config.dynamic_objects)
         if not len(gone):
             return seen.belief, gone
         landmark_filter.remove(gone)

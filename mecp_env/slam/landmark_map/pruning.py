@@ -22,7 +22,7 @@ Ints = NDArray[np.int64]
 Rows = NDArray[np.void]
 
 
-def find_refuted(
+def find_pruned(
     beams: MergedScan,
     segments: Segments,
     belief: Belief,

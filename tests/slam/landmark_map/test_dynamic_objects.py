@@ -9,7 +9,7 @@ import pytest
 
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects
-from mecp_env.slam.landmark_map.pruning import find_refuted
+from mecp_env.slam.landmark_map.pruning import find_pruned
 from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam.drives import scripted_drive
@@ -56,7 +56,7 @@ def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))
         if step in seen_in:
             table.rows["last_step"][0] = step
-        if len(find_refuted(beams, segments, where, table, step, config)):
+        if len(find_pruned(beams, segments, where, table, step, config)):
             return step
     return None
 
