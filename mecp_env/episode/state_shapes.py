@@ -155,7 +155,7 @@ def check_filter(filter_: Any, features: int) -> None:
     slots = ((len(state) if state.ndim else 0) - 4) // 2
     if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
         raise StateError(f"state.episode.pipeline.filter: state {state.shape} for slot_ids {ids.shape}")
-    if len(ids) and not (ids.min() >= 0 and ids.max() < features and len(set(ids.tolist())) == len(ids)):
+    if len(set(ids.tolist()) & set(range(features))) < len(ids):
         raise StateError("state.episode.pipeline.filter.slot_ids: expected different ids of features")
     used = 3 + 2 * len(ids)
     if not (np.abs(state[0, :used]).max() < FAR and np.isfinite(state[1 : 1 + used, :used]).all()):
