@@ -78,26 +78,19 @@ def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:
 
 @compiled
 def is_sound(ranges: Array, bearings: Array, max_range: float) -> bool:
-    """True when nothing is wrong with ranges and bearings (K,B); false, too, for an infinite range."""
-    unsound = 0
-    for k in range(ranges.shape[0]):
-        unsound += count_unsound(ranges[k], bearings[k, :-1], bearings[k, 1:], max_range)
-        unsound += not (bearings[k, 0] >= -math.pi and bearings[k, -1] <= math.pi)
-    return unsound == 0 and max_range < math.inf
+    """True when nothing is wrong with ranges and bearings (K,B); false, too, for an infinite range.
 
-
-@compiled
-def count_unsound(ranges: Array, bearings: Array, next_bearings: Array, max_range: float) -> int:
-    """How many ranges (B,) are out of range, and bearings (B-1,) not below the next; nan is.
-
-    Without a branch, so that the compiler takes several at a time.
+    The inner loops count without a branch, so that the compiler takes several beams at a time.
     """
     unsound = 0
-    for b in range(ranges.shape[0]):
-        unsound += not ((ranges[b] >= 0.0) & (ranges[b] <= max_range))
-    for b in range(bearings.shape[0]):
-        unsound += not bearings[b] < next_bearings[b]
-    return unsound
+    for k in range(ranges.shape[0]):
+        sweep, before, after = ranges[k], bearings[k, :-1], bearings[k, 1:]
+        for b in range(sweep.shape[0]):
+            unsound += not ((sweep[b] >= 0.0) & (sweep[b] <= max_range))
+        for b in range(before.shape[0]):
+            unsound += not before[b] < after[b]
+        unsound += not (bearings[k, 0] >= -math.pi and bearings[k, -1] <= math.pi)
+    return unsound == 0 and max_range < math.inf
 
 
 def check_odometry(odometry: Odometry) -> None:
