@@ -51,15 +51,6 @@ def quadratic(M: Array, a: Array, b: Array) -> float:
 
 
 @compiled
-def mahalanobis(nu: Array, S: Array) -> float:
-    """nu^T S^-1 nu: the normalised innovation squared (NIS) of nu (n,) under S (n,n); ValueError: S is not positive."""
-    L = S.copy()
-    if not factor_lower(L):
-        raise ValueError("matrix is not positive definite")
-    return sum_of_squares(solve_lower(L, nu))
-
-
-@compiled
 def factor_lower(S: Array) -> bool:
     """Replace the lower half of S (n,n) by L with L L^T = S; False (S is then spoilt) when S is not positive."""
     for j in range(S.shape[0]):

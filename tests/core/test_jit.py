@@ -184,8 +184,8 @@ def test_jit_can_be_switched_off(tree: Tree) -> None:
 
 def test_the_key_is_the_same_in_every_process_and_knows_what_a_kernel_uses() -> None:
     code = (
-        "from mecp_env.core.jit_key import fingerprint; from mecp_env.core.linalg import mahalanobis\n"
-        "print(fingerprint(mahalanobis.py_func))"
+        "from mecp_env.core.jit_key import fingerprint; from mecp_env.core.linalg import downdate\n"
+        "print(fingerprint(downdate.py_func))"
     )
     keys = {
         subprocess.run(

@@ -109,7 +109,7 @@ def test_only_one_process_at_a_time_compiles_ahead(tmp_path: Path) -> None:
 FIRST_USE = """
 import numpy as np
 from mecp_env.core import warm_up, warm_up_list
-short = [["mecp_env.core.se2", "wrap_angle", ["float64"]], ["mecp_env.core.linalg", "mahalanobis", {types}]]
+short = [["mecp_env.core.se2", "wrap_angle", ["float64"]], ["mecp_env.core.linalg", "solve_lower", {types}]]
 warm_up_list.entries = lambda: short
 warm_up.FEW = 1
 warm_up.{change}
@@ -120,7 +120,7 @@ print(len(short), len(warm_up.missing_entries()))
 
 def first_use(folder: Path, change: str = "FEW = 1", **environment: str) -> tuple[list[int], str]:
     """Functions in a short list, those that the cache still lacks after the first use, and what was written."""
-    types = [["array", "float64", 1, "C", True, True], ["array", "float64", 2, "C", True, True]]
+    types = [["array", "float64", 2, "C", True, True], ["array", "float64", 1, "C", True, True]]
     variables = {name: value for name, value in os.environ.items() if name != warm_up.SWITCH}
     code = FIRST_USE.format(types=types, change=change)
     variables |= {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(warm_up.__file__).parents[2])} | environment
