@@ -1,9 +1,9 @@
-"""Figures with matplotlib: the finished map, and comparisons with intervals."""
+"""The finished map as a figure, with matplotlib."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from mecp_env.render.text import summary
 from mecp_env.render.view import SceneView, loops, signed_area
 
 Array = NDArray[np.float64]
-Interval = tuple[float, float, float]  # value, lower and upper end of its 95 % interval
 
 ELLIPSE_MAGNIFIED = 5.0
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
@@ -64,36 +63,8 @@ def map_figure(view: SceneView) -> Figure:
     return figure
 
 
-def comparison_figure(title: str, measured: Mapping[str, Mapping[str, Interval]]) -> Figure:
-    """One panel per quantity, one line per method: the value with its 95 % interval. `measured[quantity][method]`."""
-    figure = Figure(figsize=(3.4 * len(measured), 2.9), layout="constrained")
-    panels = figure.subplots(1, len(measured), squeeze=False)[0]
-    for axes, (quantity, methods) in zip(panels, measured.items(), strict=True):
-        _draw_intervals(axes, list(methods), list(methods.values()))
-        axes.set_title(quantity, loc="left", fontsize=10)
-    figure.suptitle(title, x=0.02, ha="left", fontsize=12, fontweight="bold")
-    return figure
-
-
 def _caption(view: SceneView) -> str:
     return "    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
-
-
-def _draw_intervals(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:
-    for row, (value, low, high) in enumerate(values):
-        colour = unit(palette.ROOMS[row % len(palette.ROOMS)])
-        axes.plot([low, high], [row, row], color=colour, linewidth=3, solid_capstyle="round", alpha=0.5)
-        axes.plot(value, row, "o", color=colour)
-        axes.annotate(_short(value), (value, row), (0, 7), textcoords="offset points", ha="center", fontsize=8)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.6)
-    axes.margins(x=0.15)
-    axes.grid(axis="x", alpha=0.3)
-    axes.spines[["top", "right", "left"]].set_visible(False)
-
-
-def _short(value: float) -> str:
-    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
 def _draw_truth(axes: Axes, view: SceneView) -> None:

@@ -171,10 +171,6 @@ class Layout(_Part):
             )
         return self
 
-    def room_index(self, name: str) -> int:
-        """Index of the room called `name`, or -1."""
-        return next((i for i, room in enumerate(self.rooms) if room.name == name), -1)
-
     def to_json(self) -> str:
         """The layout as readable JSON: one wall, room, door, obstacle or start per line."""
         document = self.model_dump(mode="json")

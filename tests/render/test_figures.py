@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from mecp_env.render import shapes
-from mecp_env.render.figures import comparison_figure, map_figure, save
+from mecp_env.render.figures import map_figure, save
 from mecp_env.render.stages import stage_figures
 from mecp_env.render.text import summary
 from mecp_env.slam.messages import Clusters, EdgeLabel, Polygon
@@ -30,13 +30,6 @@ def test_the_map_names_its_rooms_and_figures_and_is_written_twice_the_same(tmp_p
     save(map_figure(scene.view()), tmp_path / "b.png", dpi=60)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert np.asarray(Image.open(tmp_path / "a.png")).std() > 10.0
-
-
-def test_a_comparison_shows_every_method_in_every_panel() -> None:
-    measured = {"coverage": {"a": (0.9, 0.8, 1.0), "b": (0.5, 0.4, 0.6)}, "steps": {"a": (800.0, 700.0, 900.0)}}
-    figure = comparison_figure("explorers", measured)
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["coverage", "steps"]
-    assert [tick.get_text() for tick in figure.axes[0].get_yticklabels()] == ["a", "b"]
 
 
 def test_one_picture_a_stage() -> None:
