@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.linalg import mahalanobis
 from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle
 from mecp_env.slam.config import SensorModel, SlamConfig
@@ -171,7 +170,7 @@ def error_and_nis(corners: Corners, i: int, p_robot: Array) -> tuple[float, floa
     r, bearing = math.hypot(*p_robot), math.atan2(p_robot[1], p_robot[0])
     nu = np.array([corners.z[i, 0] - r, wrap_angle(corners.z[i, 1] - bearing)])
     point = polar_to_points(corners.z[i : i + 1])[0]
-    return math.dist(point, p_robot), mahalanobis(nu, np.ascontiguousarray(corners.R[i]))
+    return math.dist(point, p_robot), float(nu @ np.linalg.solve(corners.R[i], nu))
 
 
 def pair(truth: Truth, corners: Corners) -> list[int]:
