@@ -77,7 +77,6 @@ def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, 
     return cost
 
 
-@compiled
 def open_start(cost: Bytes, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
     """Let a robot that stands too near to a wall out: over cells near it, at most a cell nearer to walls than it is.
 
@@ -86,12 +85,12 @@ def open_start(cost: Bytes, label: Bytes, distance: Distances, row: int, column:
     if cost[row, column] > 0:
         return
     cost[row, column] = MAX_COST
-    for r in range(max(row - radius, 0), min(row + radius + 1, cost.shape[0])):
-        for c in range(max(column - radius, 0), min(column + radius + 1, cost.shape[1])):
-            near = (r - row) ** 2 + (c - column) ** 2 <= radius * radius
-            free = label[r, c] == FREE or label[r, c] == DOOR
-            if near and free and cost[r, c] == 0 and distance[r, c] >= distance[row, column] - 1.0:
-                cost[r, c] = MAX_COST
+    around = slice(max(row - radius, 0), row + radius + 1), slice(max(column - radius, 0), column + radius + 1)
+    rows, columns = np.arange(cost.shape[0])[around[0], None], np.arange(cost.shape[1])[around[1]]
+    near = (rows - row) ** 2 + (columns - column) ** 2 <= radius * radius
+    free = (label[around] == FREE) | (label[around] == DOOR)
+    away = distance[around].astype(np.float64) >= float(distance[row, column]) - 1.0
+    cost[around][near & free & away & (cost[around] == 0)] = MAX_COST
 
 
 @compiled
@@ -160,7 +159,15 @@ def smooth_path(step: Bytes, row: int, column: int, distance: Distances, cost: B
 
     The ends stay.
     """
-    cells = trace_back(step, row, column)
+    limit = step.shape[0] * step.shape[1]
+    back = np.empty((limit, 2), np.int64)  # from the reached cell to the source
+    n, k = 0, 0
+    while n < limit and k != 8:
+        back[n, 0], back[n, 1] = row, column
+        n, k = n + 1, int(step[row, column])
+        if k != 8:
+            row, column = row - DROW[k], column - DCOL[k]
+    cells = back[:n][::-1]
     kept = np.empty(cells.shape)
     kept[0, 0], kept[0, 1] = cells[0, 1] + 0.5, cells[0, 0] + 0.5
     n, at = 1, 0
@@ -171,22 +178,6 @@ def smooth_path(step: Bytes, row: int, column: int, distance: Distances, cost: B
         kept[n, 0], kept[n, 1] = cells[onward, 1] + 0.5, cells[onward, 0] + 0.5
         n, at = n + 1, onward
     return kept[:n].copy()
-
-
-@compiled
-def trace_back(step: Bytes, row: int, column: int) -> Ints:
-    """Cells (n,2), row and column, from the source of a distance field to a cell it reached."""
-    limit = step.shape[0] * step.shape[1]
-    cells = np.empty((limit, 2), np.int64)
-    n = 0
-    while n < limit:
-        cells[n, 0], cells[n, 1] = row, column
-        n += 1
-        k = step[row, column]
-        if k == 8:
-            break
-        row, column = row - DROW[k], column - DCOL[k]
-    return cells[:n][::-1].copy()
 
 
 @compiled

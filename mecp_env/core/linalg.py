@@ -119,17 +119,12 @@ def wide(n: int) -> int:
 @compiled
 def mirror_lower(P: Array, n: int) -> None:
     """Copy the lower half of the leading n x n block of P to the upper half, in tiles that stay in the cache."""
-    for i0 in range(0, n, TILE):
-        for j0 in range(0, i0 + 1, TILE):
-            mirror_tile(P, n, i0, j0)
-
-
-@compiled
-def mirror_tile(P: Array, n: int, i0: int, j0: int) -> None:
-    """P[j,i] = P[i,j] for j < i in the tile that starts at (i0, j0)."""
-    for i in range(i0, min(i0 + TILE, n)):
-        for j in range(j0, min(j0 + TILE, i)):
-            P[j, i] = P[i, j]
+    tiles = (n + TILE - 1) // TILE
+    for tile in range(tiles * tiles):
+        i0, j0 = tile // tiles * TILE, tile % tiles * TILE
+        for i in range(max(i0, j0), min(i0 + TILE, n)):
+            for j in range(j0, min(j0 + TILE, i)):
+                P[j, i] = P[i, j]
 
 
 @compiled

@@ -46,16 +46,11 @@ def to_map(T_map_robot: Array, p_robot: Array) -> Array:
     return p_map
 
 
-@compiled
 def to_robot(T_map_robot: Array, p_map: Array) -> Array:
     """Points (n,2) of the map frame in the robot frame."""
     c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
-    p_robot = np.empty_like(p_map)
-    for i in range(p_map.shape[0]):
-        dx, dy = p_map[i, 0] - T_map_robot[0], p_map[i, 1] - T_map_robot[1]
-        p_robot[i, 0] = c * dx + s * dy
-        p_robot[i, 1] = -s * dx + c * dy
-    return p_robot
+    dx, dy = (p_map - T_map_robot[:2]).T
+    return np.stack((c * dx + s * dy, -s * dx + c * dy), axis=1)
 
 
 @compiled
@@ -90,24 +85,9 @@ def polar_to_points(z: Array) -> Array:
     return points
 
 
-@compiled
-def polar_to_map(T_map_robot: Array, z: Array, p_map: Array) -> None:
-    """Write the points (n,2), in the map frame, of ranges and bearings z (n,2) measured by the robot."""
-    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
-    for i in range(z.shape[0]):
-        x, y = z[i, 0] * math.cos(z[i, 1]), z[i, 0] * math.sin(z[i, 1])
-        p_map[i, 0] = T_map_robot[0] + c * x - s * y
-        p_map[i, 1] = T_map_robot[1] + s * x + c * y
-
-
-@compiled
 def inside_polygon(x: float, y: float, ring: Array) -> bool:
     """True when (x, y) lies inside the simple polygon `ring` (k,2) (even-odd rule)."""
-    inside = False
-    j = ring.shape[0] - 1
-    for i in range(ring.shape[0]):
-        if (ring[i, 1] > y) != (ring[j, 1] > y):
-            crossing = (ring[j, 0] - ring[i, 0]) * (y - ring[i, 1]) / (ring[j, 1] - ring[i, 1]) + ring[i, 0]
-            inside = inside != (x < crossing)
-        j = i
-    return inside
+    before = np.roll(ring, 1, axis=0)
+    across = (ring[:, 1] > y) != (before[:, 1] > y)
+    (ax, ay), (bx, by) = ring[across].T, before[across].T
+    return bool(np.sum(x < (bx - ax) * (y - ay) / (by - ay) + ax) % 2)

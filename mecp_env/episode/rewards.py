@@ -123,16 +123,10 @@ def information(pose_cov: Array, covs: Array) -> tuple[float, float, float]:
     positive = factor_lower(factor)
     for i in range(3 if positive else 0):
         half += math.log(factor[i, i])
-    pose_nat = -(_within(half) if positive else MOST_LOG_DET)
+    pose_nat = -(max(LEAST_LOG_DET, min(MOST_LOG_DET, half)) if positive else MOST_LOG_DET)
     total = 0.0
     for i in range(covs.shape[0]):
         det = covs[i, 0, 0] * covs[i, 1, 1] - covs[i, 0, 1] * covs[i, 1, 0]
         known = covs[i, 0, 0] > 0.0 and det > 0.0
-        total -= _within(0.5 * math.log(det)) if known else MOST_LOG_DET
+        total -= max(LEAST_LOG_DET, min(MOST_LOG_DET, 0.5 * math.log(det))) if known else MOST_LOG_DET
     return sigma, pose_nat, total / max(covs.shape[0], 1)
-
-
-@compiled
-def _within(nat: float) -> float:
-    """`nat`, kept within [-60, 60]."""
-    return float(max(LEAST_LOG_DET, min(MOST_LOG_DET, nat)))

@@ -24,14 +24,19 @@ def doors_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> t
     A door of the map whose jambs are no longer landmarks counts as none.
     """
     p_world = to_map(T_world_map, door_centres(output.graph.doors, output.belief))
-    found: int = metric_arrays.count_pairs(p_world, truth.outline.doors.centre, DOOR_GATE_M)
+    found = len(nearest_pairs(distances(p_world, truth.outline.doors.centre), DOOR_GATE_M))
     return found, len(p_world) - found
 
 
 def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
-    jambs = np.array([door.jambs + (door.other_face or (-1, -1)) for door in doors], np.int64)
-    return metric_arrays.jamb_middles(jambs.reshape(-1, 4), belief.ids, belief.p_map)
+    places = dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
+    centres = np.full((len(doors), 2), np.nan)
+    for d, door in enumerate(doors):
+        known = [places[jamb] for jamb in (*door.jambs, *(door.other_face or ())) if jamb in places]
+        if known:
+            centres[d] = [sum(axis) / len(known) for axis in zip(*known, strict=True)]
+    return centres
 
 
 def door_error(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> float:

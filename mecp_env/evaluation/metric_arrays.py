@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, solve_lower
 from mecp_env.core.se2 import polar_to_points, to_map, wrap_angle
@@ -99,23 +98,6 @@ def pair_row(apart: Array, identity: Ints, row: int) -> None:
 
 
 @compiled
-def count_pairs(a: Array, b: Array, gate: float) -> int:
-    """How many of the points a (n,2) and b (m,2) are pairs: nearest first, one to one, none as far as `gate`."""
-    apart, identity, pairs = np.empty((a.shape[0], b.shape[0])), np.empty(a.shape[0], np.int64), 0
-    for i in range(a.shape[0]):
-        identity[i] = -1
-        for j in range(b.shape[0]):
-            dx, dy = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]
-            far = math.sqrt(dx * dx + dy * dy)
-            apart[i, j] = far if far < gate else np.inf  # nan is never near
-    for i in range(a.shape[0]):
-        pair_row(apart, identity, i)
-    for i in range(a.shape[0]):
-        pairs += identity[i] >= 0
-    return pairs
-
-
-@compiled
 def sweep(ranges: Array, directions: Array, p_world: Array, corner: Array, free: Bools, seen: Bools) -> int:
     """Mark in `seen` (H,W) the free cells under the beams (B,) along `directions` (2,B); how many are new.
 
@@ -204,53 +186,14 @@ def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
 
 
 @compiled
-def jamb_middles(jambs: Ints, ids: Ints, p_map: Array) -> Array:
-    """(d,2) mean of those jambs (d,4) of each door that are among the landmarks `ids` (N,); nan for none."""
-    middles, rows = np.empty((jambs.shape[0], 2)), np.empty(4, np.int64)
-    for d in range(jambs.shape[0]):
-        find_rows(ids, jambs[d], rows)
-        x, y, known = 0.0, 0.0, 0
-        for k in range(4):
-            if rows[k] >= 0:
-                x, y, known = x + p_map[rows[k], 0], y + p_map[rows[k], 1], known + 1
-        middles[d, 0] = x / known if known else np.nan
-        middles[d, 1] = y / known if known else np.nan
-    return middles
-
-
-@compiled
 def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
     """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none.
 
-    The distances (chamfer, in thirds of a cell) are completed on the way back from the last cell to the first.
+    The distances (chamfer, in thirds of a cell) grow on the way to the last cell, and are completed on the way back.
     """
     most, middles = 0, np.empty((rooms.shape[0], 2))
     for k in range(rooms.shape[0]):
         most = max(most, rooms[k] + 1)
-    depth, deepest = depths_from_before(room), np.full((most, 3), np.nan)  # depth, column and row
-    deepest[:, 0] = 0.0
-    for i in range(room.shape[0] - 1, -1, -1):
-        for j in range(room.shape[1] - 1, -1, -1):
-            r = room[i, j]
-            if r < 0 or r >= most:
-                continue
-            if depth[i, j] > BORDER:
-                straight = min(depth[i, j + 1], depth[i + 1, j])
-                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
-                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
-            if depth[i, j] >= deepest[r, 0]:
-                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
-    for k in range(rooms.shape[0]):
-        middles[k, 0], middles[k, 1] = deepest[rooms[k], 1], deepest[rooms[k], 2]
-    return middles
-
-
-@compiled
-def depths_from_before(room: NDArray[np.int16]) -> NDArray[np.int32]:
-    """(H,W) distance of each room's cells from the nearest one that is not of it, in thirds of a cell (chamfer).
-
-    As far as the way from there leads on in rows and columns; the others are for `deepest_cells`.
-    """
     height, width = room.shape
     depth = np.empty(room.shape, np.int32)
     for i in range(height):
@@ -266,7 +209,22 @@ def depths_from_before(room: NDArray[np.int16]) -> NDArray[np.int32]:
         for j in range(width - 2):
             if inside[j]:
                 row[j] = min(min(depth[i, j], before[j + 1]) + 3, min(before[j], before[j + 2]) + 4)
-    return depth
+    deepest = np.full((most, 3), np.nan)  # depth, column and row
+    deepest[:, 0] = 0.0
+    for i in range(room.shape[0] - 1, -1, -1):
+        for j in range(room.shape[1] - 1, -1, -1):
+            r = room[i, j]
+            if r < 0 or r >= most:
+                continue
+            if depth[i, j] > BORDER:
+                straight = min(depth[i, j + 1], depth[i + 1, j])
+                slanting = min(depth[i + 1, j + 1], depth[i + 1, j - 1])
+                depth[i, j] = min(depth[i, j], straight + 3, slanting + 4)
+            if depth[i, j] >= deepest[r, 0]:
+                deepest[r, 0], deepest[r, 1], deepest[r, 2] = depth[i, j], j, i
+    for k in range(rooms.shape[0]):
+        middles[k, 0], middles[k, 1] = deepest[rooms[k], 1], deepest[rooms[k], 2]
+    return middles
 
 
 @compiled

@@ -225,15 +225,12 @@ def _uncovered_edges(
     return edges[:n].copy()
 
 
-@compiled
 def before_wall(label: Bytes, origin: Array, resolution: float, edges: Array, depth: float) -> Bools:
     """(e,) whether a wall lies within `depth` (m) behind the middle of each edge (e,6) of `uncovered_edges`."""
-    walled = np.zeros(edges.shape[0], np.bool_)
     steps = int(2.0 * depth / resolution)
-    for i in range(edges.shape[0]):
-        for k in range(1, steps + 1):
-            x, y = edges[i, 0] + depth * k / steps * edges[i, 2], edges[i, 1] + depth * k / steps * edges[i, 3]
-            row, column = math.floor((y - origin[1]) / resolution), math.floor((x - origin[0]) / resolution)
-            inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
-            walled[i] |= inside and label[row, column] == OCCUPIED
+    behind = depth * np.arange(1, steps + 1) / steps
+    points = edges[:, None, :2] + behind[:, None] * edges[:, None, 2:4]
+    column, row = np.floor((points - origin) / resolution).astype(np.int64).transpose(2, 0, 1)
+    inside = (row >= 0) & (row < label.shape[0]) & (column >= 0) & (column < label.shape[1])
+    walled: Bools = (inside & (label[row * inside, column * inside] == OCCUPIED)).any(axis=1)
     return walled

@@ -74,12 +74,20 @@ def test_the_field_is_dijkstra(seed: int) -> None:
     total, step = grid_paths.cost_to_go(cost, int(row), int(column))
     assert (total == dijkstra(cost, int(row), int(column))).all()
     for r, c in rng.choice(np.argwhere(total < grid_paths.FAR), 20):
-        cells = grid_paths.trace_back(step, int(r), int(c))
+        cells = trace_back(step, int(r), int(c))
         assert cells[0].tolist() == [row, column]
         assert cells[-1].tolist() == [r, c]
         stride = np.abs(np.diff(cells, axis=0)).sum(axis=1)
         (length,) = grid_paths.path_lengths(total, step, np.array([[c + 0.5, r + 0.5, 0.1]]))
         assert length == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
+
+
+def trace_back(step: np.ndarray, row: int, column: int) -> np.ndarray:
+    """(n,2) the cells, row and column, from the source to a reached cell."""
+    cells = [(row, column)]
+    while (k := step[cells[-1]]) != 8:
+        cells.append((int(cells[-1][0] - grid_paths.DROW[k]), int(cells[-1][1] - grid_paths.DCOL[k])))
+    return np.array(cells[::-1])
 
 
 def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
@@ -170,7 +178,7 @@ def test_a_robot_too_near_to_a_wall_gets_out_and_no_nearer() -> None:
     costs = costs_from(label, (20, 28))  # 0.2 m from the wall
     cell = costs.nearest(np.array([0.0, 4.0]), 0.2)
     assert cell is not None
-    cells = grid_paths.trace_back(costs.step, *cell)
+    cells = trace_back(costs.step, *cell)
     assert costs.clearance[tuple(cells.T)].min() >= costs.clearance[20, 28]
 
 

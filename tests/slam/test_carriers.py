@@ -7,10 +7,10 @@ import pytest
 
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import downdate
-from mecp_env.core.se2 import polar_to_map, polar_to_points, to_map, wrap_angle
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.landmark_map.map_polygons import find_whole, link
-from mecp_env.slam.messages import Corners, Decision, Doorways, Match, Reason
+from mecp_env.slam.landmark_map.map_polygons import are_whole, link
+from mecp_env.slam.messages import Corners, Decision, Doorways, FeatureState, MapPolygon, Match, Reason
 from tests.slam.tables import table_of
 
 
@@ -21,14 +21,6 @@ def corners_of(rng, n):
     none = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
     flags = np.zeros(n, np.bool_)
     return Corners(z, A @ A.T, kinds, flags, np.zeros((n, 2)), gaps, ~flags, none)
-
-
-def test_corners_are_placed_as_points_are_carried_to_the_map():
-    rng = np.random.default_rng(0)
-    z, T_map_robot = corners_of(rng, 9).z, np.array([1.0, -2.0, 0.7])
-    p_map = np.empty((9, 2))
-    polar_to_map(T_map_robot, z, p_map)
-    assert (p_map == to_map(T_map_robot, polar_to_points(z))).all()
 
 
 def test_measurements_are_rows_and_blocks():
@@ -95,26 +87,30 @@ def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
     assert linked([1, 2, 4], 1) is None  # one feature twice
 
 
-def are_whole(rings, rooms, rows):
-    whole = np.empty(len(rings), np.bool_)
-    find_whole(np.concatenate(rings), np.cumsum([len(ring) for ring in rings]), rows, np.array(rooms), whole)
-    return whole.tolist()
+def polygons_of(rings):
+    """Polygons whose room is their number."""
+    return [MapPolygon(np.array(ring), np.empty((0, 4)), room, 1, 0) for room, ring in enumerate(rings)]
 
 
 def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
-    rows = table_of(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0]).rows
-    rings = [np.array(ring) for ring in ([0, 1], [0, 2], [0, 3], [1, 1])]
-    assert are_whole(rings, [0] * 4, rows) == [True, False, False, False]
+    features = table_of(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0])
+    polygons = polygons_of([[0, 1], [0, 2], [0, 3], [1, 1]])
+    assert are_whole(polygons, features, dict.fromkeys(range(4), 0)) == [True, False, False, False]
+    assert are_whole([], features, {}) == []
 
 
-def test_whole_polygons_are_found_as_one_by_one():
+def test_whole_polygons_are_found_as_vertex_by_vertex():
     rng = np.random.default_rng(3)
-    rows = table_of(40, state=rng.integers(1, 4, 40), room=rng.integers(0, 2, 40)).rows
-    rings = [rng.choice(40, rng.integers(1, 5)) for _ in range(300)]
-    rooms = rng.integers(0, 2, len(rings))
-    whole = are_whole(rings, rooms, rows)
-    assert whole == [are_whole([ring], [now], rows)[0] for ring, now in zip(rings, rooms, strict=True)]
-    assert 10 < sum(whole) < 290
+    state, room = rng.integers(1, 4, 40), rng.integers(0, 2, 40)
+    rings = [rng.choice(40, rng.integers(1, 5)).tolist() for _ in range(300)]
+    now = dict(enumerate(rng.integers(0, 2, len(rings)).tolist()))
+    dead = int(FeatureState.DEAD)
+    wanted = [
+        len(set(ring)) == len(ring) and all(state[v] != dead and room[v] == now[i] for v in ring)
+        for i, ring in enumerate(rings)
+    ]
+    assert are_whole(polygons_of(rings), table_of(40, state=state, room=room), now) == wanted
+    assert 10 < sum(wanted) < 290
 
 
 def test_nobody_can_change_a_match():

@@ -27,13 +27,23 @@ def pairwise_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
 
     A pair is inf where it is far, or where its S is not positive.
     """
-    n, m, mean = z.shape[0], ids.shape[0], state[0]
+    n, m, mean, cov = z.shape[0], ids.shape[0], state[0], state[1:]
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
     if not find_rows(slot_ids, ids, slots):
         return False
     linearise(mean, np.zeros(mean.shape[0]), slots, invariant, h, A, a_heading)
     for j in range(m):
-        s_rr, s_rb, s_bb = predicted_cov(state[1:], 3 + 2 * slots[j], A[j], a_heading[j])
+        i = 3 + 2 * slots[j]
+        tt, tx, ty = cov[0, 0], cov[0, i] - cov[0, 1], cov[0, i + 1] - cov[0, 2]  # of the heading and l - p
+        xx = cov[i, i] - 2.0 * cov[1, i] + cov[1, 1]
+        xy = cov[i, i + 1] - cov[1, i + 1] - cov[2, i] + cov[1, 2]
+        yy = cov[i + 1, i + 1] - 2.0 * cov[2, i + 1] + cov[2, 2]
+        rx, ry, rt = A[j, 0, 0], A[j, 0, 1], a_heading[j, 0]
+        bx, by, bt = A[j, 1, 0], A[j, 1, 1], a_heading[j, 1]
+        gx, gy, gt = rx * xx + ry * xy + rt * tx, rx * xy + ry * yy + rt * ty, rx * tx + ry * ty + rt * tt
+        kx, ky, kt = bx * xx + by * xy + bt * tx, bx * xy + by * yy + bt * ty, bx * tx + by * ty + bt * tt
+        s_rr, s_rb = gx * rx + gy * ry + gt * rt, gx * bx + gy * by + gt * bt  # H P H^T
+        s_bb = kx * bx + ky * by + kt * bt
         for i in range(n):
             u, s_uu = z[i, 0] - h[j, 0], s_rr + R[i, 0, 0]
             nis[i, j] = math.inf
@@ -44,20 +54,6 @@ def pairwise_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
             if det > 0.0 and v * v < FAR * s_vv:
                 nis[i, j] = (s_vv * u * u - 2.0 * s_uv * u * v + s_uu * v * v) / det
     return True
-
-
-@compiled
-def predicted_cov(cov: Array, i: int, A: Array, a_heading: Array) -> tuple[float, float, float]:
-    """H P H^T of one landmark at rows i and i + 1: its range-range, range-bearing and bearing-bearing entries."""
-    tt, tx, ty = cov[0, 0], cov[0, i] - cov[0, 1], cov[0, i + 1] - cov[0, 2]  # of the heading and l - p
-    xx = cov[i, i] - 2.0 * cov[1, i] + cov[1, 1]
-    xy = cov[i, i + 1] - cov[1, i + 1] - cov[2, i] + cov[1, 2]
-    yy = cov[i + 1, i + 1] - 2.0 * cov[2, i + 1] + cov[2, 2]
-    rx, ry, rt = A[0, 0], A[0, 1], a_heading[0]
-    bx, by, bt = A[1, 0], A[1, 1], a_heading[1]
-    gx, gy, gt = rx * xx + ry * xy + rt * tx, rx * xy + ry * yy + rt * ty, rx * tx + ry * ty + rt * tt
-    kx, ky, kt = bx * xx + by * xy + bt * tx, bx * xy + by * yy + bt * ty, bx * tx + by * ty + bt * tt
-    return gx * rx + gy * ry + gt * rt, gx * bx + gy * by + gt * bt, kx * bx + ky * by + kt * bt
 
 
 @compiled

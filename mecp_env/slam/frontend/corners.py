@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import CornerConfig, SensorModel
-from mecp_env.slam.frontend.beams import Noise, Record, Records, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import Record, Records, laser_noise, roll_beams
 from mecp_env.slam.frontend.door_gaps import find_doorways, mark_beyond
 from mecp_env.slam.frontend.line_ends import add_end
 from mecp_env.slam.frontend.line_intersections import (
@@ -69,7 +69,17 @@ def find_corners(
     lines = Lines(line, line_cov, cluster, first, last, length)
     polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.roll(beams[3], -roll)
     scan = RolledScan(polar, hit, beams[4], beams[5], roll)
-    found = one_each(all_corners(scan, lines, limits, noise), line_cov, limits)
+    count, size, width = 0, line.shape[0], scan.polar.shape[1]
+    ends = empty_corners(2 * size + 2)  # the corners at each end of each segment, of which several may be one corner
+    for k in range(size):
+        following, known = (k + 1) % size, count
+        rest = (first[following] - last[k] - 1) % width
+        if size > 1 and rest <= 2 * limits.edge_beams and cluster[k] == cluster[following]:
+            count += add_intersection(ends[count], scan, lines, (k, following), limits, noise)
+        if count == known:
+            count += add_end(ends[count], scan, lines, k, 1, limits, noise)
+            count += add_end(ends[count], scan, lines, following, -1, limits, noise)
+    found = one_each(ends[:count], line_cov, limits)
     z, n = found.z.copy(), found.shape[0]
     p_robot = polar_to_points(z)
     doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0])
@@ -82,22 +92,6 @@ def find_corners(
         sites[k] = found[k].kind != CornerKind.JAMB and beyond[k] < 0
     rows = z, found.kind.copy(), found.convex.copy(), found.normals.copy()
     return rows, joint_covariance(found, line_cov), beyond, sites, doorways
-
-
-@compiled
-def all_corners(scan: RolledScan, lines: Lines, limits: Record, noise: Noise) -> Records:
-    """FOUND rows of the corners at each end of each segment, of which several may be one corner."""
-    n, size, beams = 0, lines.line.shape[0], scan.polar.shape[1]
-    rows = empty_corners(2 * size + 2)
-    for segment in range(size):
-        following, known = (segment + 1) % size, n
-        rest = (lines.first[following] - lines.last[segment] - 1) % beams
-        if size > 1 and rest <= 2 * limits.edge_beams and lines.cluster[segment] == lines.cluster[following]:
-            n += add_intersection(rows[n], scan, lines, (segment, following), limits, noise)
-        if n == known:
-            n += add_end(rows[n], scan, lines, segment, 1, limits, noise)
-            n += add_end(rows[n], scan, lines, following, -1, limits, noise)
-    return rows[:n]
 
 
 @compiled

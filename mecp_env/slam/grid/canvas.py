@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid import cells
 from mecp_env.slam.messages import UNKNOWN_ROOM, Array, Bools, Ints, SemanticGrid
 
@@ -44,7 +45,8 @@ class Canvas:
     def to_cells(self, points: Array, T_map_points: Array = MAP_FRAME) -> Array:
         """Points (..., 2) of a frame on the lattice, column and row."""
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-        return cells.to_cells(flat, T_map_points, self.resolution_m).reshape(points.shape)
+        lattice: Array = to_map(T_map_points, flat) / self.resolution_m
+        return lattice.reshape(points.shape)
 
     def vote(self, outline: Array, strips: Array, T_map_robot: Array, delta: int) -> None:
         """Cast the votes of a scan, free inside (m,2) and hit in (s,4,2) m (`delta` 1), or take them back (-1)."""

@@ -1,6 +1,7 @@
 """Compiled functions of the semantic grid: polygons filled by cell centres, votes of scans, polygons, doors, labels.
 
 A cell belongs to a polygon when its centre does: painting is unbiased, whatever the angle between wall and grid.
+Points of the lattice are places of the map frame over the resolution: cell centres lie at halves.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid.door_sight import door_ends, door_share, looks_through, split_outline
 
 Array = NDArray[np.float64]
@@ -32,17 +34,6 @@ class Raster(NamedTuple):
     lattice: Ints  # (2,) column and row of cell [0, 0] on the lattice of the map frame
     dirty: Ints  # (4,) first row, last row + 1, first column, last column + 1 touched so far
     resolution_m: float
-
-
-@compiled
-def to_cells(points: Array, T_map_robot: Array, resolution: float) -> Array:
-    """Points (n,2) of the robot frame on the lattice (n,2), column and row; cell centres lie at halves."""
-    c, s = math.cos(T_map_robot[2]), math.sin(T_map_robot[2])
-    cells = np.empty_like(points)
-    for i in range(points.shape[0]):
-        cells[i, 0] = (T_map_robot[0] + c * points[i, 0] - s * points[i, 1]) / resolution
-        cells[i, 1] = (T_map_robot[1] + s * points[i, 0] + c * points[i, 1]) / resolution
-    return cells
 
 
 @compiled
@@ -101,8 +92,8 @@ def vote_scan(layers: Layer, outline: Array, strips: Array, T_map_robot: Array, 
 
     Cells inside the outline (m,2) are free, cells of the strips (s,4,2) hit; both in m, robot frame.
     """
-    free = to_cells(outline, T_map_robot, raster.resolution_m)
-    walls = to_cells(strips.reshape(4 * strips.shape[0], 2), T_map_robot, raster.resolution_m)
+    free = to_map(T_map_robot, outline) / raster.resolution_m
+    walls = to_map(T_map_robot, strips.reshape(4 * strips.shape[0], 2)) / raster.resolution_m
     if not (on_grid(free, raster) and on_grid(walls, raster)):
         return False
     fill_polygon(layers[FREE], free, ADD, delta, raster)
@@ -118,7 +109,7 @@ def stamp(layers: Layer, rings: Array, layer: int, delta: int, room: int, raster
     Rings with nan are left out. On the layer COVER a ring that is added brings its room.
     """
     n, k = rings.shape[0], rings.shape[1]
-    cells, known = to_cells(rings.reshape(n * k, 2), np.zeros(3), raster.resolution_m), np.ones(n, np.bool_)
+    cells, known = to_map(np.zeros(3), rings.reshape(n * k, 2)) / raster.resolution_m, np.ones(n, np.bool_)
     for i in range(n * k):
         known[i // k] &= math.isfinite(cells[i, 0]) and math.isfinite(cells[i, 1])
     for i in range(n):
@@ -140,8 +131,8 @@ def paint_room(
 
     It ends at the doors (d,2,2) of the lattice through which the scan looks.
     """
-    free = to_cells(outline, T_map_robot, raster.resolution_m)
-    walls = to_cells(strips.reshape(4 * strips.shape[0], 2), T_map_robot, raster.resolution_m)
+    free = to_map(T_map_robot, outline) / raster.resolution_m
+    walls = to_map(T_map_robot, strips.reshape(4 * strips.shape[0], 2)) / raster.resolution_m
     eye, through = T_map_robot[:2] / raster.resolution_m, np.zeros(strips.shape[0], np.bool_)
     for i in range(doors.shape[0]):
         if not looks_through(free, eye, doors[i]):
@@ -160,7 +151,7 @@ def paint_room(
 @compiled
 def forget_room(layer: Layer, room: int, outline: Array, T_map_robot: Array, doors: Array, raster: Raster) -> None:
     """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
-    free, eye = to_cells(outline, T_map_robot, raster.resolution_m), T_map_robot[:2] / raster.resolution_m
+    free, eye = to_map(T_map_robot, outline) / raster.resolution_m, T_map_robot[:2] / raster.resolution_m
     for i in range(doors.shape[0]):
         if looks_through(free, eye, doors[i]):
             fill_polygon(layer, split_outline(free, eye, doors[i])[1], CLEAR, room, raster)

@@ -50,25 +50,18 @@ def _free_and_walls(
     strips = np.empty((points.shape[0] + count, 4, 2))
     n = wall_strips(points, strips, config)
     n = loose_strips(fitted, bearings, hit, owner, strips, n, config)
-    return scan_outline(fitted, bearings, hit, owner, config), strips[:n].copy()
-
-
-@compiled
-def scan_outline(ranges: Array, bearings: Array, hit: Bools, owner: Ints, config: Record) -> Array:
-    """Outline (m,2) of the free space of a scan, robot frame; the beams along one line leave only its two ends."""
-    count, kept, most = ranges.shape[0], 0, config[0].paint_range_m
-    outline = np.empty((count, 2))
-    for i in range(count):
+    outline, kept, most = np.empty((count, 2)), 0, config[0].paint_range_m
+    for i in range(count):  # the beams along one line leave only its two ends
         after = (i + 1) % count
-        reach = ranges[i] if owner[i] >= 0 or not hit[i] else ranges[i] - 0.5 * config[0].resolution_m
-        clipped = reach >= most or ranges[i - 1] >= most or ranges[after] >= most
+        reach = fitted[i] if owner[i] >= 0 or not hit[i] else fitted[i] - 0.5 * config[0].resolution_m
+        clipped = reach >= most or fitted[i - 1] >= most or fitted[after] >= most
         if owner[i] >= 0 and owner[i - 1] == owner[i] and owner[after] == owner[i] and not clipped:
             continue
         reach = max(min(reach, most), 0.0)
         outline[kept, 0] = reach * math.cos(bearings[i])
         outline[kept, 1] = reach * math.sin(bearings[i])
         kept += 1
-    return outline[:kept].copy()
+    return outline[:kept].copy(), strips[:n].copy()
 
 
 @compiled
@@ -234,21 +227,18 @@ def anchor_scans(
             anchor[i, j], p_robot[i, j, 0], p_robot[i, j, 1] = surest[j], c * dx + s * dy, -s * dx + c * dy
 
 
-@compiled
 def door_quads(p_landmark: Array, jambs: Ints, depth: Array, rim: float) -> Array:
     """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face, and a rim.
 
     `p_landmark` (F,2) by id; `jambs` (d,4): right and left of the first face, and of the other; `depth` (d,) m from
     those of the other face on.
     """
-    quads = np.empty((jambs.shape[0], 4, 2))
-    for i in range(jambs.shape[0]):
-        right, left = p_landmark[jambs[i, 0]], p_landmark[jambs[i, 1]]
-        length = max(math.hypot(left[0] - right[0], left[1] - right[1]), 1e-9)
-        onward_x, onward_y = (left[1] - right[1]) / length, -((left[0] - right[0]) / length)
-        for k in range(4):
-            p_jamb = p_landmark[jambs[i, (0, 1, 3, 2)[k]]]
-            deep, beyond = (-rim, 0.0) if k < 2 else (depth[i], rim)
-            quads[i, k, 0] = p_jamb[0] + deep * onward_x + beyond * onward_x
-            quads[i, k, 1] = p_jamb[1] + deep * onward_y + beyond * onward_y
+    faces = p_landmark[jambs]
+    along = faces[:, 1] - faces[:, 0]
+    share = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+    onward = np.stack((share[:, 1], -share[:, 0]), axis=1)
+    quads: Array = faces.take((0, 1, 3, 2), axis=1)
+    quads[:, :2] += -rim * onward[:, None]
+    quads[:, 2:] += depth[:, None, None] * onward[:, None]
+    quads[:, 2:] += rim * onward[:, None]
     return quads

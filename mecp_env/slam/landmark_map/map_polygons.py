@@ -66,7 +66,7 @@ class MapPolygonStore:
         if not self.outdated:
             return
         rooms = {room: resolve(room) for room in {p.room for p in self.polygons}}
-        sound = _whole(self.polygons, features, rooms)
+        sound = are_whole(self.polygons, features, rooms)
         kept = {tuple(p.ids.tolist()): _in_room(p, rooms[p.room]) for p in compress(self.polygons, sound)}
         self.polygons = _seen_most(list(kept.values()), self.most_per_room)
         self.outdated = False
@@ -152,33 +152,14 @@ def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
     return [p for p in polygons if id(p) not in dropped]
 
 
-def _whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[int, int]) -> list[bool]:
+def are_whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[int, int]) -> list[bool]:
     """Which polygons have vertices that differ, live and lie in the room that theirs has become."""
-    if not polygons:
-        return []
-    ends = np.cumsum([len(p.ids) for p in polygons])
-    now, whole = np.array([rooms[p.room] for p in polygons]), np.empty(len(polygons), np.bool_)
-    find_whole(np.concatenate([p.ids for p in polygons]), ends, features.rows, now, whole)
-    found: list[bool] = whole.tolist()
-    return found
+    state, room = features.rows["state"], features.rows["room"]
+    return [
+        len(set(p.ids.tolist())) == len(p.ids) and bool(((state[p.ids] != DEAD) & (room[p.ids] == rooms[p.room])).all())
+        for p in polygons
+    ]
 
 
 def _in_room(polygon: MapPolygon, room: int) -> MapPolygon:
     return polygon if polygon.room == room else replace(polygon, room=room)
-
-
-@compiled
-def find_whole(ids: Ints, ends: Ints, rows: Rows, rooms: Ints, whole: Bools) -> None:
-    """Write which polygons (P,) have vertices that differ, are alive and in their room of `rooms` (P,).
-
-    `ids` (n,) holds the vertices of one polygon after another, up to `ends` (P,).
-    """
-    first = 0
-    for p in range(ends.shape[0]):
-        whole[p] = True
-        for v in range(first, ends[p]):
-            vertex = rows[ids[v]]
-            whole[p] = whole[p] and vertex.state != DEAD and vertex.room == rooms[p]
-            for u in range(first, v):
-                whole[p] = whole[p] and ids[u] != ids[v]
-        first = ends[p]

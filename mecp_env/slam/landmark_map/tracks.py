@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import face_turn, polar_to_map
+from mecp_env.core.se2 import face_turn, polar_to_points, to_map
 from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.messages import (
     FEATURE,
@@ -86,9 +86,8 @@ def find_tracks(
     robot frame.
     """
     limits, heading, count = config[0], T_map_robot[2], z.shape[0]
-    p_map, track = np.empty((count, 2)), np.full(count, -1)
+    p_map, track = to_map(T_map_robot, polar_to_points(z)), np.full(count, -1)
     free = np.empty(rows.shape[0], np.bool_)
-    polar_to_map(T_map_robot, z, p_map)
     for f in range(rows.shape[0]):
         free[f] = rows[f].state == TRACK
     for i in range(count):
@@ -114,8 +113,7 @@ def count_sightings(
     `ids` (n,) are the features of the corners z (n,2), < 0: none; `normals` (n,2) rad are in the robot frame.
     """
     limits, count = config[0], 0
-    p_map, confirmed = np.empty(z.shape), np.empty(z.shape[0], np.int64)
-    polar_to_map(T_map_robot, z, p_map)
+    p_map, confirmed = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
     for i in range(ids.shape[0]):
         f = ids[i]
         if f < 0:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.jit import compiled
-from mecp_env.slam.mecp.cycles import cross, order_by_bearing, turns_left, visible_edges
+from mecp_env.slam.mecp.cycles import order_by_bearing, turns_left, visible_edges
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -146,33 +145,25 @@ def twice_area(ring: Array) -> float:
     return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
-@compiled
 def fan_edges(fan: Array, tolerance: float) -> tuple[Bools, Bools, Bools, Bools]:
     """Which edges i -> j (m,m) a chain around the origin, the leftmost vertex, has: as inner, first, last, only one.
 
     No point of the triangle (origin, i, j), its sides to the origin included, lies more than `tolerance` inside the
     edge; where i is first or j last the side to the origin is an edge too. Points are sorted by bearing.
     """
-    m = fan.shape[0]
-    inner, first = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
-    last, only = np.zeros((m, m), np.bool_), np.zeros((m, m), np.bool_)
-    for pair in range(m * m):
-        i, j = pair // m, pair % m
-        if j <= i or cross(fan[i, 0], fan[i, 1], fan[j, 0], fan[j, 1]) <= 0.0:
-            continue
-        inner[i, j] = first[i, j] = last[i, j] = only[i, j] = True
-        far_i, far_j = tolerance * math.hypot(fan[i, 0], fan[i, 1]), tolerance * math.hypot(fan[j, 0], fan[j, 1])
-        dx, dy = fan[j, 0] - fan[i, 0], fan[j, 1] - fan[i, 1]
-        for s in range(m):
-            off_first = cross(fan[i, 0], fan[i, 1], fan[s, 0], fan[s, 1])
-            off_last = cross(fan[s, 0], fan[s, 1], fan[j, 0], fan[j, 1])
-            depth = cross(dx, dy, fan[s, 0] - fan[i, 0], fan[s, 1] - fan[i, 1])
-            deep = depth > 0.0 and depth * depth > tolerance * tolerance * (dx * dx + dy * dy)
-            if deep and off_first >= 0.0 and off_last >= 0.0:
-                inner[i, j] = False
-                first[i, j] &= off_first <= far_i
-                last[i, j] &= off_last <= far_j
-                only[i, j] &= off_first <= far_i or off_last <= far_j
+    x, y = fan.T
+    cross_of = np.multiply.outer(x, y) - np.multiply.outer(y, x)
+    dx, dy = x - x[:, None], y - y[:, None]  # of edge i -> j; below (m,m,m): i, j and a third point
+    depth = dx[..., None] * dy[:, None, :] - dy[..., None] * dx[:, None, :]
+    deep = (depth > 0.0) & (depth * depth > tolerance * tolerance * (dx * dx + dy * dy)[..., None])
+    deep &= (cross_of[:, None, :] >= 0.0) & (cross_of.T[None] >= 0.0)
+    far = tolerance * np.hypot(x, y)
+    inside_first, inside_last = cross_of > far[:, None], far[:, None] < cross_of.T
+    edges = np.triu(cross_of > 0.0, 1)
+    inner = edges & ~deep.any(axis=2)
+    first = edges & ~(deep & inside_first[:, None, :]).any(axis=2)
+    last = edges & ~(deep & inside_last[None]).any(axis=2)
+    only = edges & ~(deep & inside_first[:, None, :] & inside_last[None]).any(axis=2)
     return inner, first, last, only
 
 

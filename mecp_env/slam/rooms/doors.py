@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import polar_to_map
+from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import MOST_SIGHTINGS, RoomConfig
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
@@ -83,8 +83,7 @@ def seen_through(
 
     `p_map` (N,2) and `ids` (N,) are the landmarks, `jambs` (D,4) is as in `door_jambs`.
     """
-    points, through = np.empty_like(z), np.empty(z.shape[0], np.int64)
-    polar_to_map(T_map_robot, z, points)
+    points, through = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
     beyond_doors(T_map_robot, points, door_frames(p_map, ids, jambs), behind_m, through)
     for i in range(z.shape[0]):
         if through[i] >= 0:
@@ -142,8 +141,7 @@ def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, r
     elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == DYNAMIC)).tolist()
     for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        ends = np.empty((2, 2))
-        polar_to_map(belief.T_map_robot, corners.z[pair], ends)
+        ends = to_map(belief.T_map_robot, polar_to_points(corners.z[pair]))
         if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(door_map, ends, config):
             continue
         if ids in door_map.row:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.jit import compiled
 from mecp_env.slam.config import RoomConfig
 
 Array = NDArray[np.float64]
@@ -36,24 +35,17 @@ class Trail:
         return None if at < 0 else (int(self.since[at, 0]), int(self.since[at, 1]))
 
 
-@compiled
 def last_crossing(path: Array, gap: Array) -> int:
     """The first place of the path (n,2) after it crossed a gap (2,2) for the last time; -1 if it ends where it began.
 
     A path that went through and came back crossed the gap as often one way as the other.
     """
-    dx, dy = gap[1, 0] - gap[0, 0], gap[1, 1] - gap[0, 1]
-    square = dx * dx + dy * dy
-    net, last = 0, -1
-    for i in range(1, path.shape[0]):
-        px, py = path[i - 1, 0] - gap[0, 0], path[i - 1, 1] - gap[0, 1]
-        qx, qy = path[i, 0] - gap[0, 0], path[i, 1] - gap[0, 1]
-        before, after = dx * py - dy * px, dx * qy - dy * qx
-        if (before > 0.0) == (after > 0.0):
-            continue
-        share = before / (before - after)
-        along = (px + share * (qx - px)) * dx + (py + share * (qy - py)) * dy
-        if 0.0 < along < square:
-            net += 1 if after > 0.0 else -1
-            last = i
-    return last if net != 0 else -1
+    (dx, dy), p_gap = gap[1] - gap[0], path - gap[0]
+    off = dx * p_gap[:, 1] - dy * p_gap[:, 0]
+    before = np.flatnonzero((off[:-1] > 0.0) != (off[1:] > 0.0))
+    share = off[before] / (off[before] - off[before + 1])
+    crossing = p_gap[before] + share[:, None] * (p_gap[before + 1] - p_gap[before])
+    along = crossing[:, 0] * dx + crossing[:, 1] * dy
+    after = before[(along > 0.0) & (along < dx * dx + dy * dy)] + 1
+    net = np.where(off[after] > 0.0, 1, -1).sum()
+    return int(after[-1]) if net != 0 else -1
