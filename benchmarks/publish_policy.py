@@ -92,7 +92,7 @@ def read_run(folder: Path) -> RunResult:
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
-    """(n,) a column of a table. Raises `KeyError`, or `ValueError` for what is no number."""
+    """(n,) a column of a table. Raises `KeyError`, or `ValueError` for a value that is not a number."""
     values = np.array([float(row[name] or "") for row in rows])
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: not finite")
@@ -122,7 +122,7 @@ def ship(run: RunResult, target: Path) -> None:
 
 
 def draw(runs: list[RunResult], picture: Path) -> None:
-    """The area under the curve over the decisions: a line a run with its standard error."""
+    """The area under the curve over the decisions: one line per run with its standard error."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
