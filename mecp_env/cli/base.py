@@ -1,23 +1,25 @@
-"""The base class of the commands of `mecp-env`, and checks of the paths that they write to."""
+"""The base class of the commands of `mecp-env`, the types of their options, and checks of the paths they write to."""
 
 from __future__ import annotations
 
-import os
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
+
+from pydantic import AfterValidator, Field
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 
+ELSEWHERE = "choose another place"
 FILE_SUFFIXES = (".json", ".yaml", ".yml", ".svg", ".png", ".gif", ".pgm", ".csv", ".md", ".zip")
 
 
 class Command(ABC):
-    """A command: a dataclass of its options, whose docstring is its help."""
+    """A command: a dataclass of its options, whose docstring is its help. Types may have bounds, as `Seed` has."""
 
     examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
 
@@ -45,44 +47,33 @@ class Command(ABC):
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
 
 
-def check_writable(path: Path) -> Path:
-    """`path` itself, of which nothing is made yet. Raises `ConfigError` where it could not be made, or written to.
+def check_folder(path: Path) -> Path:
+    """`path` itself, a folder that may have to be made. Raises `ConfigError` where nothing can be written in it.
 
     A folder that would have to be made with the name of a file, as in `paper.json/x.json`, is a mistake.
     """
-    missing = [folder for folder in path.absolute().parents if not folder.exists()]
-    for folder in (folder for folder in missing if folder.suffix.lower() in FILE_SUFFIXES):
-        raise ConfigError(f"out: {path}: {folder.name} is the name of a file, not of a folder; choose another place")
-    there = next((place for place in (path.absolute(), *path.absolute().parents) if place.exists()), Path())
-    if there != path.absolute() and not there.is_dir():
-        raise ConfigError(f"out: {path}: {there} is a file, not a folder; choose another place")
-    if not os.access(there, os.W_OK):
-        raise ConfigError(f"out: {path}: {there} cannot be written to; choose another place")
-    return path
-
-
-def check_folder(path: Path) -> Path:
-    """`path` itself, a folder that may have to be made. Raises `ConfigError` for a file, and as `check_writable`."""
-    if path.exists() and not path.is_dir():
-        raise ConfigError(f"out: {path} is a file, a folder is expected; choose another place")
-    check_writable(path / "file")
-    return path
-
-
-@contextmanager
-def folder_of(path: Path) -> Iterator[None]:
-    """Make the folder that a file goes into; where writing fails, what was made of it and is empty goes again."""
-    above = path.absolute().parents
-    made = [folder for folder in above if not folder.exists()]
-    above[0].mkdir(parents=True, exist_ok=True)
+    places = (path.absolute(), *path.absolute().parents)
+    there = next(place for place in places if place.exists())
+    for folder in places[: places.index(there)]:
+        if folder.suffix.lower() in FILE_SUFFIXES:
+            raise ConfigError(f"--out: {path}: {folder.name} is the name of a file, not of a folder; {ELSEWHERE}")
+    if not there.is_dir():
+        raise ConfigError(f"--out: {there} is a file, not a folder; {ELSEWHERE}")
     try:
-        yield
-    except BaseException:
-        for folder in made:
-            _remove_empty(folder)
-        raise
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise ConfigError(f"--out: {there} cannot be written to ({error.strerror}); {ELSEWHERE}") from None
+    return path
 
 
-def _remove_empty(folder: Path) -> None:
-    with suppress(OSError):  # something is in it
-        folder.rmdir()
+def check_writable(path: Path) -> Path:
+    """`path` itself, a file that may have to be made. Raises `ConfigError` where it cannot be written."""
+    check_folder(path.parent)
+    if path.is_dir():
+        raise ConfigError(f"--out: {path} is a folder, not a file; {ELSEWHERE}")
+    return path
+
+
+Seed = Annotated[int, Field(ge=0)]
+Steps = Annotated[int, Field(ge=1, le=10_000_000)]
+OutFolder = Annotated[Path, AfterValidator(check_folder)]

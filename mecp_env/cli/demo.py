@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from mecp_env.cli.base import Command, check_folder
+from mecp_env.cli.base import Command, Seed, check_folder
 from mecp_env.cli.exit_codes import INTERRUPTED
 from mecp_env.cli.fields import Fields, configuration
 
@@ -25,7 +25,7 @@ class Demo(Command):
     )
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
-    seed: int = 0  # the same seed gives the same run
+    seed: Seed = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
     config: Fields = field(default_factory=Fields)  # any field of the configuration
@@ -34,9 +34,10 @@ class Demo(Command):
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.buildings import one, resolve, spare_sources, stem
         from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
-        from mecp_env.cli.progress import Progress, say_result
+        from mecp_env.cli.progress import ExplorationBar, print_result
         from mecp_env.cli.stopwatch import timed_stages
         from mecp_env.core import warm_up
+        from mecp_env.env import MecpEnv
         from mecp_env.render.window import require_display
 
         folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
@@ -45,11 +46,11 @@ class Demo(Command):
         if self.render == "human":
             require_display()
         warm_up.prepare()
-        run = Run.begin(config, self.seed, None if self.render == "none" else "human")
-        with timed_stages() as watch, Progress(run, watch) as progress, suppress(KeyboardInterrupt):
-            run.explore(progress.show)
+        run = Run(MecpEnv(config, None if self.render == "none" else "human"), self.seed)
+        with timed_stages() as watch, ExplorationBar(run, watch) as bar, suppress(KeyboardInterrupt):
+            run.explore(bar.show)
         if not run.estimated:
             return INTERRUPTED
-        say_result(run.keep(folder, watch), folder)
+        print_result(run.keep(folder, watch), folder)
         run.env.close()
         return INTERRUPTED if run.ended == "interrupted" else 0

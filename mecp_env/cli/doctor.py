@@ -2,29 +2,50 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
+import gymnasium
+import numpy as np
+from packaging.requirements import Requirement
+from pydantic import Field
 from rich.console import Console
 from rich.text import Text
 
-from mecp_env.cli import doctor_machine, doctor_trial
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import FAILED
-from mecp_env.cli.findings import Finding
-from mecp_env.core.errors import ConfigError
 
 COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "bold red"}
-CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
-    doctor_machine.python,
-    doctor_machine.dependencies,
-    doctor_machine.extras,
-    doctor_machine.processor,
-    doctor_machine.compiled_functions,
-    doctor_machine.display,
-)
-SECONDS = (0.1, 600.0)
+EXTRAS = ("torch", "stable-baselines3", "sb3-contrib")
+ROOT = Path(__file__).parents[2]
+OPEN_WINDOW = "from mecp_env.render.window import require_display; print(require_display())"
+DISPLAY_TIMEOUT_S = 60.0
+LEAST_STEPS = 5
+FAR_M = 0.5  # an estimate so far from ground truth after two seconds has failed
+SLOW_STEPS_S = 50.0
+REPORT = "report this, with the lines above"
+
+Env = gymnasium.Env[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line: the verdict, on what, what was found, and what to do about it."""
+
+    verdict: Literal["PASS", "WARN", "FAIL"]
+    name: str
+    said: str
+    fix: str = ""
 
 
 @dataclass(frozen=True)
@@ -34,27 +55,25 @@ class Doctor(Command):
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env doctor", "mecp-env doctor --seconds 10")
 
-    seconds: float = 2.0  # how long the self-test drives
+    seconds: Annotated[float, Field(ge=0.1, le=600.0)] = 2.0  # how long the self-test drives
 
     def run(self, line: Sequence[str]) -> int:
         """Print the finding of each check as soon as it is known."""
-        if not SECONDS[0] <= self.seconds <= SECONDS[1]:
-            raise ConfigError(f"seconds: {self.seconds:g}, from {SECONDS[0]:g} to {SECONDS[1]:g}")
         counts = dict.fromkeys(COLOURS, 0)
-        for finding in examine((*CHECKS, lambda: doctor_trial.self_test(self.seconds))):
+        for finding in examine(CHECKS, self.seconds):
             echo(finding)
             counts[finding.verdict] += 1
         print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
         return FAILED if counts["FAIL"] else 0
 
 
-def examine(checks: Sequence[Callable[[], Iterator[Finding]]]) -> Iterator[Finding]:
+def examine(checks: Sequence[Callable[[float], Iterator[Finding]]], seconds: float) -> Iterator[Finding]:
     """What all checks find; one that breaks off is a failure, not the end."""
     for check in checks:
         try:
-            yield from check()
+            yield from check(seconds)
         except Exception as error:  # whatever is wrong with the machine is to be said
-            name = getattr(check, "__name__", "self-test").strip("<>").replace("lambda", "self-test")
+            name = check.__name__.replace("_", " ")
             yield Finding("FAIL", name, f"{type(error).__name__}: {error}", "install mecp_env again, or report this")
 
 
@@ -65,3 +84,154 @@ def echo(finding: Finding) -> None:
     console.print(Text.assemble(verdict, f"{finding.name:<16}  {finding.said}"), soft_wrap=True)
     if finding.fix:
         console.print(Text(f"      {'':<16}  -> {finding.fix}"), soft_wrap=True)
+
+
+def machine(_: float) -> Iterator[Finding]:
+    """Python, the cores, and how numba would use them."""
+    import numba
+
+    where = f"{platform.system()} {platform.machine()}, {sys.executable}"
+    yield Finding("PASS", "Python", f"{platform.python_version()} on {where}")
+    cores = os.cpu_count() or 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
+    yield Finding("PASS", "processor", f"{cores} cores, {usable} of them for this process")
+    threads = f"up to {numba.config.NUMBA_NUM_THREADS} threads, layer {numba.config.THREADING_LAYER!r}"
+    yield Finding("PASS", "numba threading", f"{threads}; an environment itself runs on one core, without threads")
+
+
+def dependencies(_: float) -> Iterator[Finding]:
+    """Each distribution that must be there, with its version and the one that is needed; then what learning needs."""
+    for needed in map(Requirement, required()):
+        if needed.marker is None or needed.marker.evaluate({"extra": ""}):
+            yield dependency(needed)
+    found = [f"{name} {installed(name) or 'not installed'}" for name in EXTRAS]
+    yield Finding("PASS", "for learning", f"{', '.join(found)} (optional)")
+
+
+def required() -> list[str]:
+    """What the package says that it needs: installed, or in the folder that it runs from."""
+    try:
+        return metadata.requires("mecp_env") or []
+    except metadata.PackageNotFoundError:
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+        return list(project["dependencies"])
+
+
+def dependency(needed: Requirement) -> Finding:
+    """Whether one distribution is there in a version that will do."""
+    version = installed(needed.name)
+    said = f"{version or 'missing'} (needs {needed.specifier})"
+    if version and needed.specifier.contains(version, prereleases=True):
+        return Finding("PASS", needed.name, said)
+    return Finding("FAIL", needed.name, said, f'pip install "{needed.name}{needed.specifier}"')
+
+
+def installed(name: str) -> str:
+    """The version of a distribution; empty where it is missing."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def compiled_functions(_: float) -> Iterator[Finding]:
+    """Where compiled functions are kept, whether that can be written, and what it holds."""
+    import numba
+
+    from mecp_env.core.jit import CHECKED_CACHE
+
+    name = "compiled functions"
+    if numba.config.DISABLE_JIT:
+        yield Finding("WARN", name, "NUMBA_DISABLE_JIT is set: everything is slow", "unset NUMBA_DISABLE_JIT")
+    if CHECKED_CACHE:
+        yield from cache()
+    else:
+        said = f"numba {numba.__version__} keeps its cache elsewhere: every edit of the package compiles everything"
+        yield Finding("WARN", name, said, 'pip install "numba==0.68.*"')
+
+
+def cache() -> Iterator[Finding]:
+    """Whether the cache can be written, and whether it is warm."""
+    from mecp_env.core.jit_cache import cache_directory
+    from mecp_env.core.warm_up import missing_entries
+
+    name, place = "function cache", cache_directory()
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=place).close()
+    except OSError as error:
+        said = f"{place}: {error.strerror}; functions are compiled in every process"
+        yield Finding("WARN", name, said, "set NUMBA_CACHE_DIR to a folder of yours that can be written")
+        return
+    sizes = [entry.stat().st_size for entry in place.glob("*.nbc")]
+    yield Finding("PASS", name, f"{place}, {len(sizes)} functions, {sum(sizes) / 1e6:.0f} MB, can be written")
+    if missing_entries():
+        cold = "cold: the self-test compiles first, on all cores; about a minute, once"
+        yield Finding("WARN", name, cold, "mecp-env warmup")
+
+
+def display(_: float) -> Iterator[Finding]:
+    """Whether a window can be opened; tested in a separate process, which SDL may end or fill with messages."""
+    line = [sys.executable, "-c", OPEN_WINDOW]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(line, capture_output=True, text=True, timeout=DISPLAY_TIMEOUT_S, env=env)
+    if done.returncode == 0:
+        yield Finding("PASS", "display", f"windows can be opened (SDL driver {done.stdout.strip()})")
+        return
+    why = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+    said = "no window can be opened; pictures, films and training need none"
+    yield Finding("WARN", "display", said, f"for `play` and `--render human`: {why.partition('; ')[2] or why}")
+
+
+def self_test(seconds: float) -> Iterator[Finding]:
+    """Make `PaperMap-v0`, reset it twice with the same seed, and drive at random for so many seconds."""
+    begun = time.perf_counter()
+    env = gymnasium.make("mecp_env/PaperMap-v0")
+    first = start(env)
+    spent = time.perf_counter() - begun
+    yield Finding("PASS", "self-test: make", f"PaperMap-v0 made, reset and stepped in {spent:.1f} s")
+    yield same_again(first, start(env))
+    yield drive(env, seconds)
+    env.close()
+
+
+def start(env: Env) -> dict[str, np.ndarray[Any, Any]]:
+    """The observation after a reset with seed 0 and one step."""
+    env.reset(seed=0)
+    observation: dict[str, np.ndarray[Any, Any]] = env.step(np.array([1.0, 0.0], np.float32))[0]
+    return observation
+
+
+def same_again(first: dict[str, Any], second: dict[str, Any]) -> Finding:
+    """Whether the same seed gave the same bits."""
+    differing = [name for name in first if not np.array_equal(first[name], second[name])]
+    if differing:
+        return Finding("FAIL", "self-test: seed", f"the same seed gave another {', '.join(differing)}", REPORT)
+    return Finding("PASS", "self-test: seed", "the same seed gave the same observation")
+
+
+def drive(env: Env, seconds: float) -> Finding:
+    """Random actions for so many seconds: observations as declared, an estimate near the truth, a fair speed."""
+    env.action_space.seed(0)
+    steps, over, begun = 0, True, time.perf_counter()
+    while steps < LEAST_STEPS or time.perf_counter() - begun < seconds:
+        if over:
+            env.reset(seed=steps)
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        steps, over = steps + 1, terminated or truncated
+        if not (env.observation_space.contains(observation) and np.isfinite(float(reward))):
+            return Finding("FAIL", "self-test: drive", f"step {steps} left the observation space", REPORT)
+    return judge(steps, steps / (time.perf_counter() - begun), info["pose_error_m"])
+
+
+def judge(steps: int, speed: float, error_m: float) -> Finding:
+    """What a drive says of the machine."""
+    said = f"{steps} steps, {speed:.0f} per second, the estimate {100.0 * error_m:.1f} cm from ground truth"
+    if error_m > FAR_M:
+        return Finding("FAIL", "self-test: drive", said, REPORT)
+    if speed < SLOW_STEPS_S:
+        return Finding("WARN", "self-test: drive", said, "slow: is the machine busy, or NUMBA_DISABLE_JIT set?")
+    return Finding("PASS", "self-test: drive", said)
+
+
+CHECKS = (machine, dependencies, compiled_functions, display, self_test)

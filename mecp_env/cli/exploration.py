@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.cli.stopwatch import Stopwatch
-from mecp_env.config import EnvConfig
-from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.env import MecpEnv
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -22,7 +20,6 @@ from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.render.view import SceneView
 from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]
@@ -45,13 +42,6 @@ class Run:
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     ended: str = "interrupted"
-
-    @classmethod
-    def begin(cls, config: EnvConfig, seed: int, render_mode: str | None = None) -> Run:
-        """A run at its first observation. Raises `ConfigError` for a negative seed, as for a wrong configuration."""
-        if seed < 0:
-            raise ConfigError(f"seed: {seed}, at least 0")
-        return cls(MecpEnv(config, render_mode), seed)
 
     @property
     def steps(self) -> int:
@@ -84,35 +74,24 @@ class Run:
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
         """Write `FILES`, everything there is, into `folder`; returns the metrics."""
         folder.mkdir(parents=True, exist_ok=True)
-        view, metrics = self.env.view(), self.metrics(watch)
+        view, metrics, config = self.env.view(), self.metrics(watch), self.env.config
         save(map_figure(view), folder / "map.png")
-        self._film_end(view)
+        self.film.frames.append(self.screen.frame(view))  # the last step, whether its turn has come or not
         self.film.save(folder / "run.gif")
         save_map_server(view.slam_output.grid, folder / "belief")
         save_svg(view.slam_output.grid, folder / "belief.svg")
-        (folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
-        (folder / "config.json").write_text(json.dumps(self._recipe(), indent=2) + "\n")
-        period_s = self.env.config.robot.period_s
-        (folder / "trajectory.tum").write_text(tum(self.estimated, period_s))
-        (folder / "truth.tum").write_text(tum(self.true, period_s))
+        recipe = {"seed": self.seed, "policy": "breadth_first", "config": config.to_dict()}
+        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
+            (folder / name).write_text(json.dumps(data, indent=2) + "\n")
+        for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
+            (folder / name).write_text(tum(poses, config.robot.period_s))
         return metrics
 
     def metrics(self, watch: Stopwatch) -> dict[str, Any]:
         """The figures of the run so far, measured on the truth, and its times."""
         times = {name: round(value, 1) for name, value in watch.microseconds().items()}
-        return {
-            "ended": self.ended,
-            **self.env.summary(),
-            "steps_per_s": round(watch.steps_per_s, 1),
-            "us_per_period": times,
-        }
-
-    def _film_end(self, view: SceneView) -> None:
-        """The film ends with the last step, whether its turn has come or not."""
-        self.film.frames.append(self.screen.frame(view))
-
-    def _recipe(self) -> dict[str, Any]:
-        return {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
+        speed = {"steps_per_s": round(watch.steps_per_s, 1), "us_per_period": times}
+        return {"ended": self.ended, **self.env.summary(), **speed}
 
 
 def tum(poses: list[Array], period_s: float) -> str:

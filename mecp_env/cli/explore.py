@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 
-from mecp_env.cli.base import Command
+from mecp_env.cli.base import Command, Seed, Steps
 from mecp_env.cli.buildings import resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
-
-if TYPE_CHECKING:
-    from mecp_env.policies.policy import Policy
-    from mecp_env.policies.rollout import Env
 
 Estimator = Literal["slam", "known", "truth"]
 Start = Literal["layout", "random"]
@@ -38,22 +34,23 @@ class Explore(Command):
 
     policy: Annotated[str, tyro.conf.Positional]
     layout: str = "paper"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, or the path of a plan
-    seed: int = 0  # of start, noise and policy
-    steps: int = 3000  # control steps of 0.4 s, at most
+    seed: Seed = 0  # of start, noise and policy
+    steps: Steps = 3000  # control steps of 0.4 s, at most
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     start: Start = "layout"  # random: anywhere in free space
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
-        from mecp_env.policies.registry import make_policy
-        from mecp_env.policies.rollout import for_policy, masks
+        import gymnasium as gym
 
-        if self.seed < 0:
-            raise ConfigError(f"seed: {self.seed}, at least 0")
-        options = self._reset_options()
+        from mecp_env.policies.registry import make_policy
+        from mecp_env.policies.rollout import for_policy, masks, options_of
+
+        building, options = self._building()
         policy = make_policy(self.policy, self.trust)
-        env = for_policy(self._building(policy), policy, lambda observation, info: None)
+        fields = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start, **options_of(policy)}
+        env = for_policy(gym.make(**building, **fields), policy, lambda observation, info: None)
         observation, info = env.reset(seed=self.seed, options=options)
         policy.reset(self.seed)
         terminated = truncated = False
@@ -67,30 +64,20 @@ class Explore(Command):
         env.close()
         return 0
 
-    def _building(self, policy: Policy) -> Env:
-        """The environment. Raises `MecpError`."""
-        import gymnasium as gym
+    def _building(self) -> tuple[dict[str, Any], dict[str, int] | None]:
+        """The id of the environment with the building that it makes, and the options of its reset.
 
-        from mecp_env.policies.rollout import options_of
-
-        fields: dict[str, Any] = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start}
-        fields |= options_of(policy)
-        if self.layout.count(":") == 2:
-            difficulty, split, _ = self.layout.split(":")
-            return gym.make("mecp_env/Rooms-v0", difficulty=difficulty, split=split, **fields)
-        return gym.make("mecp_env/Layout-v0", layout=resolve(self.layout), **fields)
-
-    def _reset_options(self) -> dict[str, int] | None:
-        """The building of DIFFICULTY:SPLIT:NUMBER, None for another layout. Raises `ConfigError`."""
+        Raises `ConfigError` or `LayoutError`.
+        """
         if self.layout.count(":") != 2:
-            return None
+            return {"id": "mecp_env/Layout-v0", "layout": resolve(self.layout)}, None
         difficulty, split, number = self.layout.split(":")
         for word, known in ((difficulty, DIFFICULTIES), (split, SPLITS)):
             if word not in known:
                 raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{guess(word, known)}")
         if not number.isdecimal():
             raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}")
-        return {"building": int(number)}
+        return {"id": "mecp_env/Rooms-v0", "difficulty": difficulty, "split": split}, {"building": int(number)}
 
 
 def drive_line(observation: dict[str, Any], row: int, info: Mapping[str, Any]) -> str:

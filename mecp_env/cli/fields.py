@@ -19,6 +19,9 @@ class Fields(EnvConfig):
     actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
 
 
+Fields.__name__ = "--config"  # errors then name the option
+
+
 def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
     """The configuration in which only those fields are set that the command line names, to a default or not."""
     return EnvConfig.build(named_fields(fields, line, "--config."), layout=layout)

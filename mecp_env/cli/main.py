@@ -8,9 +8,13 @@ import sys
 import textwrap
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
 import mecp_env
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import Settings, describe
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
@@ -86,7 +90,10 @@ def load(words: str) -> type[Command]:
 
 
 def parse(words: str, line: list[str]) -> Command:
-    """A command with its options; ends the process after `--help`, and with 2 for wrong options."""
+    """A command with its options. Ends the process after `--help`, and with 2 for wrong options.
+
+    Raises `ConfigError` for an option out of its bounds.
+    """
     import tyro  # the overview does without
 
     kind = load(words)
@@ -104,7 +111,10 @@ def parse(words: str, line: list[str]) -> Command:
         default=default,
         config=(tyro.conf.AvoidSubcommands,),
     )
-    return chosen
+    try:
+        return TypeAdapter(kind).validate_python(vars(chosen))
+    except ValidationError as error:
+        raise ConfigError(describe(error, words, Settings).replace(f"{words}.", "--")) from None
 
 
 if __name__ == "__main__":

@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from mecp_env.cli.base import Command, check_folder
+from pydantic import Field
+
+from mecp_env.cli.base import Command, OutFolder, Seed
 from mecp_env.cli.exit_codes import echo
-from mecp_env.config import EnvConfig
+from mecp_env.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mecp_env.cli.exploration import Run
+    from mecp_env.slam.messages import SlamOutput
 
 
 @dataclass(frozen=True)
@@ -23,16 +29,46 @@ class OneScan(Command):
     )
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
-    seed: int = 0  # the same seed gives the same run
-    step: int = 40  # the first scan from here on in which a polygon of the map is recognised
-    out: Path = Path("runs/one-scan")  # folder for the pictures
+    seed: Seed = 0  # the same seed gives the same run
+    step: Annotated[int, Field(ge=0)] = 40  # the first scan from here on in which a polygon of the map is recognised
+    out: OutFolder = Path("runs/one-scan")  # folder for the pictures
 
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
         from mecp_env.cli.buildings import resolve
-        from mecp_env.cli.scan_stages import draw  # pictures and physics are loaded only here
+        from mecp_env.cli.exploration import Run  # pictures and physics are loaded only here
+        from mecp_env.env import MecpEnv
+        from mecp_env.render.figures import save
+        from mecp_env.render.stages import stage_figures
+        from mecp_env.slam.frontend.clustering import cluster_beams
 
-        folder, config = check_folder(self.out), EnvConfig.build({}, layout=resolve(self.layout))
-        for path in draw(config, self.seed, self.step, folder):
-            echo(str(path))
+        run = Run(MecpEnv(layout=resolve(self.layout)), self.seed)
+        output, slam = recognition(run, self.step), run.env.config.estimator_config
+        clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor)
+        self.out.mkdir(parents=True, exist_ok=True)
+        for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
+            path = self.out / f"{number}-{name}.png"
+            save(figure, path, dpi=80)
+            echo(path)
         return 0
+
+
+class _Reached(Exception):
+    """The step that is wanted has come."""
+
+
+def recognition(run: Run, step: int) -> SlamOutput:
+    """The first scan of an exploration from `step` on in which a polygon of the map is recognised.
+
+    Raises `ConfigError` when the exploration ends before.
+    """
+
+    def stop(run: Run) -> None:
+        if run.steps >= step and run.env.slam_output.match.known >= 0:
+            raise _Reached
+
+    try:
+        run.explore(stop)
+    except _Reached:
+        return run.env.slam_output
+    raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")

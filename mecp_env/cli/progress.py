@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from mecp_env.cli.exploration import FILES, Run
@@ -28,37 +26,21 @@ def status(metrics: Mapping[str, float], steps_per_s: float) -> str:
     )
 
 
-def _name(run: Run) -> str:
-    """What the building is called; a configuration holds a shipped name, or a whole layout."""
-    layout = run.env.config.layout
-    return layout if isinstance(layout, str) else str(layout["name"])
-
-
-class Progress:
+class ExplorationBar(Progress):
     """A bar of the share of the building that has been seen, with rooms, doors, pose error and speed."""
 
     def __init__(self, run: Run, watch: Stopwatch, console: Console | None = None) -> None:
-        self.watch = watch
-        self.title = f"exploring {sanitised(_name(run))}"
-        self.bar = Bar(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
-        self.task = self.bar.add_task("preparing", total=1.0)
+        super().__init__(BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.description}"), console=console)
+        layout = run.env.config.layout  # a shipped name, or a whole layout
+        name = layout if isinstance(layout, str) else str(layout["name"])
+        self.console.print(f"exploring {sanitised(name)}", style="bold", markup=False)
+        self.watch, self.task = watch, self.add_task("preparing", total=1.0)
 
     def show(self, run: Run) -> None:
         """Bring the bar up to date, every few steps."""
-        if run.steps % EVERY:
-            return
-        metrics = run.env.view().metrics
-        self.bar.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
-
-    def __enter__(self) -> Self:
-        self.bar.console.print(self.title, style="bold", markup=False)
-        self.bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.bar.stop()
+        if run.steps % EVERY == 0:
+            metrics = run.env.view().metrics
+            self.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
 
 
 ROWS = (
@@ -75,7 +57,7 @@ ROWS = (
 )
 
 
-def say_result(metrics: dict[str, Any], folder: Path) -> None:
+def print_result(metrics: dict[str, Any], folder: Path) -> None:
     """Print the figures of a run and where its files are."""
     ended = "over, no goal left" if metrics["ended"] == "complete" else metrics["ended"]  # by the belief, not the truth
     table = Table(title=f"exploration {ended}", show_header=False, title_justify="left")

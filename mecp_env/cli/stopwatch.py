@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from numba.core import event
-
 import mecp_env.env
 import mecp_env.slam.pipeline
+from mecp_env.core.jit import variants
 from mecp_env.episode.observations import Observer
 from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.navigator import Navigator
@@ -57,24 +56,18 @@ STEP = ("step", env.MecpEnv, "step")
 DRIVE = ("drive", Navigator, "step")
 
 
-class Stopwatch(event.Listener):  # type: ignore[misc]
+class Stopwatch:
     """Seconds of each stage so far, on the clock of this thread's processor, so that another load does not count.
 
-    Steps in which numba compiled or loaded a function are left out; numba notifies a listener of it.
+    Steps in which numba compiled or loaded a function are left out.
     """
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys([*STAGE_NAMES, "step", "drive"], 0.0)
         self.steps = 0
         self._step = dict.fromkeys(self.seconds, 0.0)  # of this step so far
-        self._compiled = False
+        self._variants = variants()
         self._stepping = False
-
-    def on_start(self, event: Any) -> None:
-        self._compiled = True
-
-    def on_end(self, event: Any) -> None:
-        """The end of a compilation says nothing new."""
 
     @property
     def steps_per_s(self) -> float:
@@ -104,12 +97,13 @@ class Stopwatch(event.Listener):  # type: ignore[misc]
         return timed
 
     def _end_step(self) -> None:
-        if not self._compiled:
+        before, self._variants = self._variants, variants()
+        if self._variants == before:
             self.steps += 1
             for name, seconds in self._step.items():
                 self.seconds[name] += seconds
         self._step = dict.fromkeys(self.seconds, 0.0)
-        self._compiled = self._stepping = False
+        self._stepping = False
 
 
 @contextmanager
@@ -121,7 +115,6 @@ def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
     watch = Stopwatch()
     timed = (*STAGES, STEP, DRIVE) if each else (STEP, DRIVE)
     plain = [(stage, owner, name, getattr(owner, name)) for stage, owner, name in timed]
-    event.register("numba:compiler_lock", watch)
     try:
         for stage, owner, name, function in plain:
             setattr(owner, name, watch.around(stage, function))
@@ -129,4 +122,3 @@ def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
     finally:
         for _, owner, name, function in plain:
             setattr(owner, name, function)
-        event.unregister("numba:compiler_lock", watch)

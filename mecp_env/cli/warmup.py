@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from pydantic import Field
 
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import echo
@@ -16,7 +18,7 @@ class WarmUp(Command):
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env warmup", "mecp-env warmup --jobs 1")
 
-    jobs: int | None = None  # processes at the same time; default: one per core
+    jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time; default: one per core
 
     def run(self, line: Sequence[str]) -> int:
         """Show a progress bar; a function that cannot be compiled ahead is compiled when it is called."""

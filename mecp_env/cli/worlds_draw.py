@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from mecp_env.cli.base import Command, check_writable, folder_of
+from pydantic import Field
+
+from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.buildings import Buildings, Reading, ReadingOptions, expand_all, load, spare_sources, stem
 from mecp_env.cli.exit_codes import echo
-from mecp_env.core.errors import ConfigError
 from mecp_env.world.schema import Layout
-
-DPI = (30, 600)
 
 
 @dataclass(frozen=True)
@@ -29,15 +28,13 @@ class Draw(Command):
 
     worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
-    dpi: int = 150  # pixels per inch of a PNG, 30 to 600
+    dpi: Annotated[int, Field(ge=30, le=600)] = 150  # pixels per inch of a PNG, 30 to 600
     reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Draw, and say where the picture is."""
         from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only here
 
-        if not DPI[0] <= self.dpi <= DPI[1]:
-            raise ConfigError(f"dpi: {self.dpi}, from {DPI[0]} to {DPI[1]}")
         if self.out:
             check_writable(check_format(self.out))
         words = expand_all(self.worlds, self.reading)
@@ -60,6 +57,6 @@ def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 150) ->
     from mecp_env.render.plan_figures import save_plans
 
     plans = [floor_plan(layout, title) for title, layout in buildings]
-    with folder_of(check_writable(path)):
-        save_plans(plans, path, dpi)
+    check_writable(path).parent.mkdir(parents=True, exist_ok=True)
+    save_plans(plans, path, dpi)
     return path

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import re
+import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mecp_env.cli.base import Command, check_writable, folder_of
-from mecp_env.cli.buildings import (
-    NONE_GIVEN,
-    Buildings,
-    Reading,
-    ReadingOptions,
-    counted,
-    expand,
-    load,
-    spare_sources,
-)
+from mecp_env.cli.base import Command, check_writable
+from mecp_env.cli.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load, spare_sources
 from mecp_env.cli.exit_codes import WRONG_INPUT, echo
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -108,14 +101,14 @@ class Convert(Command):
         pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
         spare_sources(pair if write is _write_map else [self.target], [source])
         layout = load(source, self.reading)
-        with folder_of(check_writable(self.target)):
-            write(layout, self.target, self.map_resolution_m)
+        check_writable(self.target)
+        with tempfile.TemporaryDirectory() as folder:  # what fails leaves nothing
+            write(layout, Path(folder) / self.target.name, self.map_resolution_m)
+            self.target.parent.mkdir(parents=True, exist_ok=True)
+            for path in Path(folder).iterdir():
+                shutil.copy(path, self.target.with_name(path.name))
         echo(f"{self.target}: {layout.name}, {counted(layout)}")
         return 0
-
-
-def _write_json(layout: Layout, path: Path, resolution_m: float) -> None:
-    path.write_text(layout.to_json())
 
 
 def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
@@ -125,14 +118,10 @@ def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
         raise LayoutError(re.sub(r"^resolution_m\b", "map_resolution_m", str(error))) from None
 
 
-def _write_svg(layout: Layout, path: Path, resolution_m: float) -> None:
-    save_svg(layout, path)
-
-
-WRITERS: dict[str, Callable[[Layout, Path, float], None]] = {
-    ".json": _write_json,
+WRITERS: dict[str, Callable[[Layout, Path, float], object]] = {
+    ".json": lambda layout, path, _: path.write_text(layout.to_json()),
     ".yaml": _write_map,
-    ".svg": _write_svg,
+    ".svg": lambda layout, path, _: save_svg(layout, path),
 }
 
 
@@ -146,14 +135,10 @@ def _shipped() -> Table:
 
 
 def _presets() -> Table:
-    """The difficulties, and in what they differ from a plain specification."""
+    """The difficulties, and in what they differ from a plain specification; a range as `0.8 to 1`."""
     table = Table("building", "what is generated", title="generated: any seed from 0", title_justify="left")
     for name in DIFFICULTIES:
         fields = GeneratorSpec.preset(name).model_dump(exclude_unset=True)
-        table.add_row(f"{name}:SEED", ", ".join(f"{key} {_short(value)}" for key, value in fields.items()))
+        shown = {k: " to ".join(f"{end:g}" for end in v) if isinstance(v, tuple) else v for k, v in fields.items()}
+        table.add_row(f"{name}:SEED", ", ".join(f"{key} {value}" for key, value in shown.items()))
     return table
-
-
-def _short(value: Any) -> str:
-    """A value of a specification as a person writes it: `0.8 to 1` for a range."""
-    return " to ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else str(value)

@@ -5,26 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, Self, get_args
 
 import tyro
+from pydantic import Field
 
-from mecp_env.cli.base import Command, check_folder, check_writable
+from mecp_env.cli.base import Command, Seed, check_folder, check_writable
 from mecp_env.cli.buildings import counted
 from mecp_env.cli.exit_codes import echo
 from mecp_env.core.errors import ConfigError
-from mecp_env.world.generator.spec import (
-    DIFFICULTIES,
-    SPLITS,
-    Difficulty,
-    GeneratorSpec,
-    Piece,
-    Shape,
-    split_seed,
-)
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, Piece, Shape, split_seed
 from mecp_env.world.schema import Layout
 
-MOST = 10_000
 OPTION = "--difficulty"
 RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
 
@@ -41,8 +33,8 @@ class Generate(Command):
     )
 
     difficulty: Difficulty = "medium"  # the preset below the other options
-    seed: int = 0  # the first seed; with a split, the first building of the split
-    count: int = 1  # so many seeds, one after the other
+    seed: Seed = 0  # the first seed; with a split, the first building of the split
+    count: Annotated[int, Field(ge=1, le=10_000)] = 1  # so many seeds, one after the other
     split: Literal["train", "validation", "test"] | None = None  # seeds kept apart, so that results compare
     out: Path = Path("runs/worlds")  # folder for DIFFICULTY-SEED.json, or for one building a .json file
     sheet: Path | None = None  # also draw all of them here, .png or .svg
@@ -67,7 +59,8 @@ class Generate(Command):
     @classmethod
     def defaults(cls, line: Sequence[str]) -> Self | None:
         """Those of the difficulty that the line names."""
-        chosen = _value(line) or "medium"
+        words = [word for option in line for word in option.split("=", 1)]
+        chosen = words[words.index(OPTION) + 1] if OPTION in words[:-1] else "medium"
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
     def run(self, line: Sequence[str]) -> int:
@@ -87,12 +80,10 @@ class Generate(Command):
 
     def _check(self) -> None:
         """Raise `ConfigError` for what would fail only after some of the work."""
-        if not 1 <= self.count <= MOST:
-            raise ConfigError(f"count: {self.count}, from 1 to {MOST}")
-        if self.seed < 0:
-            raise ConfigError(f"seed: {self.seed}, at least 0")
-        if self.split:
-            self._check_split(self.split)
+        try:
+            self._seed(self.seed + self.count - 1)
+        except ConfigError as error:  # the split has not so many buildings
+            raise ConfigError(f"seed: {self.seed}, with count {self.count} up to {error}") from None
         if self.out.suffix == ".json" and self.count > 1:
             raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
         (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
@@ -102,21 +93,16 @@ class Generate(Command):
             check_writable(check_format(self.sheet))
             check_count(self.count)
 
-    def _check_split(self, split: str) -> None:
-        """Raise `ConfigError` where a split has not so many buildings."""
-        try:
-            split_seed(split, self.seed + self.count - 1)
-        except ConfigError as error:
-            raise ConfigError(f"seed: {self.seed}, with count {self.count} up to {error}") from None
+    def _seed(self, number: int) -> int:
+        return split_seed(self.split, number) if self.split else number
 
     def _buildings(self) -> Iterator[tuple[Path, Layout]]:
         """Path and layout of every building."""
         from mecp_env.world.generator import generate
 
-        for number in range(self.seed, self.seed + self.count):
-            seed = split_seed(self.split, number) if self.split else number
-            whole = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
-            yield whole, generate(self.spec, seed)
+        for seed in map(self._seed, range(self.seed, self.seed + self.count)):
+            path = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
+            yield path, generate(self.spec, seed)
 
 
 def _is_number(word: str) -> bool:
@@ -125,12 +111,3 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _value(line: Sequence[str]) -> str:
-    """The difficulty that a line names, or an empty text."""
-    for option, after in zip(line, [*line[1:], ""], strict=True):
-        name, equals, value = option.partition("=")
-        if name == OPTION:
-            return value if equals else after
-    return ""

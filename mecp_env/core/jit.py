@@ -18,6 +18,7 @@ except ImportError:  # another numba keeps its cache elsewhere
     cache_for = None  # type: ignore[assignment]
 
 CHECKED_CACHE = cache_for is not None  # False: numba's own cache
+DISPATCHERS: list[Any] = []  # of all compiled functions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,11 +30,18 @@ def compiled(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
     if numba.config.DISABLE_JIT:
         return function
-    dispatcher = numba.njit(**OPTIONS)(function)
-    if not CHECKED_CACHE or not hasattr(dispatcher, "_cache"):
-        return with_plain_cache(function)
-    dispatcher._cache = cache_for(function)
+    dispatcher: Any = numba.njit(**OPTIONS)(function)
+    if CHECKED_CACHE and hasattr(dispatcher, "_cache"):
+        dispatcher._cache = cache_for(function)
+    else:
+        dispatcher = with_plain_cache(function)
+    DISPATCHERS.append(dispatcher)
     return dispatcher  # type: ignore[no-any-return]
+
+
+def variants() -> int:
+    """How many functions, each for one set of argument types, this process has compiled or loaded so far."""
+    return sum(len(dispatcher.signatures) for dispatcher in DISPATCHERS)
 
 
 def with_plain_cache(function: F) -> F:

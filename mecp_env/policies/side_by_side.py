@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import Env, Info, Setting, for_policy, make_rooms, run_policy
 from mecp_env.render.film import Film
-from mecp_env.render.thumbnail import thumbnail
+from mecp_env.render.screen import thumbnail
 
 Image = NDArray[np.uint8]
 

@@ -18,8 +18,7 @@ from mecp_env.core.se2 import to_map
 from mecp_env.core.text import sanitised
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
-from mecp_env.render.text import summary
-from mecp_env.render.view import SceneView, loops, signed_area
+from mecp_env.render.view import SceneView, loops, signed_area, summary
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from mecp_env.core.settings import Settings
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush, Image
 from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_nothing, draw_world
-from mecp_env.render.text import summary
-from mecp_env.render.view import SceneView
+from mecp_env.render.view import SceneView, summary
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
+SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail
 Legend = tuple[tuple[str, palette.RGB, str], ...]
 LEGEND: Legend = (
     ("true path", palette.TRUTH, "line"),
@@ -73,3 +73,14 @@ class Screen:
             else:
                 brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
             x += 18 + brush.text(name, (x + 18, y), 16, palette.FAINT) + 18
+
+
+def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str) -> Image:
+    """What the robot believes at one moment, uint8 (height, width, 3); `size` is width and height, px."""
+    brush = Brush(size, palette.PAPER)
+    box = Box(SMALL_MARGIN, SMALL_HEADER, size[0] - 2 * SMALL_MARGIN, size[1] - SMALL_HEADER - SMALL_MARGIN)
+    with brush.inside(box):
+        draw_belief(brush, view, box)
+    brush.text(title, (SMALL_MARGIN, 6), 22)
+    brush.text(caption, (SMALL_MARGIN, 25), 17, palette.FAINT)
+    return brush.image()

@@ -13,6 +13,15 @@ from mecp_env.slam.messages import SlamOutput
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# shown name, format, and the names of the metrics it is made of; left out where one of them is missing
+ITEMS = (
+    ("rooms", "{:.0f}/{:.0f}", ("rooms_found", "rooms")),
+    ("doors", "{:.0f}/{:.0f}", ("doors_found", "doors")),
+    ("coverage", "{:.1%}", ("coverage",)),
+    ("pose error", "{:.1f} cm", ("pose_error_cm",)),
+    ("landmarks", "{:.0f}", ("landmarks",)),
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneView:
@@ -30,13 +39,25 @@ class SceneView:
     goal_kinds: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind
     target: int = -1  # index of the goal the robot drives to, or -1
     title: str = ""
-    metrics: Mapping[str, float] = field(default_factory=dict)  # see render.text for the names that are shown
+    metrics: Mapping[str, float] = field(default_factory=dict)  # `summary` shows some of them
 
     @property
     def bounds(self) -> Array:
         """(2,2) m, world frame: lower left and upper right corner of the building."""
         points = self.segments.reshape(-1, 2)
         return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Pairs of a name and a readable value, as far as `metrics` has them (`pose_error_m` is shown in cm)."""
+    known = dict(metrics)
+    if "pose_error_m" in known:
+        known["pose_error_cm"] = 100.0 * known["pose_error_m"]
+    return [
+        (name, form.format(*(known[key] for key in keys)))
+        for name, form, keys in ITEMS
+        if all(key in known for key in keys)
+    ]
 
 
 def loops(segments: Array) -> list[Array]:

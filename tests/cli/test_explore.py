@@ -44,8 +44,8 @@ def test_explore_takes_the_buildings_that_the_demo_takes(capsys: Captured) -> No
         ("--layout easy:test:1000000", "building: 1000000"),
         ("--layout nope", "nope"),
         ("--layout a\x1b[31mb", "a?[31mb: no such file"),
-        ("--layout two_rooms --steps 0", "max_steps"),
-        ("--seed -1", "seed: -1, at least 0"),
+        ("--layout two_rooms --steps 0", "--steps: Input should be greater than or equal to 1 (given: 0)"),
+        ("--seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
     ],
 )
 def test_wrong_input_ends_with_2_and_one_line(options: str, message: str, capsys: Captured) -> None:

@@ -19,9 +19,10 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
 from mecp_env.cli.exploration import Run, tum
 from mecp_env.cli.fields import Fields, configuration
-from mecp_env.cli.progress import Progress, say_result, status
+from mecp_env.cli.progress import ExplorationBar, print_result, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
+from mecp_env.env import MecpEnv
 from mecp_env.floorplans import load_plan
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
@@ -88,7 +89,7 @@ def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:
 
 
 def test_one_of_a_kind_is_told_as_one(kept: Path, capsys: Said) -> None:
-    say_result(json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
+    print_result(json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
     said = capsys.readouterr().out
     assert "duplicates 1 " in said
     assert "contacts 1 " in said
@@ -119,7 +120,7 @@ def test_the_pictures_can_be_opened(kept: Path) -> None:
 
 def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
     recipe = json.loads((kept / "config.json").read_text())
-    run = Run.begin(EnvConfig.build(recipe["config"]), recipe["seed"])
+    run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
     run.explore(lambda run: None)
     assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
     steps = json.loads((kept / "metrics.json").read_text())["periods"]
@@ -156,7 +157,7 @@ def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest
         (["demo", "--seed", "first"], "first"),
         (["demo", "--config.slam.filter.kindd", "ekf"], "--config.slam.filter.kind"),
         (["demo", "--config.slam.filter.kind", "ukf"], "riekf"),
-        (["demo", "--config.max-steps", "0"], "Error parsing config: Fields.max_steps"),
+        (["demo", "--config.max-steps", "0"], "Error parsing config: --config.max_steps: Input"),
         (["demo", "--render", "holo"], "human"),
     ],
 )
@@ -207,7 +208,7 @@ def test_a_negative_seed_and_a_missing_display_end_with_2_and_one_line(
 ) -> None:
     line = ["demo", "--layout", "two_rooms", "--out", str(tmp_path / "run")]
     assert cli.main([*line, "--seed", "-1"]) == 2
-    assert capsys.readouterr().err == "mecp-env: seed: -1, at least 0\n"
+    assert capsys.readouterr().err == "mecp-env: --seed: Input should be greater than or equal to 0 (given: -1)\n"
     monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
     assert cli.main([*line, "--render", "human"]) == 2
     said = capsys.readouterr().err
@@ -266,7 +267,7 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mecp_env.cli.scan_stages.draw", stop)
+    monkeypatch.setattr("mecp_env.cli.one_scan.recognition", stop)
     assert cli.main(["one-scan"]) == 130
 
 
@@ -298,10 +299,10 @@ def test_a_field_set_to_its_default_is_set() -> None:
 
 def test_the_progress_shows_everything_in_80_columns() -> None:
     metrics = {"rooms_found": 12, "rooms": 12, "doors_found": 12, "doors": 12, "coverage": 1.0, "pose_error_m": 1.234}
-    run, out = Run.begin(EnvConfig(layout="two_rooms"), 0), io.StringIO()
-    progress = Progress(run, Stopwatch(), Console(file=out, width=80, force_terminal=True))
-    with progress:
-        progress.bar.update(progress.task, completed=1.0, description=status(metrics, 12345.0))
+    run, out = Run(MecpEnv(layout="two_rooms"), 0), io.StringIO()
+    bar = ExplorationBar(run, Stopwatch(), Console(file=out, width=80, force_terminal=True))
+    with bar:
+        bar.update(bar.task, completed=1.0, description=status(metrics, 12345.0))
     assert "rooms 12/12 doors 12/12 seen 100.0% error 123.4 cm 12,345 steps/s" in out.getvalue()
 
 
@@ -322,7 +323,7 @@ def test_one_scan_takes_the_buildings_that_the_demo_takes(tmp_path: Path, capsys
 
 def test_one_scan_refuses_a_step_below_0(capsys: Said) -> None:
     assert cli.main(["one-scan", "--step", "-5"]) == 2
-    assert capsys.readouterr().err == "mecp-env: step: -5, at least 0\n"
+    assert capsys.readouterr().err == "mecp-env: --step: Input should be greater than or equal to 0 (given: -5)\n"
 
 
 @pytest.mark.parametrize("module", ["mecp_env", "mecp_env.cli.main"])

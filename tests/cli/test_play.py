@@ -11,8 +11,7 @@ import pytest
 
 from mecp_env.cli import main as cli
 from mecp_env.cli.buildings import expand
-from mecp_env.cli.play import later
-from mecp_env.cli.play_game import KEYS, Game
+from mecp_env.cli.play import KEYS, Game, later
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette
 from mecp_env.render.keys import HEIGHT, key_strip
@@ -207,9 +206,9 @@ def test_ctrl_c_closes_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (["--layout", "castle"], "castle"),
         (["--layout", "easy"], "easy"),
-        (["--seed", "-1"], "seed: -1"),
-        (["--rate", "0"], "rate: 0, from 0.5 to 30"),
-        (["--rate", "nan"], "rate: nan"),
+        (["--seed", "-1"], "--seed: Input should be greater than or equal to 0 (given: -1)"),
+        (["--rate", "0"], "--rate: Input should be greater than or equal to 0.5 (given: 0.0)"),
+        (["--rate", "nan"], "(given: nan)"),
         (["--config.start", "50", "50", "0"], "start: (50.0, 50.0, 0.0)"),
     ],
 )

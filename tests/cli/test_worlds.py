@@ -219,11 +219,11 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
         (["draw", "medium:0-99999"], "100000 buildings"),
         (["draw", "easy:0-100"], "101 buildings cannot be drawn on one sheet"),
         (["draw", "office", "--out", "plan.jpg"], "plan.jpg: a picture ends in .png or .svg"),
-        (["draw", "office", "--dpi", "1"], "dpi: 1, from 30 to 600"),
+        (["draw", "office", "--dpi", "1"], "--dpi: Input should be greater than or equal to 30 (given: 1)"),
         (["draw", "."], "no file in it ends in .json"),
         (["validate"], "name at least one building"),
-        (["generate", "--count", "0"], "count: 0, from 1"),
-        (["generate", "--seed", "-1"], "seed: -1, at least 0"),
+        (["generate", "--count", "0"], "--count: Input should be greater than or equal to 1 (given: 0)"),
+        (["generate", "--seed", "-1"], "--seed: Input should be greater than or equal to 0 (given: -1)"),
         (["generate", "--count", "2", "--out", "one.json"], "one.json is one file for 2 buildings"),
         (["generate", "--sheet", "sheet.pdf"], "sheet.pdf"),
         (["generate", "--count", "101", "--sheet", "sheet.png"], "101 buildings"),
@@ -386,7 +386,7 @@ def test_a_folder_that_is_a_file_is_told_before_the_work(command: list[str], tmp
     (tmp_path / "out").write_text("kept")
     assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
-    assert said.err == f"mecp-env: out: {tmp_path / 'out'} is a file, a folder is expected; choose another place\n"
+    assert said.err == f"mecp-env: --out: {tmp_path / 'out'} is a file, not a folder; choose another place\n"
     assert (said.out, (tmp_path / "out").read_text()) == ("", "kept")
 
 

@@ -14,8 +14,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Camera
 from mecp_env.render.panels import grid_picture
-from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.render.thumbnail import HEADER, thumbnail
+from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, thumbnail
 from mecp_env.render.view import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell
@@ -106,7 +105,7 @@ def test_a_thumbnail_shows_the_belief_below_two_lines_of_text() -> None:
     picture = thumbnail(scene.view(), (320, 260), "nearest", "12 s    3 m    40% seen")
     assert picture.shape == (260, 320, 3)
     assert picture.dtype == np.uint8
-    text, belief = picture[:HEADER], picture[HEADER:]
+    text, belief = picture[:SMALL_HEADER], picture[SMALL_HEADER:]
     assert share(text, palette.PAPER) > 0.7
     assert 0.005 < np.mean(text < 200) < 0.3
     assert share(belief, palette.UNSEEN) > 0.1
