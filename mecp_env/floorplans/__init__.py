@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from shapely.errors import GEOSException
 
@@ -12,8 +13,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
-from mecp_env.floorplans.files import MAX_JSON_BYTES
-from mecp_env.floorplans.folder import IMAGES, YAML, plan_files
+from mecp_env.floorplans.folder import ENDINGS, plan_files
 from mecp_env.floorplans.houseexpo import read_houseexpo
 from mecp_env.floorplans.image import read_plain_image
 from mecp_env.floorplans.labelled import read_labelled_image
@@ -22,10 +22,10 @@ from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.layout import MAX_BYTES, decode_json, load_layout
 from mecp_env.world.schema import Layout
 
-__all__ = ["KINDS", "PlanOptions", "load_plan", "plan_files"]
+__all__ = ["PlanOptions", "load_plan", "plan_files"]
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
-KINDS: tuple[str, ...] = get_args(Kind)
+READERS = {"map_server": read_map_server, "image": read_plain_image, "labelled": read_labelled_image}
 
 
 def load_plan(
@@ -40,8 +40,8 @@ def load_plan(
     and ConfigError for a wrong option.
     """
     chosen = PlanOptions(resolution_m=resolution_m, **options)
-    if kind not in (None, *KINDS):
-        raise LayoutError(f"kind: one of {', '.join(KINDS)} expected (given: {kind!r:.80}){guess(kind, KINDS)}")
+    if kind not in (None, *ENDINGS):
+        raise LayoutError(f"kind: one of {', '.join(ENDINGS)} expected (given: {kind!r:.80}){guess(kind, ENDINGS)}")
     try:
         return _load(Path(path), kind, chosen)
     except LayoutError as error:
@@ -51,32 +51,23 @@ def load_plan(
 
 
 def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
-    if path.suffix.lower() in IMAGES:
-        reader = read_labelled_image if _agreed(kind, "image", "labelled") == "labelled" else read_plain_image
-        return layout_of(reader(path, options), options)
-    if path.suffix.lower() in YAML:
-        _agreed(kind, "map_server")
-        return layout_of(read_map_server(path, options), options)
-    if path.suffix.lower() != ".json":
-        if not exists(path):
-            raise LayoutError("no such file or folder")
-        raise LayoutError(f"a plan file ends in .json, {', '.join((*YAML, *IMAGES))}, given {path.suffix!r:.80}")
-    return _load_json(path, kind, options)
-
-
-def _agreed(kind: Kind | None, *possible: Kind) -> Kind:
-    """`kind`, or the first of what the file can be. Raises LayoutError when it cannot be that."""
-    if kind is not None and kind not in possible:
-        raise LayoutError(f"kind: {kind}, but by its ending the file is {' or '.join(possible)}")
-    return kind or possible[0]
-
-
-def _load_json(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
-    data = read_bytes(path, MAX_JSON_BYTES)
-    document = decode_json(data)
-    found: Kind = "houseexpo" if "verts" in document else "layout"
-    if found == "layout" and len(data) > MAX_BYTES:
-        raise LayoutError(f"the file has {len(data)} bytes, at most {MAX_BYTES} of a layout")
-    if _agreed(kind, "layout", "houseexpo") != found and kind is not None:
+    found = _kind_of(path, kind)
+    if found in READERS:
+        return layout_of(READERS[found](path, options), options)
+    document = decode_json(read_bytes(path, MAX_BYTES))
+    found = "houseexpo" if "verts" in document else "layout"
+    if kind not in (None, found):
         raise LayoutError(f"kind: {kind}, but the fields are those of {found}")
     return load_layout(document) if found == "layout" else layout_of(read_houseexpo(document, path), options)
+
+
+def _kind_of(path: Path, kind: Kind | None) -> str:
+    """`kind`, or the first of what the file can be by its ending. Raises LayoutError when it cannot be that."""
+    possible = [name for name, endings in ENDINGS.items() if path.suffix.lower() in endings]
+    if not possible:
+        known = ", ".join(dict.fromkeys(chain.from_iterable(ENDINGS.values())))
+        wrong = f"a plan file ends in {known}, given {path.suffix!r:.80}"
+        raise LayoutError(wrong if exists(path) else "no such file or folder")
+    if kind not in (None, *possible):
+        raise LayoutError(f"kind: {kind}, but by its ending the file is {' or '.join(possible)}")
+    return kind or possible[0]

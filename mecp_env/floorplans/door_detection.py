@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Polygon, box
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.floorplans.options import Crossing, PlanOptions
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.paths import exists
-from mecp_env.floorplans.files import STRIP_PIXELS, grey, read_image
+from mecp_env.floorplans.files import grey, read_image
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 
@@ -22,16 +23,15 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
         raise LayoutError(f"resolution_m: missing, metres per pixel; give it, or name a map_server yaml{beside}")
     levels, opaque = grey(read_image(path))
     threshold = otsu(levels) if options.free_above is None else options.free_above
-    free = levels > threshold if opaque is None else (levels > threshold) & opaque
     placement = Placement(options.resolution_m)
+    area = floor_polygon((levels > threshold) & opaque, placement)
     note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."
-    return FreeSpace(path.stem, note, floor_polygon(free, placement), placement.noise_m)
+    return FreeSpace(path.stem, note, area, placement.noise_m)
 
 
 def otsu(levels: NDArray[np.uint8]) -> int:
     """The grey level that separates dark from bright best (Otsu 1979): greatest variance between both."""
-    strips = np.array_split(levels, max(1, levels.size // STRIP_PIXELS))
-    counts = np.sum([np.bincount(strip.ravel(), minlength=256) for strip in strips], axis=0, dtype=np.float64)
+    counts = np.array(Image.fromarray(levels).histogram(), np.float64)
     below = np.cumsum(counts)
     sums = np.cumsum(counts * np.arange(256))
     above = below[-1] - below

@@ -12,10 +12,11 @@ from PIL import Image
 from scipy import ndimage
 from shapely.geometry import Point
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans.files import read_image
 from mecp_env.floorplans.options import Crossing, FreeSpace, PlanOptions
-from mecp_env.floorplans.vectorise import MAX_CELLS, Array, Placement, floor_polygon
+from mecp_env.floorplans.vectorise import MAX_CELLS, Placement, floor_polygon
 
 MAX_PARTS = 2_000  # rooms, or doors, of an image
 MAX_SPREAD = 20_000_000  # pixels in the boxes around each colour

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 from shapely.geometry import Point, Polygon
 
-from mecp_env.core.settings import Settings
+from mecp_env.core.array_types import Array
+from mecp_env.core.settings import Settings, as_range
 
-Array = NDArray[np.float64]
-
-
-def _two(value: Any) -> Any:
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        raise ValueError("two widths, the narrowest and the widest door, expected, as (0.8, 1.0)")
-    return value
+Width = Annotated[float, Field(ge=0.4, le=4.0)]
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
-    if not 0.4 <= limits[0] < limits[1] <= 4.0:
-        raise ValueError("two widths, the narrower first, from 0.4 to 4.0 m")
+    if limits[0] >= limits[1]:
+        raise ValueError("two widths, the narrower first")
     return limits
 
 
@@ -32,7 +25,7 @@ class PlanOptions(Settings):
 
     resolution_m: float | None = Field(None, ge=0.005, le=1.0)  # side of a pixel; only for images without a yaml
     free_above: int | None = Field(None, ge=0, le=254)  # grey levels above this are floor; None: Otsu's threshold
-    door_width_m: Annotated[tuple[float, float], BeforeValidator(_two), AfterValidator(_ordered)] = (0.55, 1.9)
+    door_width_m: Annotated[tuple[Width, Width], BeforeValidator(as_range), AfterValidator(_ordered)] = (0.55, 1.9)
     door_depth_m: float = Field(0.5, ge=0.05, le=2.0)  # a longer passage is a corridor, not a door
     straighten: bool = True  # turn edges to the dominant directions of the building
     smallest_room_m2: float = Field(1.0, ge=0.2, le=100.0)

@@ -15,13 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
+from mecp_env.core.array_types import Array
 from mecp_env.world.outline import thin_walls_m
-
-Array = NDArray[np.float64]
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing
 # the share of the noise that is believed, and what of it may be between faces of one line, one after the other until

@@ -10,14 +10,11 @@ from typing import Any
 import contourpy
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy import ndimage
 from shapely.geometry import Polygon
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import LayoutError
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MAX_CELLS = 4_000_000  # of the box around the floor
 MAX_SPECKS = 20_000  # free-standing pieces of wall
@@ -46,7 +43,7 @@ class Placement:
         return turned
 
 
-def floor_polygon(free: Mask, placement: Placement) -> Polygon:
+def floor_polygon(free: Bools, placement: Placement) -> Polygon:
     """The largest connected floor of the mask `free` (h,w), row 0 at the top, in m.
 
     Raises LayoutError when there is none, and when there is more than can be worked on in a moment.
@@ -63,16 +60,16 @@ def floor_polygon(free: Mask, placement: Placement) -> Polygon:
     return shapely.transform(polygon, lambda points: placement.to_world(points + 0.5 + shift))
 
 
-def _largest(free: Mask) -> Mask:
+def _largest(free: Bools) -> Bools:
     """The largest 4-connected part of `free`."""
     parts, _ = ndimage.label(free)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
-    largest: Mask = parts == int(np.argmax(sizes))
+    largest: Bools = parts == int(np.argmax(sizes))
     return largest
 
 
-def _without_specks(floor: Mask) -> Mask:
+def _without_specks(floor: Bools) -> Bools:
     """`floor` where free-standing walls of a few pixels are floor."""
     parts, count = ndimage.label(~floor, structure=np.ones((3, 3)))
     if count > MAX_SPECKS:
@@ -80,7 +77,7 @@ def _without_specks(floor: Mask) -> Mask:
     return floor | (np.bincount(parts.ravel()) <= SPECK_CELLS)[parts]
 
 
-def _contour(floor: Mask) -> Polygon:
+def _contour(floor: Bools) -> Polygon:
     """The outline of `floor` in pixels, between the centres of its pixels and of those beside them."""
     generator = contourpy.contour_generator(z=floor.astype(np.float64), fill_type=contourpy.FillType.OuterOffset)
     filled: Any = generator.filled(0.5, 2.0)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.world.boxes import slide_boxes
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import (
@@ -23,8 +23,6 @@ from mecp_env.world.drive import (
     may_touch,
 )
 from mecp_env.world.pedestrians import MOVES, RADIUS, VX, VY, X, Y
-
-Array = NDArray[np.float64]
 
 ROBOT_KG = 9.0  # Pioneer P3-DX
 KG_M2 = 15.0  # of a box, by its floor area

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
 from mecp_env.world.faces import BOX_CORNERS
-
-Array = NDArray[np.float64]
 
 DECELERATION = 1.5  # m/s^2, of a box that slides on felt
 TURN_DECELERATION = 8.0  # rad/s^2

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.world.outline import GAP_POST_M, Doors, build_outline
 from mecp_env.world.schema import DoorSpec, Layout, Solid, Start
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
 LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable

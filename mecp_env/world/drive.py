@@ -6,16 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.jit import compiled
 from mecp_env.world.boxes import leave_boxes
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.faces import from_face
 from mecp_env.world.pedestrians import PACE, RADIUS, X, Y, walk
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 TOUCH_M = 1e-3  # a body in contact stays this deep in the wall, or the next substep would not see the contact
 SPARE_M = 0.05  # what is pushed may be a little faster than the robot drives

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
-
-Array = NDArray[np.float64]
 
 SIDES = 16  # of the polygon that represents a pedestrian for the laser
 BOX_CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])  # of a unit box, counter-clockwise

@@ -10,14 +10,13 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import MecpError
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Scan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.outline import Outline
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Draws = NDArray[np.uint16]
 Normals = NDArray[np.float32]
 

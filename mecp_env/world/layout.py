@@ -15,8 +15,7 @@ from mecp_env.world.checks import check_geometry
 from mecp_env.world.schema import Layout
 
 LIBRARY = Path(__file__).parent / "library"
-MAX_BYTES = 1_000_000
-MAX_DEPTH = 32
+MAX_BYTES = 2_000_000
 
 __all__ = ["MAX_BYTES", "Layout", "load_layout", "shipped_layouts"]
 
@@ -30,7 +29,7 @@ def load_layout(given: str | os.PathLike[str] | dict[str, Any] | Layout) -> Layo
     """The layout of a shipped name, a path to a JSON file, a dict of its fields, or a `Layout`.
 
     Raises LayoutError naming the source, the field, the value and the bound: for a file that is missing, larger than
-    1 MB, nested deeper than 32 or no JSON; for unknown, missing or wrong fields; for impossible geometry.
+    2 MB or no JSON; for unknown, missing or wrong fields; for impossible geometry.
     """
     given = Path(given) if isinstance(given, os.PathLike) else given
     try:
@@ -47,7 +46,6 @@ def _parse(given: str | Path | dict[str, Any] | Layout) -> Layout:
         given = decode_json(_read(given))
     if not isinstance(given, dict):
         raise LayoutError(f"expected a name, a path, a dict or a Layout, given {type(given).__name__}")
-    check_depth(given)
     if not all(isinstance(key, str) for key in given):
         raise LayoutError("keys of a layout are strings")
     return Layout(**given)
@@ -65,38 +63,18 @@ def _read(given: str | Path) -> bytes:
 
 
 def decode_json(data: bytes) -> dict[str, Any]:
-    """The object of a JSON text. Raises LayoutError for other JSON, keys given twice and nesting too deep."""
+    """The object of a JSON text. Raises LayoutError for other JSON and for keys given twice."""
     try:
         document = json.loads(data.decode("utf-8"), object_pairs_hook=_unique)
-    except LayoutError:
-        raise
-    except RecursionError:
-        raise LayoutError(f"nested too deeply, at most {MAX_DEPTH} levels") from None
-    except ValueError as error:  # neither UTF-8 nor JSON
+    except (ValueError, RecursionError) as error:  # neither UTF-8 nor JSON, or nested too deeply
         raise LayoutError(f"no JSON: {error}") from None
     if not isinstance(document, dict):
         raise LayoutError(f"expected an object, given {type(document).__name__}")
-    check_depth(document)
     return document
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     document = dict(pairs)
     if len(document) < len(pairs):
-        raise LayoutError(f"{Counter(key for key, _ in pairs).most_common(1)[0][0]:.80}: given twice")
+        raise ValueError(f"{Counter(key for key, _ in pairs).most_common(1)[0][0]:.80}: given twice")
     return document
-
-
-def check_depth(document: dict[str, Any]) -> None:
-    """Raises LayoutError for an object nested too deeply."""
-    level: list[Any] = [document]
-    for _ in range(MAX_DEPTH):
-        level = [child for parent in level for child in _children(parent)]
-        if not level:
-            return
-    raise LayoutError(f"nested too deeply, at most {MAX_DEPTH} levels")
-
-
-def _children(parent: Any) -> list[Any]:
-    values = parent.values() if isinstance(parent, dict) else parent
-    return [value for value in values if isinstance(value, dict | list | tuple)]

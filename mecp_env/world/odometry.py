@@ -6,14 +6,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Odometry
 from mecp_env.world.config import OdometryConfig
 from mecp_env.world.simulation import Motion
-
-Array = NDArray[np.float64]
 
 FLOOR_M = 1e-6  # sigmas of an increment at rest, so that its covariance is positive
 FLOOR_RAD = 1e-6

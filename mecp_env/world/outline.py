@@ -19,13 +19,10 @@ from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.schema import ROUND_FACES, BoxSpec, Layout, Obstacle, Pillar, Solid
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 ROBOT_RADIUS_M = 0.22  # the paper's robot
 SNAP_M = 1e-6  # the free area is rounded to this grid, so that touching solids leave no slivers
@@ -173,7 +170,7 @@ def _rotation(angle: float) -> Array:
 
 
 def _doors(layout: Layout) -> Doors:
-    """The doors with the thickness of the wall that each is cut from. Raises LayoutError for a cut without a wall."""
+    """The doors with the thickness of the wall that each is cut from."""
     centres = np.array([door.centre for door in layout.doors]).reshape(-1, 2)
     index = {room.name: i for i, room in reversed(list(enumerate(layout.rooms)))}
     rooms = [(index.get(door.rooms[0], -1), index.get(door.rooms[1], -1)) for door in layout.doors]
@@ -192,17 +189,9 @@ def _door_thickness(layout: Layout, centres: Array) -> Array:
     lines, thickness = wall_lines(layout)
     depth = np.array([door.depth_m or 0.0 for door in layout.doors])
     if not lines:
-        require_walls(layout)
         return depth
     _, nearest = shapely.STRtree(lines).query_nearest(shapely.points(centres), all_matches=False)
     return np.where(depth > 0.0, depth, thickness[nearest])
-
-
-def require_walls(layout: Layout) -> None:
-    """Raises LayoutError for a door that is cut out of a wall where the layout has none."""
-    cut = next((i for i, door in enumerate(layout.doors) if door.opening == "cut" and not layout.walls), None)
-    if cut is not None:
-        raise LayoutError(f"doors.{cut}.opening: cut, but the layout has no walls; solids have gaps")
 
 
 def solid_shape(solid: Solid) -> Polygon:

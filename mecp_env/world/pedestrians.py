@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.world.faces import from_face
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A pedestrian (11,): position; velocity of this step; radius; preferred speed; remaining waiting time, time without
 # progress, s; position at the start of the step; 1 in a substep in which it moves, else 0

@@ -11,8 +11,6 @@ from pydantic import (
     Field,
     Strict,
     ValidationError,
-    ValidationInfo,
-    field_validator,
     model_validator,
 )
 
@@ -22,8 +20,7 @@ from mecp_env.core.settings import describe
 EXTENT_M = 1000.0
 MAX_WALLS = 10_000
 MAX_SOLID_POINTS = 20_000
-MAX_ROOM_POINTS = 20_000  # of all rooms
-MAX_FACES = 20_000  # of walls, solids and obstacles as if none touched another
+MAX_FACES = 20_000  # of walls, solids, obstacles and rooms as if none touched another
 ROUND_FACES = 32
 
 Length = Annotated[float, Strict(), Field(ge=-EXTENT_M, le=EXTENT_M)]
@@ -125,7 +122,17 @@ class Start(_Part):
     heading_deg: Degrees = 0.0
 
 
-class Layout(_Part):
+class Document(_Part):
+    """What a file holds; a wrong field raises `LayoutError`."""
+
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise LayoutError(describe(error, type(self).__name__.lower(), type(self))) from None
+
+
+class Layout(Document):
     """A building. A wrong field raises `LayoutError`; impossible geometry is refused by `load_layout`."""
 
     format: Literal["mecp_env/layout"] = "mecp_env/layout"
@@ -139,44 +146,32 @@ class Layout(_Part):
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MAX_WALLS)] = ()
     starts: Annotated[tuple[Start, ...], Field(min_length=1, max_length=1000)]
 
-    def __init__(self, **fields: Any) -> None:
-        try:
-            super().__init__(**fields)
-        except ValidationError as error:
-            raise LayoutError(describe(error, "layout", type(self))) from None
-
-    @field_validator("walls")
-    @classmethod
-    def _has_some_material(cls, walls: tuple[WallSpec, ...], info: ValidationInfo) -> tuple[WallSpec, ...]:
-        if not walls and not info.data.get("solids"):
-            raise ValueError("Tuple should have at least 1 item, for there are no solids")
-        return walls
-
-    @field_validator("rooms")
-    @classmethod
-    def _are_few_corners(cls, rooms: tuple[RoomSpec, ...]) -> tuple[RoomSpec, ...]:
-        corners = sum(len(room.polygon) for room in rooms)
-        if corners > MAX_ROOM_POINTS:
-            raise ValueError(f"{corners} points, at most {MAX_ROOM_POINTS}")
-        return rooms
+    @model_validator(mode="after")
+    def _has_walls_where_needed(self) -> Self:
+        if not self.walls and not self.solids:
+            raise ValueError("walls: at least 1 expected, for there are no solids")
+        cut = next((i for i, door in enumerate(self.doors) if door.opening == "cut"), None)
+        if cut is not None and not self.walls:
+            raise ValueError(f"doors.{cut}.opening: cut, but the layout has no walls; solids have gaps")
+        return self
 
     @model_validator(mode="after")
     def _has_few_faces(self) -> Self:
-        faces = sum(2 * len(wall.points) for wall in self.walls) + sum(map(faces_of, self.obstacles))
-        faces += sum(len(ring) for solid in self.solids for ring in (solid.outer, *solid.holes))
+        rings = [ring for solid in self.solids for ring in (solid.outer, *solid.holes)]
+        rings += [points for wall in self.walls for points in (wall.points, wall.points)]
+        rings += [room.polygon for room in self.rooms]
+        faces = sum(map(len, rings)) + sum(map(faces_of, self.obstacles))
         if faces > MAX_FACES:
             raise ValueError(
-                f"walls, solids, obstacles: {faces} faces, at most {MAX_FACES} "
-                f"(two for each point of a wall, one of a solid or polygon, 4 a box, {ROUND_FACES} a pillar)"
+                f"walls, solids, obstacles, rooms: {faces} faces, at most {MAX_FACES} "
+                f"(two for each point of a wall, one of a solid, room or polygon, 4 a box, {ROUND_FACES} a pillar)"
             )
         return self
 
     def to_json(self) -> str:
         """The layout as readable JSON: one wall, room, door, obstacle or start per line."""
-        document = self.model_dump(mode="json")
-        document |= {"doors": [_without_defaults(door) for door in document["doors"]]}
-        if not document["solids"]:
-            del document["solids"]
+        document = self.model_dump(mode="json", exclude=None if self.solids else {"solids"})
+        document["doors"] = [_without_defaults(door) for door in document["doors"]]
         parts = [f"  {json.dumps(key)}: {_lines(value)}" for key, value in document.items()]
         return "{\n" + ",\n".join(parts) + "\n}\n"
 

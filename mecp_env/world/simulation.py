@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ActionError, MecpError
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.bodies import Bodies
@@ -33,8 +33,6 @@ from mecp_env.world.drive import (
 )
 from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry import Polygon
@@ -14,8 +13,6 @@ from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.schema import Layout
 
 NARROW = 3.0  # smallest ratio of length to width of a corridor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core import grid_paths
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mecp_env.core.array_types import Array, Bools
 
 MARGIN_M = 0.05  # error of the raster
 COMFORT_M, WALL_COST = 0.7, 3.0  # closer to walls than this a path costs more, up to this factor

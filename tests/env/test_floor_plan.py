@@ -142,13 +142,9 @@ def test_links_within_the_folder_are_plans_or_not_followed(tree: Path) -> None:
     assert names(plan_files(tree), tree) == ["a.json", "b.yaml", "c.json", "m/n/p.json", "z/pair.yaml"]
 
 
-def test_too_many_files_and_levels_are_refused(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_files_are_refused(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folders, "MAX_FILES", 5)
     with pytest.raises(ConfigError, match="more than 5 files"):
-        plan_files(tree)
-    monkeypatch.undo()
-    (tree / "/".join("d" * 17)).mkdir(parents=True)
-    with pytest.raises(ConfigError, match="more than 16 folders in each other"):
         plan_files(tree)
 
 
@@ -163,5 +159,5 @@ def test_so_many_plans_are_kept_and_no_more(tree: Path, monkeypatch: pytest.Monk
 def test_a_keyword_that_is_none_gets_a_guess(folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"FloorPlan-v0\.resolution: no such field; did you mean 'resolution_m'"):
         gymnasium.make(PLAN, plan=folder, resolution=0.05)
-    with pytest.raises(ConfigError, match=r"door_width_m: two widths, the narrowest and the widest door"):
+    with pytest.raises(ConfigError, match=r"door_width_m: two widths, the narrower first"):
         gymnasium.make(PLAN, plan=folder / "b.yaml", door_width_m=0.9)

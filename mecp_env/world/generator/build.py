@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import shown
 from mecp_env.world.generator.doorplan import Opening, plan_doors
-from mecp_env.world.generator.furniture import Array, Placed, edge_distances, furnish, inside
+from mecp_env.world.generator.furniture import Placed, edge_distances, furnish, inside
 from mecp_env.world.generator.partition import Point, Space, partition
 from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 from mecp_env.world.generator.walls import Line, borders, joined, shared_stretches, wall_lines

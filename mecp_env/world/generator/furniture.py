@@ -14,12 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.world.generator.doorplan import Opening
 from mecp_env.world.generator.partition import Point, Space
 from mecp_env.world.generator.spec import GeneratorSpec, Rejected
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that is not behind it
 DOOR_CLEAR_M = 1.1  # between a piece and the middle of a door
