@@ -25,8 +25,8 @@ from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, estimate, table
+from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
-from mecp_env.vector.worker_pool import cores
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16
 SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
@@ -15,11 +16,13 @@ from mecp_env.cli.base import Command, check_folder, check_writable
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
+from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 
 if TYPE_CHECKING:
     from mecp_env.core.intervals import Figures
     from mecp_env.policies.evaluation import Evaluation
+    from mecp_env.policies.rollout import EpisodeResult
 
 MOST_JOBS, MOST_EPISODES, MOST_STEPS = 256, 1_000_000, 10_000_000
 Estimator = Literal["slam", "known", "truth"]
@@ -29,12 +32,15 @@ Estimator = Literal["slam", "known", "truth"]
 class Evaluate(Command):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
     and, with --record, a film. A policy is bfs, nearest, gain, random_goal, random_walk, maskable_ppo, the folder of a
-    training run, or a custom class as module:Class."""
+    training run, or a custom class as module:Class. Finished episodes are kept in OUT/episodes: the same command
+    continues after a kill. Jobs with --shard 1/4 to 4/4 divide the buildings; then the command without --shard combines
+    their episodes."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
         "mecp-env evaluate nearest runs/my-training --split validation --no-truth",
         "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
+        "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
     )
     choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator)}
 
@@ -43,6 +49,7 @@ class Evaluate(Command):
     difficulty: str = "medium"  # easy, medium, hard or huge
     episodes: int = 100  # buildings, one episode in each
     jobs: int = 1  # processes at the same time
+    shard: str = "1/1"  # run every n-th building only, from the i-th, given as i/n; the results are written without it
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     truth: bool = True  # run each policy once more with the ground-truth pose
     record: bool = False  # a film of all policies side by side, in the first building
@@ -57,12 +64,15 @@ class Evaluate(Command):
         from mecp_env.policies.evaluation import Evaluation
         from mecp_env.policies.rollout import Setting
 
-        setting = Setting(self.difficulty, self.split, self.estimator, self.max_steps)
-        fields = (self.policies, setting, self.episodes, self.truth, self.reference, self.trust)
+        setting, shard = Setting(self.difficulty, self.split, self.estimator, self.max_steps), Shard.parse(self.shard)
+        fields = (self.policies, setting, self.episodes, self.truth, self.reference, self.trust, shard)
         evaluation = Evaluation(*fields)
         self._check(evaluation)
-        collect(evaluation, self.jobs)
-        if evaluation.results:
+        kept = evaluation.kept(self.out / "episodes")
+        collect(evaluation, kept, self.jobs)
+        if shard.count > 1:
+            echo(f"{len(evaluation.results)} episodes of shard {shard} are in {kept.folder}")
+        elif evaluation.results:
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
@@ -133,30 +143,28 @@ def check_word(name: str, word: str, known: Mapping[str, object]) -> None:
         raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(known)}{guess(word, known)}")
 
 
-def collect(evaluation: Evaluation, jobs: int) -> None:
-    """Run all episodes, with a progress bar; after Ctrl-C the finished ones are kept."""
+def collect(evaluation: Evaluation, kept: KeptResults, jobs: int) -> None:
+    """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console, tasks = Console(stderr=True), evaluation.tasks()
+    console, total = Console(stderr=True), len(evaluation.tasks())
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("episodes", total=len(tasks))
+        bar = progress.add_task("episodes", total=total)
         try:
-            run_tasks(evaluation, jobs, lambda: progress.advance(bar))
+            with closing(evaluation.run(kept, jobs)) as results:
+                for done, result in enumerate(results, start=1):
+                    progress.advance(bar)
+                    report(result, done, total)
         except KeyboardInterrupt:
             evaluation.interrupted = True
+            print_error("interrupted; the same command continues")
 
 
-def run_tasks(evaluation: Evaluation, jobs: int, advance: Callable[[], None]) -> None:
-    """Add the result of every task; without a terminal, print a line at every tenth of the way."""
-    from mecp_env.policies.pool import FailedTask, finished
-
-    tasks = evaluation.tasks()
-    for done, result in enumerate(finished(tasks, jobs), start=1):
-        evaluation.add(result)
-        advance()
-        if isinstance(result, FailedTask):
-            print_error(f"failed: {result}")
-        if not sys.stderr.isatty() and 10 * done // len(tasks) > 10 * (done - 1) // len(tasks):
-            print_error(f"{done} of {len(tasks)} episodes")
+def report(result: EpisodeResult | FailedUnit, done: int, total: int) -> None:
+    """Print a failure; without a terminal, also a line at every tenth of the way."""
+    if isinstance(result, FailedUnit):
+        print_error(f"failed: {result}")
+    if not sys.stderr.isatty() and 10 * done // total > 10 * (done - 1) // total:
+        print_error(f"{done} of {total} episodes")

@@ -25,11 +25,12 @@ class WarmUp(Command):
         from rich.progress import Progress
 
         from mecp_env.core import jit_cache, warm_up
+        from mecp_env.core.processes import cores
 
         missing = warm_up.missing_entries()
         with Progress() as bar:
             task = bar.add_task("compiling", total=len(missing))
-            jobs = self.jobs or warm_up.cores()
+            jobs = self.jobs or cores()
             warm_up.compile_all(missing, jobs, lambda done, total: bar.update(task, completed=done))
         left = len(warm_up.missing_entries())
         later = f"; {left} are compiled when they are called" if left else ""

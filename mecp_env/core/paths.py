@@ -1,7 +1,8 @@
-"""Paths that a user gave, whose names may be impossible: too long, or with a NUL byte."""
+"""Paths that a user gave, whose names may be impossible (too long, or with a NUL byte); files written whole or not."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mecp_env.core.errors import LayoutError
@@ -32,3 +33,28 @@ def read_bytes(path: Path, most: int) -> bytes:
             return file.read(most)
     except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
         raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Write a file so that after a crash at any time the old or the new one exists, never a part.
+
+    Raises `OSError` that names it, as when the disk is full.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    if os.name == "posix":  # make the name last, too
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

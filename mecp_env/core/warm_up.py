@@ -25,6 +25,7 @@ from typing import Any
 import numba
 
 from mecp_env.core import warm_up_list
+from mecp_env.core.processes import cores
 from mecp_env.core.warm_up_list import Entry
 
 SWITCH = "MECP_ENV_WARM_UP"
@@ -64,11 +65,6 @@ def processes_allowed() -> int:
         return 0
     allowed = os.environ.get(SWITCH, "")
     return min(cores(), int(allowed)) if allowed.isdigit() else cores() * (allowed == "")
-
-
-def cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def missing_entries() -> list[Entry]:

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import Tensor
 
+from mecp_env.core.paths import write_atomic
 from mecp_env.learning import files
 from mecp_env.learning.files import WeightError
 
@@ -52,7 +53,7 @@ class Checkpoints:
         path = self.folder / f"{state.decisions:012d}.json"
         position = random_state()[2]
         about = {"version": VERSION, "sha256": files.checksum(data), "numpy_position": position, "state": asdict(state)}
-        files.write_atomic(path.with_suffix(".safetensors"), data)
+        write_atomic(path.with_suffix(".safetensors"), data)
         files.write_json(path, about)
         for old in self.paths()[: -self.keep]:
             old.unlink()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import signal
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,7 +19,6 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import DownsampledObservation, goal_masks
-from mecp_env.learning.processes import Processes
 from mecp_env.learning.sb3_batch import SB3Batch
 from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
 from mecp_env.vector import BatchEnv
@@ -166,13 +163,6 @@ def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int
     return env if config.buildings.layout is not None else FixedBuildings(env, buildings)
 
 
-def in_worker(make: Callable[[], Env]) -> Env:
-    """`make()`; a process that was started for it leaves Ctrl-C to the learner."""
-    if multiprocessing.parent_process() is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return make()
-
-
 class TimedVecEnv(VecEnvWrapper):
     """Measures how long the learner waits for the environments, and returns the goal masks without asking them."""
 
@@ -217,7 +207,5 @@ def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch") -> Ve
     """Many environments as one: in few processes, each in its own process, or all in this one."""
     if workers == "here":
         return DummyVecEnv(list(makers))
-    in_workers = [partial(in_worker, make) for make in makers]
-    if workers == "processes":
-        return Processes(in_workers)
-    return SB3Batch(BatchEnv(in_workers, autoreset_mode=AutoresetMode.SAME_STEP))
+    count = len(makers) if workers == "processes" else None
+    return SB3Batch(BatchEnv(makers, workers=count, autoreset_mode=AutoresetMode.SAME_STEP))

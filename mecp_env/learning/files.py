@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import safetensors.torch
 from torch import Tensor, nn
 
 from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.paths import write_atomic
 
 fcntl: Any
 try:
@@ -31,26 +31,6 @@ class WeightError(ConfigError):
 
 class NotFiniteError(MecpError):
     """Training made a weight infinite or NaN: such weights are not kept."""
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file so that after a crash at any time the old or the new one exists, never a part."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    if os.name == "posix":  # make the name last, too
-        handle = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import shlex
-import subprocess
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -19,6 +18,8 @@ from torch import nn
 
 import mecp_env
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.paths import write_atomic
+from mecp_env.core.provenance import commit
 from mecp_env.learning import files
 from mecp_env.learning.checkpoints import Checkpoints
 from mecp_env.learning.config import TrainConfig, read_config
@@ -96,7 +97,7 @@ def save_policy(folder: Path, policy: nn.Module, algorithm: str, facts: Mapping[
     data = files.tensor_bytes(files.weights_of(policy))
     sha256 = files.checksum(data)
     name = f"policy-{sha256[:NAME_LENGTH]}.safetensors"
-    files.write_atomic(folder / name, data)
+    write_atomic(folder / name, data)
     write_json(folder / POLICY, {"algorithm": algorithm, "file": name, "sha256": sha256, "bytes": len(data), **facts})
     for old in folder.glob("policy-*.safetensors"):
         if old.name != name:
@@ -121,16 +122,3 @@ def installed_version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "none"
-
-
-def commit() -> str:
-    """The commit of the clone that this runs from, with a `+` if tracked files have changed; "" elsewhere."""
-    git = ["git", "-C", str(Path(__file__).parent)]
-    try:
-        head, changes = (
-            subprocess.run([*git, *words], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
-            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return head + ("+" if changes else "")

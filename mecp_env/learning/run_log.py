@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.learning import files
+from mecp_env.core.paths import write_atomic
 from mecp_env.learning.environments import FIGURES
 
 CLOCK = ("decisions", "periods", "episodes", "seconds")
@@ -39,7 +39,7 @@ class CsvTable(KVWriter):
         writer = csv.DictWriter(text, self.columns, extrasaction="ignore", restval="")
         writer.writeheader()
         writer.writerows(rows)
-        files.write_atomic(self.path, text.getvalue().encode())
+        write_atomic(self.path, text.getvalue().encode())
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         """Append a row; a column without a value stays empty."""

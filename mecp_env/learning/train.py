@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any, Self
 
@@ -33,8 +31,6 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
     check(config)
     with closing(RunFolder(folder, config)) as run_folder:
         run_folder.resume() if resume else run_folder.start()
-        if "forkserver" in multiprocessing.get_all_start_methods():
-            workers_ignore_ctrl_c()
         log = RunLog(folder, config.steps, config.log.tensorboard)
         with TrainingRun(run_folder, log) as run, log, stopped_by_ctrl_c(run):  # the log starts threads after the forks
             return run.train(resume)
@@ -98,15 +94,6 @@ class TrainingRun:
         left = max(0, self.config.steps - self.state.decisions)
         self.model.learn(left, callback=callbacks, reset_num_timesteps=False)
         return not self.statistics.stop
-
-
-def workers_ignore_ctrl_c() -> None:
-    """Let the process that starts workers ignore Ctrl-C: then each of them does from its start."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from collections import deque
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator
+from contextlib import closing
 from functools import partial
-from itertools import count, islice, takewhile
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -21,17 +15,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.processes import WorkerDied, cores
 from mecp_env.core.settings import guess
+from mecp_env.core.work_units import FailedUnit, run_units
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import Observation, downsample, goal_masks
 from mecp_env.learning.environments import make_env
 from mecp_env.learning.run_log import RunLog
 from mecp_env.policies.registry import make_policy
-from mecp_env.vector import WorkerDied
 
 TEACHERS = ("nearest", "gain", "bfs")  # explorers that select goals
 BATCH = 128
-POLL_S = 0.2  # between two calls of `stop`
 FIRST_SEED = 1_000_000_000  # of the teacher's episodes: outside those of the training itself
 Lesson = dict[str, np.ndarray]  # downsampled observations (n,...), `action` and `returns` (n,)
 
@@ -110,36 +104,16 @@ def gather(config: TrainConfig, log: RunLog, stop: Callable[[], bool]) -> Lesson
 
 def episodes(config: TrainConfig, stop: Callable[[], bool]) -> Generator[Lesson]:
     """Episodes of the teacher until `stop()`, always the same ones in the same order. Raises `WorkerDied`."""
-    run = partial(teach, config)
-    if config.workers == "here":
-        yield from map(run, takewhile(lambda _: not stop(), count()))
-        return
-    width = max(1, min(config.environments, os.cpu_count() or 1))
-    with worker_pool(width) as pool:
-        yield from in_order((pool.submit(run, number) for number in count()), 4 * width, stop)
-
-
-@contextmanager
-def worker_pool(width: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that leave Ctrl-C to this one, and are ended at once. Raises `WorkerDied` when one dies."""
-    context = multiprocessing.get_context("forkserver")
-    with ProcessPoolExecutor(width, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        try:
-            yield pool
-        except BrokenProcessPool as error:
-            raise WorkerDied(f"a process of the warm start: {error}") from None
-        finally:  # episodes that are not needed any more take seconds
-            for process in list(pool._processes.values()):
-                process.terminate()
-
-
-def in_order(submitted: Iterator[Future[Lesson]], ahead: int, stop: Callable[[], bool]) -> Generator[Lesson]:
-    """The results, one after the other, of work that `submitted` starts; that many are started ahead."""
-    waiting = deque(islice(submitted, ahead))
-    while not stop():
-        if wait(list(waiting)[:1], POLL_S).done:
-            yield waiting.popleft().result()
-            waiting.append(next(submitted))
+    jobs = 1 if config.workers == "here" else max(2, min(config.environments, cores()))
+    waiting, following = dict[int, Lesson](), 0
+    with closing(run_units(partial(teach, config), count(), jobs, stop)) as finished:
+        for number, lesson in finished:
+            if isinstance(lesson, FailedUnit):
+                raise WorkerDied(f"warm start, episode {lesson}") from lesson.error
+            waiting[number] = lesson
+            while following in waiting:
+                yield waiting.pop(following)
+                following += 1
 
 
 def teach(config: TrainConfig, number: int) -> Lesson:

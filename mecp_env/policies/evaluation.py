@@ -8,18 +8,21 @@ from __future__ import annotations
 import csv
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
+from mecp_env.core.provenance import dependencies
+from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, rows_of, timing
 from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
-from mecp_env.policies.pool import FailedTask
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Setting, make_rooms
+from mecp_env.policies.registry import policy_checksum
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Setting, make_rooms, run_episode
 
 
 @dataclass(slots=True, eq=False)
@@ -32,8 +35,9 @@ class Evaluation:
     known_pose: bool = True  # each policy once more with the ground-truth pose
     reference: str = "nearest"  # the policy to which the others are compared
     trust: bool = False  # load model files that may run arbitrary code
+    shard: Shard = WHOLE  # of the buildings
     results: list[EpisodeResult] = field(default_factory=list)
-    failures: list[FailedTask] = field(default_factory=list)
+    failures: list[FailedUnit] = field(default_factory=list)
     interrupted: bool = False
 
     @property
@@ -43,19 +47,26 @@ class Evaluation:
 
     def tasks(self) -> list[EpisodeTask]:
         """All episodes, building by building: after an interruption, the finished ones can be compared."""
+        checksums = {name: policy_checksum(name) for name in self.policies}
         return [
-            EpisodeTask(name, building, setting, self.trust)
-            for building in range(self.episodes)
+            EpisodeTask(name, building, setting, self.trust, checksum)
+            for building in self.shard.part(range(self.episodes))
             for setting in self.settings
-            for name in dict.fromkeys(self.policies)
+            for name, checksum in checksums.items()
         ]
 
-    def add(self, result: EpisodeResult | FailedTask) -> None:
-        """Keep the result of a task."""
-        if isinstance(result, EpisodeResult):
-            self.results.append(result)
-        else:
-            self.failures.append(result)
+    def kept(self, folder: Path) -> KeptResults:
+        """The finished episodes in a folder. Raises `ConfigError` for those of other code or another setting."""
+        where = {name: value for name, value in asdict(self.setting).items() if name != "estimator"}
+        return KeptResults(folder, EpisodeResult, {**where, **dependencies()})
+
+    def run(self, kept: KeptResults, jobs: int) -> Generator[EpisodeResult | FailedUnit]:
+        """Each episode: first those that are kept already, then the others as `jobs` processes finish them."""
+        tasks = {task.name: task for task in self.tasks()}
+        with closing(run_kept(run_episode, tasks, kept, jobs)) as finished:
+            for _, result in finished:
+                (self.failures if isinstance(result, FailedUnit) else self.results).append(result)
+                yield result
 
     def rows(self) -> list[Row]:
         """One row per policy and estimator, over the buildings that all of them have finished."""

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.provenance import checksum
 from mecp_env.core.settings import guess
 from mecp_env.policies.policy import Policy
 
@@ -37,6 +38,16 @@ def make_policy(name: str, trust: bool = False) -> Policy:
         return load_learned(name, trust)
     known = policy_names()
     raise ConfigError(f"policy: {name!r:.80}, expected one of {', '.join(known)}, or a run folder{guess(name, known)}")
+
+
+def policy_checksum(name: str) -> str:
+    """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
+    found, path = CLASS_PATH.fullmatch(name), Path(name)
+    if found:
+        path = Path(str(importlib.import_module(found[1]).__file__))
+    elif path.is_dir():
+        path = path / "policy.json"  # which contains the checksum of the weights
+    return checksum(path.read_bytes()) if path.is_file() else ""
 
 
 def import_policy(module: str, class_name: str) -> Policy:

@@ -48,6 +48,12 @@ class EpisodeTask:
     building: int
     setting: Setting
     trust: bool = False  # load a model file that may run arbitrary code
+    checksum: str = ""  # of a policy that is not part of the package
+
+    @property
+    def name(self) -> str:
+        """Of its result, in the folder of an evaluation of this setting."""
+        return f"{self.policy} {self.checksum} {self.setting.estimator} {self.building:06}"
 
     def __str__(self) -> str:
         where = f"{self.setting.difficulty}, split {self.setting.split}, building and seed {self.building}"

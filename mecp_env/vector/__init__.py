@@ -8,9 +8,9 @@ from typing import Any
 
 import gymnasium
 
+from mecp_env.core.processes import WorkerDied, WorkerError
 from mecp_env.vector.batch import BatchEnv
 from mecp_env.vector.checks import check_count
-from mecp_env.vector.worker_pool import WorkerDied, WorkerError
 
 __all__ = ["BatchEnv", "WorkerDied", "WorkerError", "make_batch"]
 

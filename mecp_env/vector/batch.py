@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
 import weakref
 from collections.abc import Callable, Sequence
@@ -15,10 +16,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mecp_env.core.processes import WorkerDied, WorkerPool, cores, start_method
 from mecp_env.vector.checks import Seeds, check_copy, check_mode, check_options, check_seeds, check_workers
 from mecp_env.vector.shared_buffers import ALONE, INFO, OBSERVATION, Fields, below, lay_out, memory_bytes, plan_fields
-from mecp_env.vector.worker import Infos, Makers, Task
-from mecp_env.vector.worker_pool import WorkerDied, WorkerPool, slices, start_method
+from mecp_env.vector.worker import Infos, Makers, WorkerEnvironments
 
 STEPS, DRIVES = 1, 4  # workers a core: steps take equally long; drives do not, and the system evens them out
 RESERVED = ("reset", "step", "close")  # not for `call`
@@ -60,8 +61,8 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self._seen, self._listed = below(self._buffers, OBSERVATION), below(self._buffers, INFO)
         self._pending: str | None = None
         self._fresh = self._stale = np.ones(self.num_envs, np.bool_)  # never reset; to be reset before the next step
-        self._pool = WorkerPool(self._tasks(makers, fields, memory), method)
-        self._close_crew = weakref.finalize(self, self._pool.close)
+        self._pool = WorkerPool(self._targets(makers, fields, memory), method)
+        self._close_pool = weakref.finalize(self, self._pool.close)
 
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observations and infos of new episodes, in all environments or in those of a mask.
@@ -146,7 +147,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the workers, whatever they are doing; `close` calls it, once."""
-        self._close_crew()
+        self._close_pool()
 
     @property
     def pids(self) -> list[int]:
@@ -181,11 +182,15 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         env.close()
         return plan_fields(self.num_envs, env.observation_space, info, choices)
 
-    def _tasks(self, makers: Makers, fields: Fields, memory: Any) -> list[Task]:
+    def _targets(self, makers: Makers, fields: Fields, memory: Any) -> dict[str, WorkerEnvironments]:
+        """What each worker holds, by the name of the worker."""
         kinds = self.single_observation_space, self.single_action_space
-        return [
-            Task(own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds) for own in self._slices
-        ]
+        return {
+            f"worker {number} (environments {own[0]} to {own[-1]})": WorkerEnvironments(
+                own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds
+            )
+            for number, own in enumerate(self._slices)
+        }
 
     def _assert_free(self, name: str) -> None:
         if self.closed:
@@ -232,6 +237,13 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         for env, rest in (item for part in shared for item in part.items()):
             infos = self._add_info(infos, rest, env)
         return infos
+
+
+def slices(count: int, workers: int | None, each_core: int = 1) -> list[range]:
+    """Numbers of the environments of each worker; `workers` None makes `each_core` per core."""
+    workers = min(count, workers or each_core * cores())
+    ends = [count * k // workers for k in range(workers + 1)]
+    return [range(first, end) for first, end in itertools.pairwise(ends)]
 
 
 def _still(space: spaces.Space[Any]) -> Any:

@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import os
-import pickle
-import signal
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Sequence
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -18,53 +10,40 @@ from gymnasium.vector import AutoresetMode
 
 from mecp_env.vector.shared_buffers import ALONE, INFO, OBSERVATION, Fields, SharedBuffers, below, lay_out
 
-PATIENCE_S = 2.0  # after which an idle worker checks that its parent process is alive
-GONE = (EOFError, BrokenPipeError, ConnectionResetError)
-
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
 Infos = dict[int, dict[str, Any]]  # by number of the environment: the part of its info that has no place in the buffers
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What a worker is given at its start."""
-
-    first: int  # number of its first environment
-    makers: Makers
-    fields: Fields
-    memory: Any  # the block that all processes share
-    mode: AutoresetMode
-    spaces: tuple[Any, Any]  # of an observation and of an action, as the batch has them
-
-
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """An exception in a worker."""
-
-    env: int  # number of the environment
-    error: BaseException | None  # None when it cannot be sent
-    text: str  # the last line of the traceback
-    trace: str
-
-
 class WorkerEnvironments:
-    """The environments of one worker and their rows of the shared buffers."""
+    """The environments of one worker and their rows of the shared buffers; it is made before the worker is started."""
 
-    def __init__(self, task: Task, buffers: SharedBuffers) -> None:
-        self.env = self.first = task.first  # `env`: the one at work, for error messages
-        self._mode = task.mode
-        self._buffers, self._seen, self._listed = buffers, below(buffers, OBSERVATION), below(buffers, INFO)
+    _buffers: SharedBuffers
+    _seen: SharedBuffers
+    _listed: SharedBuffers
+
+    def __init__(
+        self, first: int, makers: Makers, fields: Fields, memory: Any, mode: AutoresetMode, spaces: tuple[Any, Any]
+    ) -> None:
+        """`first`: number of its first environment; `spaces`: of an observation and of an action, as in the batch."""
+        self.env = self.first = first  # `env`: the one at work, for error messages
+        self._makers, self._fields, self._memory, self._mode, self._spaces = makers, fields, memory, mode, spaces
         self._envs: list[gymnasium.Env[Any, Any]] = []
         self._masks: list[Callable[[], Any]] = []
-        self._over = [False] * len(task.makers)
-        self._started = [False] * len(task.makers)
+        self._over = [False] * len(makers)
+        self._started = [False] * len(makers)
 
-    def open(self, makers: Makers, kinds: tuple[Any, Any]) -> None:
+    @property
+    def place(self) -> str:
+        return f"environment {self.env} of the batch"
+
+    def open(self) -> None:
         """Make the environments. Raises `ValueError` for one with other spaces than the batch has."""
-        for env, maker in enumerate(makers, self.first):
+        self._buffers = lay_out(self._fields, self._memory)
+        self._seen, self._listed = below(self._buffers, OBSERVATION), below(self._buffers, INFO)
+        for env, maker in enumerate(self._makers, self.first):
             self.env = env
             self._envs.append(maker())
-            if (self._envs[-1].observation_space, self._envs[-1].action_space) != kinds:
+            if (self._envs[-1].observation_space, self._envs[-1].action_space) != self._spaces:
                 raise ValueError(f"environment {env} has other spaces than the first one")
         if self._buffers["mask"].size:
             self._masks = [env.get_wrapper_attr("action_masks") for env in self._envs]
@@ -142,46 +121,3 @@ class WorkerEnvironments:
     def _show_mask(self, place: int) -> None:
         if self._masks and self._started[place]:
             self._buffers["mask"][self.first + place] = self._masks[place]()
-
-
-def work(pipe: Connection, others: Sequence[Connection], task: Task) -> None:
-    """The process: run the commands that arrive on the pipe, until `stop` or until the other end is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
-    gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
-    for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
-        other.close()
-    environments = WorkerEnvironments(task, lay_out(task.fields, task.memory))
-    with contextlib.suppress(*GONE), pipe:
-        _answer(pipe, environments, "open", (task.makers, task.spaces))
-        for name, arguments in _questions(pipe):
-            _answer(pipe, environments, name, arguments)
-
-
-def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """What comes through the pipe, until it is to close, or the process at the other end is gone."""
-    parent, name = os.getppid(), ""
-    while name != "close" and os.getppid() == parent:
-        if pipe.poll(PATIENCE_S):
-            name, arguments = pipe.recv()
-            yield name, arguments
-
-
-def _answer(pipe: Connection, environments: WorkerEnvironments, name: str, arguments: tuple[Any, ...]) -> None:
-    """Send what the method `name` returns, or what went wrong."""
-    try:
-        pipe.send(getattr(environments, name)(*arguments))
-    except GONE:
-        raise
-    except Exception as error:  # of an environment, or an answer that cannot be sent
-        pipe.send(_failure(environments.env, error))
-
-
-def _failure(env: int, error: Exception) -> Failure:
-    """What to say of an exception; itself, where it survives the way."""
-    text = "".join(traceback.format_exception_only(error)).strip()
-    try:
-        sent: BaseException | None = pickle.loads(pickle.dumps(error))  # noqa: S301  (just written)
-    except Exception:  # an exception with an argument that cannot be sent
-        sent = None
-    return Failure(env, sent, text, traceback.format_exc())

@@ -10,9 +10,8 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future
 from functools import partial
-from itertools import count
+from itertools import count, islice
 
 import gymnasium as gym
 import numpy as np
@@ -22,13 +21,15 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
+from mecp_env.core.work_units import FailedUnit  # noqa: E402
 from mecp_env.learning import files, train, warm_start  # noqa: E402
 from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint  # noqa: E402
-from mecp_env.learning.processes import Processes  # noqa: E402
+from mecp_env.learning.environments import vectorise  # noqa: E402
 from mecp_env.learning.run_folder import RunFolder  # noqa: E402
 from mecp_env.learning.run_log import CsvTable  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.training import QUICK, ROOT, quick, resume, run  # noqa: E402
+from tests.vector.helpers import gone_within  # noqa: E402
 
 
 def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):
@@ -62,27 +63,39 @@ def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path,
     assert not (folder / "policy.json").exists()
 
 
-def test_results_come_in_order_until_somebody_stops():
-    work = [Future() for _ in range(5)]
-    for number in (0, 1, 3):
-        work[number].set_result(number)
-    answers = iter([False, False, False, False, True])  # the third result never comes
-    assert list(warm_start.in_order(iter(work), 3, lambda: next(answers))) == [0, 1]
+def finished_by(results):
+    """Stands for `run_units`: these results, as they are finished."""
+
+    def run_units(task, units, jobs, stop):
+        yield from results
+
+    return run_units
 
 
-def test_a_teacher_whose_process_dies_is_named(monkeypatch):
-    def die(submitted, ahead, stop):
-        raise warm_start.BrokenProcessPool("a child process terminated abruptly")
-        yield
+def test_lessons_come_in_order_whatever_is_finished_first(monkeypatch):
+    monkeypatch.setattr(warm_start, "run_units", finished_by([(1, "b"), (0, "a"), (3, "d"), (2, "c"), (5, "f")]))
+    assert list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False)) == [*"abcd"]
 
-    monkeypatch.setattr(warm_start, "in_order", die)
-    with pytest.raises(WorkerDied, match="of the warm start: a child process terminated"):
+
+def test_an_episode_of_the_teacher_that_fails_is_named(monkeypatch):
+    failed = FailedUnit(3, "its process was killed by SIGKILL", WorkerDied("its process was killed by SIGKILL"))
+    monkeypatch.setattr(warm_start, "run_units", finished_by([(3, failed)]))
+    with pytest.raises(WorkerDied, match="warm start, episode 3: its process was killed by SIGKILL"):
         list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
+
+
+def test_lessons_of_processes_are_those_of_one_process():
+    config = quick(warm_start={"teacher": "bfs"})
+    many = config.model_copy(update={"workers": "batch"})
+    here, there = (list(islice(warm_start.episodes(c, lambda: False), 3)) for c in (config, many))
+    for mine, yours in zip(here, there, strict=True):
+        assert mine.keys() == yours.keys()
+        assert all(mine[name].tobytes() == yours[name].tobytes() for name in mine)
 
 
 @pytest.fixture
 def pair():
-    venv = Processes([partial(gym.make, "CartPole-v1")] * 2)
+    venv = vectorise([partial(gym.make, "CartPole-v1")] * 2, "processes")
     venv.reset()
     yield venv
     venv.close()
@@ -90,30 +103,22 @@ def pair():
 
 def test_the_process_of_an_environment_that_dies_is_named_and_nobody_waits(pair):
     """Seen: a step waited forever or ended in a bare EOFError, and so did `close`."""
-    pair.processes[1].kill()
-    pair.processes[1].join()
+    pids = pair.batch.pids
+    assert len(pids) == 2
+    os.kill(pids[1], signal.SIGKILL)
     begun = time.monotonic()
-    with pytest.raises(WorkerDied, match="environment 1 was killed by SIGKILL"):
+    with pytest.raises(WorkerDied, match=r"environments 1 to 1\) was killed by SIGKILL"):
         pair.step(np.array([0, 0]))
     pair.close()
     assert time.monotonic() - begun < 5.0
-    assert not any(process.is_alive() for process in pair.processes)
+    assert gone_within(pids, 1.0)
 
 
 def test_processes_interrupted_in_a_step_are_closed_at_once(pair):
+    pids = pair.batch.pids
     pair.step_async(np.array([0, 0]))
-    pair.remotes[0].recv()  # Ctrl-C comes when one answer has been taken
     pair.close()
-    assert not any(process.is_alive() for process in pair.processes)
-
-
-def test_an_environment_that_cannot_be_made_in_its_process_is_named():
-    with pytest.raises(WorkerDied, match="environment 0 ended with exit code 1"):
-        Processes([no_environment])
-
-
-def no_environment():
-    raise RuntimeError("none")
+    assert gone_within(pids, 1.0)
 
 
 def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):

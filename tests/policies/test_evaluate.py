@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-import multiprocessing
-import os
 import re
-import signal
+import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +18,9 @@ from PIL import Image
 from mecp_env.cli import main as cli
 from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
-from mecp_env.policies import pool
+from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_units
 from mecp_env.policies.comparison import Row, compare, difference, rows_of
 from mecp_env.policies.evaluation import Evaluation
-from mecp_env.policies.pool import FailedTask, attempt, finished
 from mecp_env.policies.report_table import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
@@ -39,6 +35,7 @@ from mecp_env.policies.rollout import (
     run_episode,
 )
 
+ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 150)
 
 
@@ -94,11 +91,90 @@ def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) 
     results = []
     for jobs in (1, 2):
         evaluation = evaluation_of("gain", "nearest", setting=replace(EASY, max_steps=60))
-        for episode in finished(evaluation.tasks(), jobs):
-            evaluation.add(episode)
-        result = evaluation.figures(evaluation.rows(), "")
-        results.append({name: result[name] for name in set(result) - {"timing", "date", "command"}})
-    assert json.dumps(results[0], sort_keys=True) == json.dumps(results[1], sort_keys=True)
+        assert len(list(evaluation.run(evaluation.kept(tmp_path / str(jobs)), jobs))) == 8
+        results.append(same_in_every_run(evaluation.figures(evaluation.rows(), "")))
+    assert results[0] == results[1]
+
+
+def same_in_every_run(result: dict[str, Any]) -> str:
+    """The part of a result that every repetition gives, as text."""
+    return json.dumps({name: result[name] for name in result.keys() - {"timing", "date", "command"}}, sort_keys=True)
+
+
+def contents(out: Path) -> tuple[str, bytes, bytes]:
+    """What the files of an evaluation say that every repetition gives."""
+    result = json.loads((out / "results.json").read_text())
+    return same_in_every_run(result), (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
+
+
+QUICKLY = {"episodes": 3, "max_steps": 40, "truth": False}
+
+
+def test_shards_in_one_folder_and_then_the_command_without_give_the_bytes_of_a_single_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, out=tmp_path / "whole", **QUICKLY) == 0
+    for number in (1, 2):
+        assert evaluate(tmp_path, shard=f"{number}/2", **QUICKLY) == 0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episodes"]
+    assert f"2 episodes of shard 2/2 are in {tmp_path / 'out' / 'episodes'}" in capsys.readouterr().out
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
+    assert evaluate(tmp_path, **QUICKLY) == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
+    assert evaluate(tmp_path, out=tmp_path / "whole", **QUICKLY) == 0
+    small = {"split": "validation", "difficulty": "easy", "out": tmp_path / "out", "jobs": 2} | QUICKLY
+    line = [sys.executable, "-m", "mecp_env", "evaluate", "nearest", "random_goal", *words(**small)]
+    process = subprocess.Popen(line, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert "of 6 episodes" in process.stderr.readline()
+    process.kill()
+    process.communicate()
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "episodes").glob("*.json")}
+    assert 1 <= len(kept) < 6
+    assert evaluate(tmp_path, **QUICKLY) == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+    assert all(path.stat().st_mtime_ns == written for path, written in kept.items())
+
+
+def test_more_episodes_and_policies_use_those_that_are_there(tmp_path: Path) -> None:
+    assert evaluate(tmp_path, "nearest", **QUICKLY) == 0
+    kept = {path: path.read_bytes() for path in (tmp_path / "out" / "episodes").iterdir()}
+    assert evaluate(tmp_path, "nearest", "gain", **(QUICKLY | {"episodes": 4})) == 0
+    assert len(kept) == 3
+    assert len(list((tmp_path / "out" / "episodes").iterdir())) == 8
+    assert all(path.read_bytes() == content for path, content in kept.items())
+
+
+def test_a_folder_of_another_setting_is_refused_and_stays_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, "nearest", **QUICKLY) == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert evaluate(tmp_path, "nearest", **(QUICKLY | {"max_steps": 30})) == 2
+    said = capsys.readouterr().err
+    assert (
+        f"{tmp_path / 'out' / 'episodes'} has results of another run: max_steps 40; this one has max_steps 30" in said
+    )
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_a_changed_policy_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "from mecp_env.policies.nearest import Nearest as Own\n"
+    (tmp_path / "changing_policy.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    first = {task.name for task in evaluation_of("changing_policy:Own").tasks()}
+    assert {task.name for task in evaluation_of("changing_policy:Own").tasks()} == first
+    (tmp_path / "changing_policy.py").write_text(code + "# another\n")
+    assert not {task.name for task in evaluation_of("changing_policy:Own").tasks()} & first
+
+
+def test_shards_divide_the_buildings() -> None:
+    parts = [evaluation_of(episodes=5, shard=Shard(number, 2)).tasks() for number in (1, 2)]
+    assert [sorted({task.building for task in part}) for part in parts] == [[0, 2, 4], [1, 3]]
+    assert sorted(map(str, parts[0] + parts[1])) == sorted(map(str, evaluation_of(episodes=5, shard=WHOLE).tasks()))
 
 
 def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,6 +186,7 @@ def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.
         "episodes.csv",
         "curves.png",
         "side_by_side.gif",
+        "episodes",
     }
     result = json.loads((tmp_path / "kept/policies.json").read_text())
     assert [(row["policy"], row["estimator"]) for row in result["rows"]] == [
@@ -158,6 +235,7 @@ def test_with_a_known_pose_there_is_no_pose_error() -> None:
         ({"json": Path(__file__) / "a.json"}, "test_evaluate.py is a file, not a folder"),
         ({"out": Path(__file__) / "out"}, "test_evaluate.py is a file, not a folder"),
         ({"json": Path("page.md")}, "json: page.md: expected"),
+        ({"shard": "3/2"}, "shard: '3/2', expected NUMBER/COUNT such as 1/4"),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_written(
@@ -211,7 +289,7 @@ def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
             raise RuntimeError("no way")
         return run_episode(task)
 
-    monkeypatch.setattr(pool, "run_episode", fragile)
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", fragile)
     assert evaluate(tmp_path, truth=False, episodes=3, max_steps=40) == 1
     said = capsys.readouterr()
     assert "policy random_goal" in said.err
@@ -221,37 +299,25 @@ def test_a_crash_names_policy_and_seed_and_the_rest_goes_on(
     assert "no way" in said.out
 
 
-def test_a_process_that_dies_is_named_and_replaced() -> None:
-    tasks = [EpisodeTask("nearest", number, Setting("easy", "validation", "slam", 20)) for number in range(3)]
-    results = run_and_kill(tasks)
-    killed = [result for result in results if isinstance(result, FailedTask)]
-    assert [result.task.building for result in results] == [0, 1, 2]
-    assert len(killed) == 1
-    assert "ended with code" in str(killed[0])
-    assert "policy nearest" in str(killed[0])
-
-
-def run_and_kill(tasks: list[EpisodeTask]) -> list[EpisodeResult | FailedTask]:
-    """Play on one worker process that is killed once, while it works."""
-    worker, results = pool.Worker(), []
-    for row, task in enumerate(tasks):
-        worker.begin(task)
-        if row == 1:
-            os.kill(worker.process_id, signal.SIGKILL)
-        assert pool.ready([worker]) == [worker]
-        results.append(worker.end())
-    worker.stop()
-    return results
+def test_a_failed_episode_is_run_again_by_the_same_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("mecp_env.policies.evaluation.run_episode", None)
+        assert evaluate(tmp_path, "nearest", truth=False, episodes=1, max_steps=40) == 1
+    assert "1 of 1 episodes" in capsys.readouterr().err
+    assert evaluate(tmp_path, "nearest", truth=False, episodes=1, max_steps=40) == 0
 
 
 def test_ctrl_c_keeps_what_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(tasks: list[EpisodeTask], jobs: int) -> Iterator[EpisodeResult]:
-        yield from (toy(task.policy, task.building, 0.5) for task in tasks[:5])
-        raise KeyboardInterrupt
+    def interrupted(task: EpisodeTask) -> EpisodeResult:
+        if (task.policy, task.building) == ("random_goal", 2):
+            raise KeyboardInterrupt
+        return toy(task.policy, task.building, 0.5)
 
-    monkeypatch.setattr(pool, "finished", interrupted)
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", interrupted)
     assert evaluate(tmp_path, truth=False, episodes=9) == 130
     result = json.loads((tmp_path / "out" / "results.json").read_text())
     assert result["interrupted"]
@@ -259,17 +325,7 @@ def test_ctrl_c_keeps_what_is_finished(
     said = capsys.readouterr()
     assert "| nearest | 0.500" in said.out
     assert "mecp-env: 4 of 18 episodes" in said.err
-
-
-def test_an_exception_ends_the_processes() -> None:
-    before = set(multiprocessing.active_children())
-    tasks = [EpisodeTask("nearest", number, Setting("easy", "validation", "slam", 5)) for number in range(6)]
-    results = finished(tasks, 2)
-    assert isinstance(next(results), EpisodeResult)
-    assert len(set(multiprocessing.active_children()) - before) == 2
-    with pytest.raises(KeyboardInterrupt):
-        results.throw(KeyboardInterrupt)
-    assert set(multiprocessing.active_children()) <= before
+    assert "interrupted; the same command continues" in said.err
 
 
 def test_rows_are_over_the_buildings_that_every_policy_has_done() -> None:
@@ -371,8 +427,17 @@ def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
     assert "\x1b" not in said
 
 
-def test_failures_are_told_with_their_place() -> None:
-    failure = attempt(EpisodeTask("nearest", 2_000_000, EASY))
-    assert isinstance(failure, FailedTask)
+def test_failures_are_told_with_their_place(tmp_path: Path) -> None:
+    ((_, failure),) = run_units(run_episode, [EpisodeTask("nearest", 2_000_000, EASY)], 1)
+    assert isinstance(failure, FailedUnit)
+    assert "policy nearest, easy, split validation, building and seed 2000000" in str(failure)
     assert "ConfigError: building: 2000000" in str(failure)
-    assert next(iter(finished([failure.task], 1))).task == failure.task
+
+
+def test_an_episode_survives_its_file_bit_for_bit(tmp_path: Path) -> None:
+    episode = run_episode(EpisodeTask("nearest", 1, replace(EASY, max_steps=40)))
+    read = KeptResults(tmp_path, EpisodeResult, {}).keep("x", episode)
+    assert (read.task, read.figures, read.act_s) == (episode.task, episode.figures, episode.act_s)
+    assert read.curve.metres == episode.curve.metres
+    assert read.curve.coverage == episode.curve.coverage
+    assert read.curve.steps == episode.curve.steps

@@ -14,8 +14,9 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.processes import cores, start_method
 from mecp_env.vector import BatchEnv
-from mecp_env.vector.worker_pool import cores, slices, start_method
+from mecp_env.vector.batch import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
 from tests.vector.helpers import LAYOUT, N, equal, make_small
 

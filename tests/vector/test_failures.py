@@ -21,8 +21,8 @@ import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
 from mecp_env.core.errors import ActionError
+from mecp_env.core.processes import STOP_S
 from mecp_env.vector import BatchEnv, WorkerDied, WorkerError
-from mecp_env.vector.worker_pool import STOP_S
 from tests.env.helpers import make
 from tests.vector.helpers import LAYOUT, N, gone_within, make_by, make_small, needs_linux
 

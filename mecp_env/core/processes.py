@@ -1,0 +1,267 @@
+"""Worker processes: one with a pipe, a pool of them, and the cause in words when one dies.
+
+A worker starts with one thread per library, leaves Ctrl-C to the process that started it, and ends with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn
+
+LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
+PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
+STOP_S = 5.0  # how long workers have to stop by themselves
+KILL_S = 2.0  # how long they then have to react to a signal
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+GONE = (EOFError, BrokenPipeError, ConnectionResetError)
+
+
+class WorkerDied(RuntimeError):
+    """A worker process ended; the message names it, its work and what ended it."""
+
+
+class WorkerError(RuntimeError):
+    """An exception in a worker that could not be sent as it is; the message is its text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """An exception in a worker."""
+
+    error: Exception  # a `WorkerError` when the exception itself cannot be sent
+    note: str  # where the worker was, and the traceback
+    reason: str  # in one line: the exception and the line that raised it
+
+    @classmethod
+    def of(cls, error: Exception, place: str = "") -> Failure:
+        """The failure that an exception at a `place` stands for."""
+        text = "".join(traceback.format_exception_only(error)).strip()
+        raised = traceback.extract_tb(error.__traceback__)[-1]
+        note = f"in {place}:\n{traceback.format_exc()}" if place else traceback.format_exc()
+        try:
+            sent: Exception = pickle.loads(pickle.dumps(error))  # noqa: S301  (just written)
+        except Exception:  # an exception with an argument that cannot be sent
+            sent = WorkerError(text)
+        return cls(sent, note, f"{type(error).__name__}: {error} ({raised.name}, line {raised.lineno})")
+
+
+def start_method(wanted: str | None = None) -> str:
+    """How to start workers: "fork" where this process has no other thread, else "forkserver" or "spawn".
+
+    A forked worker has every compiled function loaded and starts in milliseconds; but a lock that another thread holds
+    at that moment stays locked in it for ever. Raises `ValueError` for a method that this system lacks.
+    """
+    methods = multiprocessing.get_all_start_methods()
+    if wanted is None:
+        alone = threading.active_count() == 1 and sys.platform == "linux"
+        return next(name for name in ("fork", "forkserver", "spawn") if name in methods and (alone or name != "fork"))
+    if wanted not in methods:
+        raise ValueError(f"context: {wanted!r}, expected one of {', '.join(methods)}")
+    return wanted
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Worker:
+    """A process that holds `target` and calls its methods, one at a time, as asked through a pipe.
+
+    `siblings` are this process's ends of the pipes of other workers, which a fork would keep open.
+    """
+
+    def __init__(self, target: Any, name: str, method: str, siblings: Sequence[Connection] = ()) -> None:
+        context: Any = multiprocessing.get_context(method)
+        self.name = name
+        self.pipe, theirs = context.Pipe()
+        inherited = [*siblings, self.pipe] if method == "fork" else []
+        self.process = context.Process(target=_serve, args=(theirs, inherited, target), name=name, daemon=True)
+        with _one_thread_each(), _ctrl_c_blocked(method), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
+            self.process.start()
+        theirs.close()
+
+    def ask(self, name: str, *arguments: Any) -> None:
+        """Let it call the method `name` of its target. Raises `WorkerDied`."""
+        try:
+            self.pipe.send((name, arguments))
+        except GONE:
+            self.report_death()
+
+    def answer(self) -> Any:
+        """What the method returned, or a `Failure`; waits for it. Raises `WorkerDied`."""
+        try:
+            return self.pipe.recv()
+        except GONE:
+            self.report_death()
+
+    def report_death(self) -> NoReturn:
+        """Raise `WorkerDied` with what ended the process."""
+        self.process.join(KILL_S)
+        raise WorkerDied(f"{self.name} {_cause(self.process.exitcode)}")
+
+    def stop(self, deadline: float = 0.0) -> None:
+        """End the process: by itself until the deadline, a time of `time.monotonic()`, then by signals."""
+        with contextlib.suppress(*GONE, OSError):
+            while self.pipe.poll(max(0.0, deadline - time.monotonic())):
+                self.pipe.recv()  # what it still sends; otherwise it would wait for a reader
+        self.process.join(max(0.0, deadline - time.monotonic()))
+        for insist in (self.process.terminate, self.process.kill):
+            if self.process.exitcode is None:
+                insist()
+                self.process.join(KILL_S)
+        self.pipe.close()
+        self.process.close()
+
+
+class WorkerPool:
+    """Workers that each hold a target, by the name of the worker. `ask` all of them, then `gather` their answers.
+
+    A target has the methods `open`, which is called first, and `close`.
+    """
+
+    def __init__(self, targets: Mapping[str, Any], method: str) -> None:
+        if multiprocessing.current_process().daemon:
+            raise RuntimeError('a worker process may start no others; vectorization_mode="sync" needs none')
+        self._owner = os.getpid()
+        self._workers: list[Worker] = []
+        self._answers: dict[int, Any] = {}  # of this question, so far
+        try:
+            for name, target in targets.items():
+                self._workers.append(Worker(target, name, method, [worker.pipe for worker in self._workers]))
+            self.ask("open", [()] * len(targets))
+            self.gather()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pids(self) -> list[int]:
+        """Of the processes."""
+        return [worker.process.pid for worker in self._workers]
+
+    def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
+        """Let each worker call the method `name` of its target with its arguments. Raises `WorkerDied`."""
+        with self._closed_by_death():
+            for worker, own in zip(self._workers, arguments, strict=True):
+                worker.ask(name, *own)
+
+    def gather(self) -> list[Any]:
+        """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
+        with self._closed_by_death():
+            for number in range(len(self._workers)):
+                if number not in self._answers:  # Ctrl-C may have ended an earlier wait
+                    self._answers[number] = self._answer(number)
+        answers, self._answers = [self._answers[number] for number in range(len(self._workers))], {}
+        for answer in answers:
+            if isinstance(answer, Failure):
+                answer.error.add_note(answer.note)
+                raise answer.error
+        return answers
+
+    def close(self) -> None:
+        """Stop the workers: ask, then insist. Another process than the one that started them does nothing."""
+        if os.getpid() != self._owner:
+            return
+        for worker in self._workers:
+            with contextlib.suppress(*GONE, OSError):
+                worker.pipe.send(("close", ()))
+        deadline = time.monotonic() + STOP_S
+        for worker in self._workers:
+            worker.stop(deadline)
+        self._workers = []
+
+    def _answer(self, number: int) -> Any:
+        while not self._workers[number].pipe.poll(LOOK_S):
+            for worker in self._workers:
+                if not worker.process.is_alive():
+                    worker.report_death()
+        return self._workers[number].answer()
+
+    @contextlib.contextmanager
+    def _closed_by_death(self) -> Iterator[None]:
+        """When a worker dies, stop the others, too."""
+        try:
+            yield
+        except WorkerDied as error:
+            for worker in self._workers:
+                worker.process.terminate()
+            self.close()
+            raise WorkerDied(f"{error}; the others are stopped") from None
+
+
+def _serve(pipe: Connection, others: Sequence[Connection], target: Any) -> None:
+    """The process of a worker: call what the pipe names of `target`, whose `place` is what it is working on."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
+    gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
+    for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
+        other.close()
+    with contextlib.suppress(*GONE), pipe:
+        for name, arguments in _questions(pipe):
+            try:
+                pipe.send(getattr(target, name)(*arguments))
+            except GONE:
+                raise
+            except Exception as error:  # of the method, or an answer that cannot be sent
+                pipe.send(Failure.of(error, getattr(target, "place", "")))
+
+
+def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """What comes through the pipe, until it is "close", or the process at the other end is gone."""
+    parent, name = os.getppid(), ""
+    while name != "close" and os.getppid() == parent:
+        if pipe.poll(PATIENCE_S):
+            name, arguments = pipe.recv()
+            yield name, arguments
+
+
+def _cause(exit_code: int | None) -> str:
+    """What ended a process, in words."""
+    if exit_code is None or exit_code >= 0:
+        return f"ended with exit code {exit_code}"
+    with contextlib.suppress(ValueError):
+        return f"was killed by {signal.Signals(-exit_code).name}"
+    return f"was killed by signal {-exit_code}"
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Started so, libraries of a new process use one thread; a forked one keeps the setting of this process."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
+
+
+@contextlib.contextmanager
+def _ctrl_c_blocked(method: str) -> Iterator[None]:
+    """A process started in it never receives Ctrl-C, also while it imports; this process receives it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    if method != "fork":
+        resource_tracker.ensure_running()  # its start would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,217 @@
+"""Units of work on several processes; their results kept in a folder, to resume after a kill and to divide the work.
+
+Each unit has a file with its result as JSON, whose numbers are exact, and the run that it belongs to. Every result
+passes through its file, so that a resumed or divided run gives the same as a single one, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, fields, is_dataclass
+from itertools import islice, takewhile
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.paths import write_atomic
+from mecp_env.core.processes import Failure, Worker, WorkerDied
+from mecp_env.core.provenance import checksum
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
+STOP_POLL_S = 0.2  # how often `stop` is called
+FORMAT, VERSION = "mecp_env result", 1
+NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class FailedUnit:
+    """A unit of work without a result, and the reason."""
+
+    unit: Any
+    reason: str
+    error: Exception  # `WorkerDied` when its process ended
+
+    def __str__(self) -> str:
+        return f"{self.unit}: {self.reason}"
+
+
+def run_units(
+    task: Callable[[Unit], Result], units: Iterable[Unit], jobs: int, stop: Callable[[], bool] = lambda: False
+) -> Generator[tuple[int, Result | FailedUnit]]:
+    """`task(unit)` of each unit as it is finished, with the number of the unit, on `jobs` processes.
+
+    A unit that raises, or whose process dies, gives a `FailedUnit`; the process is replaced, and the others go on. With
+    one job everything runs here. The processes end with the generator: after `close()`, an exception such as Ctrl-C, or
+    when `stop()` is true.
+    """
+    numbered = enumerate(units)
+    if jobs == 1:
+        for number, unit in takewhile(lambda _: not stop(), numbered):
+            yield number, _attempt(task, unit)
+        return
+    workers = _UnitWorkers(task, numbered)
+    try:
+        for _ in range(jobs):
+            workers.begin()
+        while workers.busy and not stop():
+            yield from workers.finished()
+    finally:
+        workers.stop()
+
+
+class _UnitWorkers:
+    """The workers of `run_units`, and the unit that each of them works on."""
+
+    def __init__(self, task: Callable[[Any], Any], waiting: Iterator[tuple[int, Any]]) -> None:
+        self.busy: dict[Worker, tuple[int, Any]] = {}
+        self._task, self._waiting = task, waiting
+
+    def begin(self, worker: Worker | None = None) -> None:
+        """Give the next unit to a worker, or to a new one; when none is left, end it."""
+        for number, unit in islice(self._waiting, 1):
+            worker = worker or Worker(self._task, "its process", START)
+            self.busy[worker] = number, unit
+            with suppress(WorkerDied):  # which its answer will say
+                worker.ask("__call__", unit)
+            return
+        if worker:
+            worker.stop()
+
+    def finished(self) -> Iterator[tuple[int, Any]]:
+        """What is finished within a moment; the workers then have their next units."""
+        pipes: Any = [worker.pipe for worker in self.busy]
+        ready = wait(pipes, STOP_POLL_S)
+        for worker in [worker for worker in self.busy if worker.pipe in ready]:
+            number, unit = self.busy.pop(worker)
+            try:
+                result = worker.answer()
+            except WorkerDied as error:
+                result = FailedUnit(unit, str(error), error)
+                worker.stop()
+                self.begin()
+            else:
+                self.begin(worker)
+            if isinstance(result, Failure):
+                result.error.add_note(result.note)
+                result = FailedUnit(unit, result.reason, result.error)
+            yield number, result
+
+    def stop(self) -> None:
+        """End the workers, whatever they do."""
+        for worker in self.busy:
+            worker.process.terminate()
+        for worker in self.busy:
+            worker.stop()
+
+
+def _attempt(task: Callable[[Unit], Result], unit: Unit) -> Result | FailedUnit:
+    """The result of a unit in this process."""
+    try:
+        return task(unit)
+    except Exception as error:
+        return FailedUnit(unit, Failure.of(error).reason, error)
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A part of the work: every `count`-th unit, from unit `number` on, which counts from 1."""
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The part `NUMBER/COUNT`. Raises `ConfigError`."""
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text, re.ASCII)
+        if not found or not 1 <= int(found[1]) <= int(found[2]):
+            raise ConfigError(f"shard: {text!r:.80}, expected NUMBER/COUNT such as 1/4, with 1 <= NUMBER <= COUNT")
+        return cls(int(found[1]), int(found[2]))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def part(self, units: Sequence[Unit]) -> Sequence[Unit]:
+        """The units of this part."""
+        return units[self.number - 1 :: self.count]
+
+
+WHOLE = Shard(1, 1)
+
+
+class KeptResults:
+    """The results in a folder, each of the type `kind`, that belong to a `run`: its configuration and its code."""
+
+    def __init__(self, folder: Path, kind: Any, run: Mapping[str, Any]) -> None:
+        """Read what is there. Raises `ConfigError` for a file that is damaged or of another run."""
+        self.folder, self._kind, self._run = folder, TypeAdapter(kind), json.loads(json.dumps(run))
+        self.found: dict[str, Any] = dict(map(self._read, sorted(folder.glob("[!.]*.json"))))
+
+    def keep(self, name: str, result: Any) -> Any:
+        """Write the result of the unit `name`, unless another process was faster; the result as its file has it."""
+        path = self.folder / f"{NOT_A_NAME.sub('_', name):.60}-{checksum(name.encode())}.json"
+        if not path.exists():
+            content = {"format": FORMAT, "version": VERSION, "run": self._run, "unit": name, "result": result}
+            write_atomic(path, (json.dumps(content, default=_plain) + "\n").encode())
+        _, self.found[name] = self._read(path)
+        return self.found[name]
+
+    def _read(self, path: Path) -> tuple[str, Any]:
+        try:
+            content = json.loads(path.read_bytes())
+            if content["format"] != FORMAT:
+                raise ValueError(f"its format is {content['format']!r:.40}")
+            self._check_run(path, content["version"], content["run"])
+            return str(content["unit"]), self._kind.validate_python(content["result"])
+        except ConfigError:
+            raise
+        except OSError as error:
+            raise ConfigError(f"{path}: {error.strerror}") from None
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:  # of pydantic, too
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise ConfigError(f"{path}: damaged, or no result of mecp_env ({reason:.120}); remove it") from None
+
+    def _check_run(self, path: Path, version: int, run: dict[str, Any]) -> None:
+        """Raise `ConfigError` for a file of another version or run."""
+        if version != VERSION:
+            raise ConfigError(f"{path}: version {version!r:.20}, this mecp_env reads version {VERSION}")
+        names = [name for name in {**self._run, **run} if run.get(name) != self._run.get(name)]
+        if names:
+            there, here = (", ".join(f"{name} {one.get(name)!r:.60}" for name in names) for one in (run, self._run))
+            raise ConfigError(
+                f"{self.folder} has results of another run: {there}; this one has {here}; "
+                "choose another folder, or remove that one"
+            )
+
+
+def run_kept(
+    task: Callable[[Unit], Any], units: Mapping[str, Unit], kept: KeptResults, jobs: int
+) -> Generator[tuple[str, Any]]:
+    """The name of each unit with its result: first those that are kept already, then the others as they are finished.
+
+    A `FailedUnit` is not kept: the next run repeats the unit. Raises `OSError` when a result cannot be written.
+    """
+    yield from [(name, kept.found[name]) for name in units if name in kept.found]
+    todo = [name for name in units if name not in kept.found]
+    with closing(run_units(task, [units[name] for name in todo], jobs)) as finished:
+        for number, result in finished:
+            name = todo[number]
+            yield name, result if isinstance(result, FailedUnit) else kept.keep(name, result)
+
+
+def _plain(value: Any) -> Any:
+    """A dataclass, or a number or array of NumPy, as JSON has it."""
+    if is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"a result holds no {type(value).__name__}")

@@ -1,0 +1,136 @@
+"""Worker processes: what they inherit, how they end, and what is said of one that dies (tests/vector has more)."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import Any
+
+import pytest
+
+from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerError, WorkerPool
+from tests.vector.helpers import gone_within, needs_linux
+
+pytestmark = needs_linux
+
+
+class Target:
+    """Answers questions of a test."""
+
+    place = "room 3"
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+
+    def open(self) -> str:
+        return self.name
+
+    def close(self) -> None:
+        if self.name == "slow":
+            time.sleep(60)
+
+    def signals(self) -> tuple[bool, bool]:
+        """Whether Ctrl-C is blocked, and ignored."""
+        blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        return blocked, signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+    def threads(self) -> set[str | None]:
+        return {os.environ.get(name) for name in THREADS}
+
+    def end(self, number: int) -> None:
+        os.kill(os.getpid(), number) if number else os._exit(3)
+
+    def fail(self, error: Exception) -> None:
+        raise error
+
+
+@pytest.fixture(params=["fork", "spawn"])
+def worker(request: pytest.FixtureRequest) -> Any:
+    made = Worker(Target("x"), "worker 7", request.param)
+    yield made
+    made.stop()
+
+
+def ask(worker: Worker, name: str, *arguments: Any) -> Any:
+    worker.ask(name, *arguments)
+    return worker.answer()
+
+
+def test_a_worker_has_one_thread_and_is_out_of_reach_of_ctrl_c(worker: Worker) -> None:
+    assert ask(worker, "signals") == (True, True)
+    assert ask(worker, "threads") == {"1"}
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])  # here it is as before
+
+
+def test_the_settings_of_this_process_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(THREADS[0], "5")
+    monkeypatch.delenv(THREADS[1], raising=False)
+    Worker(Target(), "worker 7", "fork").stop()
+    assert os.environ[THREADS[0]] == "5"
+    assert THREADS[1] not in os.environ
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (0, "worker 7 ended with exit code 3"),
+        (signal.SIGKILL, "worker 7 was killed by SIGKILL"),
+        (signal.SIGTERM, "worker 7 was killed by SIGTERM"),
+        (40, "worker 7 was killed by signal 40"),
+    ],
+)
+def test_what_ended_a_worker_is_said_in_words(worker: Worker, number: int, words: str) -> None:
+    with pytest.raises(WorkerDied, match=f"^{words}$"):
+        ask(worker, "end", number)
+
+
+def test_an_exception_comes_with_place_and_traceback(worker: Worker) -> None:
+    failure = ask(worker, "fail", KeyError("x"))
+    assert isinstance(failure, Failure)
+    assert isinstance(failure.error, KeyError)
+    assert failure.note.startswith("in room 3:\nTraceback")
+    assert failure.reason.startswith("KeyError: 'x' (fail, line ")
+    assert isinstance(ask(worker, "open"), str)  # and it goes on
+
+
+class Unsendable(Exception):
+    """Cannot be made again from what is sent."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def test_an_exception_that_cannot_be_sent_is_its_text() -> None:
+    failure = Failure.of(caught(lambda: Target().fail(Unsendable(1, 2))))
+    assert isinstance(failure.error, WorkerError)
+    assert str(failure.error).endswith("Unsendable: 1 and 2")
+
+
+def caught(call: Any) -> Exception:
+    try:
+        call()
+    except Exception as error:
+        return error
+    raise AssertionError
+
+
+def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
+    pool = WorkerPool({"a": Target("a"), "b": Target("b")}, "fork")
+    pids = pool.pids
+    pool.ask("open", [(), ()])
+    assert pool.gather() == ["a", "b"]
+    os.kill(pids[1], signal.SIGKILL)
+    assert gone_within(pids[1:], 1.0)
+    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped"):
+        pool.ask("open", [(), ()])
+    assert gone_within(pids, 1.0)
+    pool.close()
+
+
+def test_a_worker_that_does_not_stop_is_stopped() -> None:
+    pool = WorkerPool({"slow": Target("slow")}, "fork")
+    pids, start = pool.pids, time.monotonic()
+    pool.close()
+    assert time.monotonic() - start < 8.0
+    assert gone_within(pids, 0.0)
