@@ -22,7 +22,7 @@ from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.config import LaserConfig
-from mecp_env.world.laser import Laser, _cast, cast_rays
+from mecp_env.world.laser import Laser, _cast
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
 from mecp_env.wrappers import GoalActions
@@ -101,7 +101,7 @@ def explore(env: MecpEnv, steps: int) -> None:
 
 
 def rays(poses: int) -> Figures:
-    """Median time of a sweep of 720 rays from random poses: compiled, with input checks, laser, pymunk, NumPy."""
+    """Median time of a sweep of 720 rays from random poses: compiled, laser, pymunk, NumPy."""
     outline = build_outline(load_layout(LAYOUT))
     rng = np.random.default_rng(0)
     places = [random_free_pose(outline, rng, 0.3) for _ in range(poses)]
@@ -113,7 +113,6 @@ def rays(poses: int) -> Figures:
     return {
         "faces": len(outline.segments),
         "kernel_us": median_us(lambda pose: _cast(faces, pose, table, spacing, 0.0), places),
-        "checked_us": median_us(lambda pose: cast_rays(outline.segments, pose, BEAMS), places),
         "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
         "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few),
         "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few),

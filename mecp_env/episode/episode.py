@@ -17,7 +17,7 @@ from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.goals import GoalHistory, Goals
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.world.moving_obstacles import Moving, is_whole
+from mecp_env.world.moving_obstacles import Moving
 
 Array = NDArray[np.float64]
 
@@ -80,6 +80,4 @@ def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipe
         check_fields(seed, int | None, "state.seed", examples)
         check_fields(body, dict[str, Array], "state.simulation", examples)
         check_fields(moving, Moving, "state.moving", examples)
-        if not is_whole(moving):
-            raise StateError("state.moving: arrays of the wrong shape")
         check_fields(episode, EpisodeState, "state.episode", examples)

@@ -140,6 +140,8 @@ def check_arrays(body: dict[str, Any], episode: Any, moving: Any) -> None:
     check_filter(episode.pipeline.filter, sizes["F"])
     check_shapes(episode, SHAPES, "state.episode", sizes)
     check_shapes(moving, SHAPES, "state.moving", sizes)
+    if not moving.can_continue():
+        raise StateError("state.moving: a route without the next point, or pedestrians without destinations")
 
 
 def check_truth(episode: Any, free: tuple[int, ...]) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bools
-from mecp_env.core.errors import MecpError
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Scan
 from mecp_env.world.config import LaserConfig
@@ -77,28 +76,6 @@ def _normal_quantiles() -> Normals:
     quantile = NormalDist().inv_cdf
     values = np.array([quantile((i + 0.5) / QUANTILES) for i in range(QUANTILES)], dtype=np.float32)
     return np.clip(values, -CUT_SIGMAS, CUT_SIGMAS)
-
-
-def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
-    """Exact ranges (B,) m from a pose (3,) to the faces (S,2,2) that it sees from their left; inf where there is none.
-
-    Beam i has the bearing -pi + (i + 1) 2 pi / B in the robot's frame. Raises MecpError for wrong shapes, numbers that
-    are not finite, and fewer than three beams.
-    """
-    faces = np.ascontiguousarray(segments, dtype=np.float64)
-    pose = np.ascontiguousarray(T_world_robot, dtype=np.float64)
-    if faces.ndim != 3 or faces.shape[1:] != (2, 2) or not np.isfinite(faces).all():
-        raise MecpError(f"segments: expected finite numbers of shape (S, 2, 2), given shape {faces.shape}")
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise MecpError(f"T_world_robot: expected three finite numbers, given {pose}")
-    if beams < 3:
-        raise MecpError(f"beams: {beams}, at least 3")
-    spacing = 2.0 * math.pi / beams
-    bearings = -math.pi + spacing * np.arange(1, beams + 1)
-    inverse = _cast(faces, pose, np.stack([np.cos(bearings), np.sin(bearings)]), spacing, 0.0)
-    with np.errstate(divide="ignore"):
-        ranges: Array = 1.0 / inverse
-    return ranges
 
 
 @compiled

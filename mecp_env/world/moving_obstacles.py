@@ -29,7 +29,6 @@ STEP_M = 0.3  # along a route, to determine its direction
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
 DISC = np.array([pedestrians.X, pedestrians.Y, pedestrians.RADIUS])
-NO_FACES, NO_DISCS = np.empty((0, 2, 2)), np.empty((0, 3))
 
 
 @dataclass(slots=True, eq=False)
@@ -49,6 +48,11 @@ class Moving:
     start: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m, the building is what can be reached from here
     random: np.random.Generator = field(default_factory=lambda: np.random.Generator(np.random.PCG64(0)))
 
+    def can_continue(self) -> bool:
+        """True when the next point of each route is one of its points, and the pedestrians have destinations."""
+        within = self.legs[:, 0] <= np.maximum(self.legs[:, 1] - 1, 0)
+        return bool(within.all()) and len(self.places) >= min(len(self.pedestrians), 1)
+
 
 class Movers:
     """The dynamic obstacles of one building, step by step; everything that outlives a step is in `state`."""
@@ -63,7 +67,7 @@ class Movers:
     @property
     def faces(self) -> Array:
         """(m,2,2) m, world frame: their faces for the laser, free space on the left."""
-        return moving_faces(self.pedestrian_discs, self.state.boxes, self.state.sizes) if len(self) else NO_FACES
+        return moving_faces(self.pedestrian_discs, self.state.boxes, self.state.sizes)
 
     @property
     def box_corners(self) -> Array:
@@ -73,15 +77,8 @@ class Movers:
     @property
     def walking(self) -> Array:
         """(n,3) m: position and radius of the pedestrians, and of the boxes that slide."""
-        if not len(self.state.boxes):
-            return self.pedestrian_discs
         slides = self.state.boxes[:, 3:].any(axis=1)
         return np.concatenate([self.pedestrian_discs, self.box_discs[slides]])
-
-    @property
-    def discs(self) -> Array:
-        """(n,3) m: position and radius of each."""
-        return np.concatenate([self.pedestrian_discs, self.box_discs])
 
     @property
     def pedestrian_discs(self) -> Array:
@@ -92,8 +89,6 @@ class Movers:
     @property
     def box_discs(self) -> Array:
         """(b,3) m: position and radius of the boxes."""
-        if not len(self.state.boxes):
-            return NO_DISCS
         return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
@@ -108,14 +103,10 @@ class Movers:
         )
         for i in np.flatnonzero(status).tolist():
             if status[i] == pedestrians.ARRIVED:
-                self._rest(i)
+                state.pedestrians[i, pedestrians.PAUSE] = state.random.uniform(*config.pause_s)
+                self._go_to_another_room(i)
             else:
                 self._turn_away(i, robot[:2])
-
-    def _rest(self, i: int) -> None:
-        """Pedestrian i has arrived: it waits, and then goes to another room."""
-        self.state.pedestrians[i, pedestrians.PAUSE] = self.state.random.uniform(*self.config.pause_s)
-        self._go_to_another_room(i)
 
     def _go_to_another_room(self, i: int) -> None:
         state = self.state
@@ -151,7 +142,7 @@ class Movers:
         cells = self._walkways.reachable(self.state.start)
         far = np.hypot(*(cells - self.state.start).T) > OFF_ROBOT_M + self.robot.radius_m + self.config.radius_m[1]
         cells = cells[far]
-        off_doors = door_distances(cells, outline.doors.centre)
+        off_doors = np.linalg.norm(cells[:, None] - outline.doors.centre, axis=2).min(axis=1, initial=math.inf)
         self._place_boxes(cells[off_doors > BOX_OFF_DOORS_M], clutter)
         self._choose_places(cells[off_doors > OFF_DOORS_M], outline)
         if len(self.state.places):
@@ -196,7 +187,7 @@ class Movers:
 
     def _draw_cell(self, cells: Array, reach: float) -> Array | None:
         """One of the places (n,2) at which an object of this radius touches nothing, or None."""
-        discs = self.discs
+        discs = np.concatenate([self.pedestrian_discs, self.box_discs])
         for _ in range(TRIES if len(cells) else 0):
             cell: Array = cells[self.state.random.integers(len(cells))]
             if (np.hypot(*(discs[:, :2] - cell).T) > discs[:, 2] + reach + APART_M).all():
@@ -207,16 +198,6 @@ class Movers:
 def wants_movers(crowd: CrowdConfig, clutter: ClutterConfig) -> bool:
     """True when pedestrians or boxes are configured."""
     return crowd.people > 0 or clutter.movable_boxes > 0
-
-
-def is_whole(moving: Moving) -> bool:
-    """True when the arrays are consistent, and the next point of each route is one of its points."""
-    n, b, p = len(moving.pedestrians), len(moving.boxes), len(moving.places)
-    known = moving.pedestrians, moving.routes, moving.legs, moving.boxes, moving.sizes, moving.places, moving.rooms
-    shapes = (n, pedestrians.PEDESTRIAN), (n, LEGS, 2), (n, 2), (b, BOX), (b, 2), (p, 2), (p,)
-    fits = all(array.shape == shape for array, shape in zip(known, shapes, strict=True))
-    within = fits and bool((moving.legs[:, 0] <= np.maximum(moving.legs[:, 1] - 1, 0)).all())
-    return within and moving.closed.ndim == 1 and moving.start.shape == (2,) and (p > 0 or n == 0)
 
 
 def no_movers(robot: RobotConfig) -> Movers:
@@ -233,10 +214,3 @@ def leads_away(p_world: Array, route: Array, p_robot: Array) -> bool:
 def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Array:
     """The robot (6,) as the compiled functions of the pedestrians need it."""
     return np.array([*T_world_robot[:2], *velocity[:2], robot.radius_m, robot.max_acceleration_m_s2])
-
-
-def door_distances(points: Array, doors: Array) -> Array:
-    """(n,) m from each point (n,2) to the nearest of the doors (d,2); inf without one."""
-    far = np.linalg.norm(points[:, None] - doors[None], axis=2)
-    nearest: Array = far.min(axis=1, initial=math.inf)
-    return nearest

@@ -30,11 +30,6 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
     return Odometry(measured, cov, motion.contact)
 
 
-def variances(increments: Array, config: OdometryConfig) -> Array:
-    """Variances (M,2) of distance (m^2) and turn (rad^2) of each increment (M,2) by the configured reading."""
-    return _variances(increments, *_rules(config))
-
-
 @lru_cache
 def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
     """Reading, sigma of distance and of turn, metres per radian."""
@@ -68,6 +63,7 @@ def _measure(
 
 @compiled
 def _variances(increments: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
+    """Variances (M,2) of distance (m^2) and turn (rad^2) of each increment (M,2)."""
     arcs = increments.shape[0]
     variance = np.empty((arcs, 2))
     path, turned = 0.0, 0.0

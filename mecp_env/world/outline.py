@@ -242,30 +242,21 @@ def _part_with_start(free: BaseGeometry, around: Polygon, layout: Layout) -> Pol
 
 def _faces(area: Polygon) -> tuple[Array, Ints]:
     """Faces (S,2,2) of all rings of `area`, which lies on their left; and the index (S,) of the face before each."""
-    points, ring = _without_collinear(*shapely.get_coordinates(shapely.get_rings(area), return_index=True))
-    before, after = _beside(ring)
-    return np.stack([points, points[after]], axis=1), before
+    faces, before, count = [np.empty((0, 2, 2))], [np.empty(0, np.int64)], 0
+    for ring in (area.exterior, *area.interiors):
+        points = _without_collinear(np.array(ring.coords)[:-1])
+        faces.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+        before.append(np.roll(np.arange(count, count + len(points)), 1))
+        count += len(points)
+    return np.concatenate(faces), np.concatenate(before)
 
 
-def _without_collinear(points: Array, ring: Ints) -> tuple[Array, Ints]:
-    """Rings without their closing points, and without vertices that lie on the line through their neighbours."""
-    ends = np.append(ring[1:] != ring[:-1], True)
-    points, ring = points[~ends], ring[~ends]
-    before, after = _beside(ring)
-    u, v = points - points[before], points[after] - points
+def _without_collinear(points: Array) -> Array:
+    """A ring (n,2) without the vertices that lie on the line through their neighbours."""
+    u, v = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
     cross = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    kept = np.abs(cross) > SAME_M * np.linalg.norm(u + v, axis=1)
-    return points[kept], ring[kept]
-
-
-def _beside(ring: Ints) -> tuple[Ints, Ints]:
-    """Indices (n,) of the points before and after each one, by the ring (n,) that each is part of."""
-    index = np.arange(len(ring))
-    first = np.flatnonzero(np.diff(ring, prepend=-1))
-    last = np.append(first[1:], len(ring)) - 1
-    before, after = index - 1, index + 1
-    before[first], after[last] = last, first
-    return before, after
+    kept: Array = points[np.abs(cross) > SAME_M * np.linalg.norm(u + v, axis=1)]
+    return kept
 
 
 def _round_faces(layout: Layout, segments: Array) -> Bools:

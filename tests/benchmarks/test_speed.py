@@ -9,9 +9,9 @@ from benchmarks import crowd_speed, explorers, polygon_speed, speed
 from benchmarks.common import flatten
 from mecp_env.cli.stopwatch import STAGE_NAMES, STAGES, timed_stages
 from mecp_env.env import MecpEnv
-from mecp_env.world.laser import cast_rays
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose
+from tests.world.rays import cast_rays
 
 
 def test_the_three_ways_to_cast_rays_agree() -> None:

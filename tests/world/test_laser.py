@@ -11,11 +11,12 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.errors import ConfigError
 from mecp_env.world import laser as module
 from mecp_env.world.config import LaserConfig
-from mecp_env.world.laser import Laser, cast_rays
+from mecp_env.world.laser import Laser
 from mecp_env.world.outline import Outline, random_free_pose
+from tests.world.rays import cast_rays
 
 Array = NDArray[np.float64]
 IDEAL = LaserConfig(preset="ideal", sweeps=1)
@@ -230,21 +231,6 @@ def test_line_of_sight_by_hand(two_rooms: Outline) -> None:
     points = np.array([(4.0, 4.0), (8.0, 4.0), (8.0, 1.8), (0.075, 0.075), (2.0, 1.8)])
     assert laser.visible(points, np.array([2.0, 1.8, 0.0])).tolist() == [True, False, True, True, True]
     assert laser.visible(np.empty((0, 2)), np.array([2.0, 1.8, 0.0])).shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ("segments", "pose", "beams", "field"),
-    [
-        (np.zeros((2, 2)), np.zeros(3), 8, "segments"),
-        (np.full((1, 2, 2), np.nan), np.zeros(3), 8, "segments"),
-        (np.zeros((1, 2, 2)), np.zeros(2), 8, "T_world_robot"),
-        (np.zeros((1, 2, 2)), np.array([0.0, np.inf, 0.0]), 8, "T_world_robot"),
-        (np.zeros((1, 2, 2)), np.zeros(3), 2, "beams"),
-    ],
-)
-def test_bad_rays_are_refused(segments: Array, pose: Array, beams: int, field: str) -> None:
-    with pytest.raises(MecpError, match=field):
-        cast_rays(segments, pose, beams)
 
 
 @pytest.mark.parametrize(

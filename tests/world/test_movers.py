@@ -11,6 +11,9 @@ import shapely
 from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.snapshot import StateError
+from mecp_env.core.snapshot_shapes import check_shapes
+from mecp_env.episode.state_shapes import SHAPES
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
 from mecp_env.world import bodies, drive
 from mecp_env.world import pedestrians as crowd
@@ -18,14 +21,15 @@ from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.drive import wall_distance
 from mecp_env.world.faces import moving_faces
-from mecp_env.world.laser import Laser, cast_rays
+from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
-from mecp_env.world.moving_obstacles import Movers, Moving, is_whole
+from mecp_env.world.moving_obstacles import Movers, Moving
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.pedestrians import clear_leg
 from mecp_env.world.simulation import Simulation
 from mecp_env.world.walkways import WalkwayPlanner
 from tests.world.conftest import OUTLINES
+from tests.world.rays import cast_rays
 
 Array = NDArray[np.float64]
 ROBOT = RobotConfig()
@@ -234,13 +238,15 @@ def test_wrong_fields_and_torn_states_are_refused() -> None:
     with pytest.raises(ConfigError, match="people"):
         CrowdConfig(people=-1)
     _, movers = world("two_rooms")
-    assert is_whole(movers.state)
+    assert movers.state.can_continue()
     legs = movers.state.legs.copy()
     movers.state.legs[0, 0] = legs[0, 1]  # behind the end of the route
-    assert not is_whole(movers.state)
-    movers.state.legs = legs
+    assert not movers.state.can_continue()
+    movers.state.legs, movers.state.places = legs, np.empty((0, 2))
+    assert not movers.state.can_continue()
     movers.state.routes = movers.state.routes[:2]
-    assert not is_whole(movers.state)
+    with pytest.raises(StateError, match=r"state\.moving\.routes"):
+        check_shapes(movers.state, SHAPES, "state.moving", {})
 
 
 CROWDED = {"people": 8, "polite": False, "speed_m_s": (0.8, 1.2)}

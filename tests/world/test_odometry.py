@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import OdometryConfig
-from mecp_env.world.odometry import measure, variances
+from mecp_env.world.odometry import _rules, _variances, measure
 from mecp_env.world.simulation import Motion
 
 Array = NDArray[np.float64]
@@ -20,6 +20,11 @@ TURNING = Motion(np.array([[0.0, math.pi / 8.0]] * 4), contact=False)
 CURVE = Motion(np.array([[0.08, 0.1]] * 4), contact=False)
 MIXED = Motion(np.array([[0.05, 0.1], [0.1, -0.2], [-0.02, 0.0], [0.0, 0.0]]), contact=True)
 REST = Motion(np.zeros((4, 2)), contact=False)
+
+
+def variances(increments: Array, config: OdometryConfig) -> Array:
+    """Variances (M,2) of distance and turn of each increment (M,2) by the configured reading."""
+    return _variances(increments, *_rules(config))
 
 
 def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:

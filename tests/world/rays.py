@@ -1,0 +1,25 @@
+"""Exact rays for the tests of the laser."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mecp_env.core.array_types import Array
+from mecp_env.world.laser import _cast
+
+
+def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
+    """Exact ranges (B,) m from a pose (3,) to the faces (S,2,2) that it sees from their left; inf where there is none.
+
+    Beam i has the bearing -pi + (i + 1) 2 pi / B in the robot's frame.
+    """
+    spacing = 2.0 * math.pi / beams
+    bearings = -math.pi + spacing * np.arange(1, beams + 1)
+    inverse = _cast(
+        np.ascontiguousarray(segments), T_world_robot, np.stack([np.cos(bearings), np.sin(bearings)]), spacing, 0.0
+    )
+    with np.errstate(divide="ignore"):
+        ranges: Array = 1.0 / inverse
+    return ranges
