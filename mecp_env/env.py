@@ -14,6 +14,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig, plain_value
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
@@ -41,7 +42,6 @@ from mecp_env.slam.messages import SlamOutput
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 
-Array = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
@@ -438,11 +438,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             **{REWARD_KEYS[name]: value for name, value in terms.items()},
         }
 
-    def _paint(self) -> NDArray[np.uint8]:
+    def _paint(self) -> Bytes:
         from mecp_env.render.screen import Screen  # pygame is loaded only for rendering
 
         self._screen = self._screen or Screen()
-        frame: NDArray[np.uint8] = self._screen.frame(self.view())
+        frame: Bytes = self._screen.frame(self.view())
         return frame
 
     def _show(self) -> None:

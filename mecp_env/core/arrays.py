@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mecp_env.core.array_types import Ints
 from mecp_env.core.jit import compiled
-
-Ints = NDArray[np.int64]
 
 
 @compiled

@@ -7,13 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.core.jit import compiled
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Costs = NDArray[np.int32]
 Distances = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 FREE, OCCUPIED, DOOR = 1, 2, 3  # as in mecp_env.slam.messages.Cell
 HALF_LENGTH = np.array([5, 5, 5, 5, 7, 7, 7, 7])  # of the steps, in tenths of a cell

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 TILE = 16
 WIDE = 8  # doubles in the widest registers

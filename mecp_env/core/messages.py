@@ -7,11 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mecp_env.core.array_types import Array, Bools
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ from functools import cache, cached_property
 from typing import Annotated, Any, Literal, Self, get_args, get_origin
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
+from mecp_env.core.array_types import Rows
 from mecp_env.core.errors import ConfigError
 
 MOST_TOLD = 3  # wrong fields that one message tells of
@@ -156,7 +156,7 @@ class Settings(BaseModel):
             raise ConfigError(describe(error, type(self).__name__, type(self))) from None
 
     @cached_property
-    def record(self) -> NDArray[np.void]:
+    def record(self) -> Rows:
         """(1,) the numbers of this section by name, as compiled functions take them: `limits = record[0]`.
 
         One argument costs 0.1 us however many fields it has, a NamedTuple 0.5 us more. A field `x_deg` comes with its

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
+from mecp_env.core.array_types import Array
 from mecp_env.core.snapshot import StateError, damage_refused
 from mecp_env.core.snapshot_check import check_fields, examples_of
 from mecp_env.episode.observations import TravelledPath
@@ -18,8 +18,6 @@ from mecp_env.planning.goals import GoalHistory, Goals
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
-
-Array = NDArray[np.float64]
 
 STATE_FORMAT, STATE_VERSION = "mecp_env/state", 5
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded

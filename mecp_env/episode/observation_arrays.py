@@ -7,14 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import Belief, FeatureTable
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
 LANDMARKS, GOALS = 128, 32  # rows

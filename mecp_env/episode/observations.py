@@ -10,13 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.episode import observation_arrays
 from mecp_env.episode.observation_arrays import GOALS, LANDMARKS
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)
@@ -97,7 +95,7 @@ class Observer:
         self._goals, self._goal_rows = Goals(), goal_rows(Goals())
         self._became, self._merges = NOTHING_MERGED, 0
         self._key = (-1, -1)
-        self._cache: dict[int, tuple[NDArray[np.uint8], Array]] = {}  # pool width -> codes, their corner
+        self._cache: dict[int, tuple[Bytes, Array]] = {}  # pool width -> codes, their corner
 
     def observe(
         self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath
@@ -117,16 +115,14 @@ class Observer:
         left_out = max(0, len(output.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
         return observation, left_out + outside
 
-    def _window(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> NDArray[np.uint8]:
+    def _window(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> Bytes:
         grid, pose = output.grid, np.ascontiguousarray(output.belief.T_map_robot)
         pooled, corner = self._pooled(grid, output.graph.current, max(1, round(size[1] / grid.resolution_m)))
         path = trail.points[: trail.count]
-        layers: NDArray[np.uint8] = observation_arrays.window_layers(
-            pooled, corner, grid.resolution_m, pose, size, path
-        )
+        layers: Bytes = observation_arrays.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
         return layers
 
-    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[NDArray[np.uint8], Array]:
+    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[Bytes, Array]:
         if self._key != (grid.version, room):
             self._key = (grid.version, room)
             self._cache = {}

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mecp_env.config import RewardConfig
+from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
 from mecp_env.slam.messages import Belief, SemanticGrid
-
-Array = NDArray[np.float64]
 
 TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence")
 LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose

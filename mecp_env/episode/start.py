@@ -6,17 +6,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely.geometry import Point
 
 from mecp_env.config import unknown
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import number
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import wall_distance
 from mecp_env.world.outline import Outline, random_free_pose
 
-Array = NDArray[np.float64]
 Start = str | tuple[float, float, float]
 
 OPTIONS = ("start", "building")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.messages import Scan
 from mecp_env.core.snapshot import StateError, damage_refused
@@ -22,8 +22,6 @@ from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_mov
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.simulation import Motion, Simulation
 from mecp_env.world.walkways import WalkwayPlanner
-
-Array = NDArray[np.float64]
 
 
 class TrueWorld:

@@ -8,17 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.outline import Outline
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 CELL_M = metric_arrays.CELL_M
 MARGIN_M = 1.0  # of the rasters around the building

@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.core.se2 import inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.messages import Belief, Cell, Door, SemanticGrid, SlamOutput
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DOOR_GATE_M = 0.3
 
@@ -97,7 +95,7 @@ def grid_iou(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> floa
     return float((believed & true).sum()) / float((believed | true).sum())
 
 
-def labels_at(grid: SemanticGrid, p_map: Array) -> NDArray[np.uint8]:
+def labels_at(grid: SemanticGrid, p_map: Array) -> Bytes:
     """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
     return cells_at(grid, grid.label, p_map, np.uint8(Cell.UNKNOWN))
 

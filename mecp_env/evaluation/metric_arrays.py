@@ -7,15 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, solve_lower
 from mecp_env.core.se2 import polar_to_points, to_map, wrap_angle
 from mecp_env.slam.messages import Decision
 from mecp_env.world.laser import line_of_sight
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell seen is a cell on this side
 STEP = 0.9  # cells between two looks along a beam

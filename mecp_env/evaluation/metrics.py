@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth, identify
@@ -16,8 +17,6 @@ from mecp_env.slam.messages import Belief, SlamOutput
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth", "identify"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NEVER = 2**40  # a step that never comes
 SWEEP_STEP_M = 0.4  # the visible area is computed again after this motion
@@ -87,7 +86,7 @@ class EpisodeMetrics:
 
     T_world_map: Array  # (3,) true pose at reset: origin of the map frame
     T_map_robot: Array  # (3,) true pose in the map frame
-    seen: NDArray[np.bool_]  # (H,W) free cells the robot has seen
+    seen: Bools  # (H,W) free cells the robot has seen
     association: AssociationLog
     swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
     seen_cells: int = 0
@@ -105,7 +104,7 @@ class EpisodeMetrics:
     doors: tuple[int, int] = (0, 0)  # found, false
     compared_rooms: tuple[int, ...] = ()
     compared_doors: int = 0
-    visited_by_obstacles: NDArray[np.bool_] = field(
+    visited_by_obstacles: Bools = field(
         default_factory=lambda: np.zeros((0, 0), np.bool_)
     )  # (H,W) visited by dynamic obstacles
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.planning.goals import GoalKind
 
 PATH, KIND, ROOM, LEVEL, VALID = 2, 4, 5, 6, 8  # columns of the observation's goals
@@ -30,7 +30,7 @@ class BreadthFirst:
     def reset(self) -> None:
         """Start an episode; the policy has no state."""
 
-    def act(self, observation: dict[str, Any], mask: NDArray[np.bool_] | None = None) -> int:
+    def act(self, observation: dict[str, Any], mask: Bools | None = None) -> int:
         """Row of the goal to drive to; 0 without goals. `mask` (32,) excludes rows."""
         goals = np.asarray(observation["goals"], np.float64)
         valid = goals[:, VALID] > 0.5
@@ -40,7 +40,7 @@ class BreadthFirst:
         return int(min(rows, key=lambda row: rank(goals, int(row)))) if len(rows) else 0
 
 
-def rank(goals: NDArray[np.float64], row: int) -> tuple[float, ...]:
+def rank(goals: Array, row: int) -> tuple[float, ...]:
     """Order of the rows: the smallest is next."""
     kind, path, level = goals[row, KIND], goals[row, PATH], goals[row, LEVEL]
     if kind == GoalKind.DOOR:
@@ -49,7 +49,7 @@ def rank(goals: NDArray[np.float64], row: int) -> tuple[float, ...]:
     return (0.0, level, path) if here else (1.0, path, level)
 
 
-def room_to_complete(goals: NDArray[np.float64]) -> float:
+def room_to_complete(goals: Array) -> float:
     """The room of the first goal that is not a door: the robot's room, or else the nearest room with goals."""
     local = np.flatnonzero((goals[:, VALID] > 0.5) & (goals[:, KIND] != GoalKind.DOOR))
     return float(goals[local[0], ROOM]) if len(local) else -1.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import ControlConfig, PathsConfig
-from mecp_env.slam.messages import Array, MergedScan
-
-Record = NDArray[np.void]  # of a configuration section
+from mecp_env.slam.messages import MergedScan
 
 SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # shares of the desired speed, fastest first
 BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the desired curvature where the path is blocked
@@ -50,9 +48,9 @@ def coast(
 def follow_path(
     path: Array,
     T_map_robot: Array,
-    beams: tuple[Array, Array, NDArray[np.bool_]],
-    control_record: Record,
-    body_record: Record,
+    beams: tuple[Array, Array, Bools],
+    control_record: Rows,
+    body_record: Rows,
 ) -> tuple[float, float]:
     """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
     control, top_turn = control_record[0], control_record[0].turn_rad_s
@@ -69,7 +67,7 @@ def follow_path(
 
 @compiled
 def safe_command(
-    speed: float, curvature: float, p_robot: Array, control_record: Record, body_record: Record
+    speed: float, curvature: float, p_robot: Array, control_record: Rows, body_record: Rows
 ) -> tuple[float, float]:
     """The fastest command near the desired one that can stop before the points (n,2) m; (0, 0) without one."""
     control = control_record[0]
@@ -89,7 +87,7 @@ def seen_points(beams: MergedScan, control: ControlConfig) -> Array:
 
 
 @compiled
-def near_points(ranges: Array, bearings: Array, hit: NDArray[np.bool_], reach: float) -> Array:
+def near_points(ranges: Array, bearings: Array, hit: Bools, reach: float) -> Array:
     """Hits (n,2) m, robot frame, nearer than `reach`, each range the median of five neighbours."""
     count, n = ranges.shape[0], 0
     points = np.empty((count, 2))
@@ -121,7 +119,7 @@ def nearest_point(p_robot: Array, x: float, y: float) -> float:
 
 @compiled
 def can_stop(
-    p_robot: Array, v: float, curvature: float, delay_s: float, control_record: Record, body_record: Record
+    p_robot: Array, v: float, curvature: float, delay_s: float, control_record: Rows, body_record: Rows
 ) -> bool:
     """True when the robot can brake, after a delay on its arc, without coming too near to the points (n,2) m.
 

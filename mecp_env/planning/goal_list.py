@@ -8,7 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from mecp_env.slam.messages import NO_ID, Array, Ints
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.slam.messages import NO_ID
 
 
 class GoalKind(IntEnum):

@@ -9,11 +9,11 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig
-from mecp_env.slam.messages import Array, Bools, Ints, MapPolygon, SemanticGrid
+from mecp_env.slam.messages import MapPolygon, SemanticGrid
 
-Bytes = NDArray[np.uint8]
 Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]
 

@@ -11,18 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.planning import goal_search
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
-from mecp_env.slam.messages import (
-    UNKNOWN_ROOM,
-    Array,
-    Belief,
-    Door,
-    EdgeLabel,
-    Ints,
-    SlamOutput,
-)
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel, SlamOutput
 
 Point = tuple[float, float]
 OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import UNKNOWN_ROOM, Array, RoomGraph, SlamOutput
+from mecp_env.slam.messages import UNKNOWN_ROOM, RoomGraph, SlamOutput
 
 __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 

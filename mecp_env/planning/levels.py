@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mecp_env.slam.messages import UNKNOWN_ROOM, Array, RoomGraph, SlamOutput
+from mecp_env.core.array_types import Array
+from mecp_env.slam.messages import UNKNOWN_ROOM, RoomGraph, SlamOutput
 
 Point = tuple[float, float]
 

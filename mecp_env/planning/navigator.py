@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core import grid_paths
+from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, landmark_places, unexplained_gaps
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import NO_ID, Array, Cell, Door, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid, SlamOutput
 
 OFF_PATH_M = 0.4  # the robot plans again when it is farther from its path
 BACK_M_S = 0.2

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core import grid_paths
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.planning.config import PathsConfig
 from mecp_env.slam.messages import SemanticGrid
 
-Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 Costs = NDArray[np.int32]
 
 REMEMBERED = 4  # fields: a goal that is chosen is driven to over the field it was found with

@@ -15,12 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 UNKNOWN_ROOM = -1
 NO_ID = -1
@@ -231,7 +228,7 @@ FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estim
 class FeatureTable:
     """All features, one row per id; ids are never used twice. The properties are columns, to read and to write."""
 
-    rows: NDArray[np.void] = field(default_factory=lambda: np.empty(0, FEATURE))  # (F,) FEATURE
+    rows: Rows = field(default_factory=lambda: np.empty(0, FEATURE))  # (F,) FEATURE
 
     @property
     def state(self) -> Ints:
@@ -375,7 +372,7 @@ class MapView:
 class SemanticGrid:
     """The occupancy grid with meaning, painted from the current estimates. Index [row, col] = [y, x]."""
 
-    label: NDArray[np.uint8]  # (H,W) Cell
+    label: Bytes  # (H,W) Cell
     polygon: Bools  # (H,W) covered by a polygon (the paper's layer)
     room: NDArray[np.int16]  # (H,W) room id, -1 unknown
     origin: Array  # (2,) m, map frame: the lower left corner of cell [0, 0]

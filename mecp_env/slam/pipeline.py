@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association import Associator, ignored, make_associator
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
@@ -24,9 +22,6 @@ from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Sighting, SlamOutput
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True, eq=False, init=False)

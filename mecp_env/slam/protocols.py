@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Protocol, Self
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import MecpError
 from mecp_env.core.messages import Odometry
-from mecp_env.slam.messages import Array, Belief, Corners, Ints, MapView, Match, Polygon
+from mecp_env.slam.messages import Belief, Corners, MapView, Match, Polygon
 
 
 class FilterError(MecpError):

@@ -7,19 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, MapView
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.void]
 
 HERE = -2  # not seen through a door
 NOWHERE = np.empty(0, np.int64)

@@ -6,14 +6,10 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import NO_ID, Corners, Decision, MapView, Match, Reason
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 ROW = np.dtype([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)], align=True)
 INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)  # copied, faster than filled

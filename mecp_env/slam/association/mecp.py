@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
@@ -16,10 +16,6 @@ from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatc
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 NONE = np.empty(0, np.int64)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.association.nearest import pair_nearest
@@ -14,9 +14,6 @@ from mecp_env.slam.association.polygon_matching import map_polygons_of
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(slots=True, eq=False)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.slam.association.gating import chi2_gate, one_to_one
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import Corners, Decision, Ints, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 
 
@@ -28,7 +28,7 @@ class NearestAssociator(Associator):
         return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
 
 
-def pair_nearest(builder: MatchBuilder, nis: NDArray[np.float64], landmarks: Ints, gate: float) -> None:
+def pair_nearest(builder: MatchBuilder, nis: Array, landmarks: Ints, gate: float) -> None:
     """Give each corner still NEW its nearest landmark by `nis` (n,N), one to one, inside the gate."""
     row = one_to_one(nis, gate)
     corners = np.flatnonzero((row >= 0) & (builder.rows["decision"] == int(Decision.NEW)))

@@ -7,9 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
+from mecp_env.core.array_types import Ints
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, Ints, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, FeatureState, MapView, Polygon, Rings
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

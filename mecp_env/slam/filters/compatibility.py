@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, quadratic, solve_lower, sum_of_squares
@@ -14,9 +14,6 @@ from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise
 from mecp_env.slam.filters.landmarks import take
 from mecp_env.slam.filters.update import gauss_newton
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
 

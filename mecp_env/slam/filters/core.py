@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
@@ -17,7 +18,7 @@ from mecp_env.slam.filters.landmarks import append, take, world_belief
 from mecp_env.slam.filters.measurement import innovation
 from mecp_env.slam.filters.motion import predict
 from mecp_env.slam.filters.update import batch_update, merge_pair
-from mecp_env.slam.messages import Array, Belief, Ints
+from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError
 
 FIRST_CAPACITY = 32  # landmarks; grows by doubling

@@ -11,14 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import mirror_lower
 from mecp_env.core.se2 import wrap_angle
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @compiled

@@ -9,13 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.filters.error_state import change_chart
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @compiled

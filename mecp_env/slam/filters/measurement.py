@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import wide
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import linearise
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @compiled

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.messages import Odometry
-from mecp_env.slam.messages import Array
 from mecp_env.slam.protocols import Filter
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower, sum_of_squares
 from mecp_env.slam.filters.error_state import linearise, retract
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CONVERGED = 1e-7  # m and rad: an iteration stops when no number of the state moves by more
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Record = Any  # a row of `Settings.record` or of a structured array: numbers by name
 Records = Any  # a structured array
 
@@ -26,7 +24,7 @@ class Noise(NamedTuple):
 
 
 @compiled
-def laser_noise(sensor: NDArray[np.void]) -> Noise:
+def laser_noise(sensor: Rows) -> Noise:
     """The noise of `SensorModel.record`; a perfect laser gets a small range sigma."""
     model = sensor[0]
     range_m = max(model.range_sigma_m, model.least_range_sigma_m)

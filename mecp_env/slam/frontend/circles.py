@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.frontend.beams import Noise, Record
 from mecp_env.slam.frontend.split_and_merge import line_cost
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 ITERATIONS = 5
 
 

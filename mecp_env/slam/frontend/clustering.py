@@ -6,16 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import ClusteringConfig, SegmentConfig, SensorModel
 from mecp_env.slam.frontend.beams import Record, laser_noise
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Threshold(NamedTuple):
@@ -49,8 +45,8 @@ def cluster_beams(
 def find_clusters(
     beams: tuple[Array, Array, Bools, Ints],
     rule: tuple[float, float, float],
-    segments: NDArray[np.void],
-    sensor: NDArray[np.void],
+    segments: Rows,
+    sensor: Rows,
 ) -> tuple[int, Ints]:
     """The beam at position 0, and first position, last position and kind (3,C) of the clusters.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import CornerConfig, SensorModel
@@ -22,10 +22,6 @@ from mecp_env.slam.frontend.line_intersections import (
     spread_of,
 )
 from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan, Segments
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
@@ -54,9 +50,9 @@ def find_corners(
     beams: tuple[Array, Array, Ints, Bools, Array, Array],
     segments: tuple[Array, Array, Array, Ints, Ints, Ints],
     roll: int,
-    config: NDArray[np.void],
-    gap_config: NDArray[np.void],
-    sensor: NDArray[np.void],
+    config: Rows,
+    gap_config: Rows,
+    sensor: Rows,
 ) -> tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]:
     """z, kind, convex and normals of `Corners`, then its cov, beyond and sites, and the fields of `Doorways`.
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Scan
 from mecp_env.slam.config import SensorModel
 from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import MergedScan
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 def merge_sweeps(scan: Scan, sensor: SensorModel) -> MergedScan:
@@ -37,7 +33,7 @@ def merge_sweeps(scan: Scan, sensor: SensorModel) -> MergedScan:
 
 @compiled
 def average_sweeps(
-    ranges: Array, bearings: Array, hit: Bools, max_range: float, sensor: NDArray[np.void]
+    ranges: Array, bearings: Array, hit: Bools, max_range: float, sensor: Rows
 ) -> tuple[Array, Array, Bools, Ints, Array, Array]:
     """The fields of `MergedScan` but for the largest range, from sweeps (K,B)."""
     sweeps, size = ranges.shape

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
 from mecp_env.slam.frontend.beams import Noise, Record
 from mecp_env.slam.frontend.split_and_merge import line_cost, scatter
 
-Array = NDArray[np.float64]
 ITERATIONS = 2
 
 

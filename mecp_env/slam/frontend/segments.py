@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.config import SegmentConfig, SensorModel
@@ -22,9 +22,6 @@ from mecp_env.slam.frontend.split_and_merge import (
     split_cluster,
 )
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan, Segments
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def extract_segments(beams: MergedScan, clusters: Clusters, config: SegmentConfig, sensor: SensorModel) -> Segments:
@@ -48,8 +45,8 @@ def find_segments(
     beams: tuple[Array, Array, Ints],
     clusters: tuple[Ints, Ints, Ints],
     roll: int,
-    config: NDArray[np.void],
-    sensor: NDArray[np.void],
+    config: Rows,
+    sensor: Rows,
 ) -> tuple[Array, Array, Array, Ints]:
     """End points (L,2,2), lines (L,2), covariances (L,2,2) and cluster, first, last (3,L) of all segments.
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.frontend.beams import Noise
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 FEWEST = 3  # positions of a line: two have no residual
 SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
 ROUNDING = 1 << 32  # units in the last place, 1e-6: far more than rounding errors make

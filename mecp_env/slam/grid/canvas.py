@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid import cells
-from mecp_env.slam.messages import UNKNOWN_ROOM, Array, Bools, Ints, SemanticGrid
+from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 
 GROWTH_CELLS = 20  # the grid grows by multiples of this
 MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
@@ -34,7 +35,7 @@ class Canvas:
     grid: SemanticGrid
     layers: NDArray[np.int16] = field(default_factory=lambda: np.zeros((7, 0, 0), np.int16))  # (7,H,W)
     lattice: Ints = field(default_factory=lambda: np.zeros(2, np.int64))  # (2,) column, row of cell [0, 0]
-    mask: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1), np.uint8))  # (H,W+1) scratch, all zero
+    mask: Bytes = field(default_factory=lambda: np.zeros((0, 1), np.uint8))  # (H,W+1) scratch, all zero
     dirty: Ints = field(default_factory=lambda: np.array(NOTHING, np.int64))  # (4,) window to publish
 
     @property
@@ -123,7 +124,7 @@ class Canvas:
         self.everything_dirty()
 
 
-def find_pockets(label: NDArray[np.uint8], room: NDArray[np.int16], complete: Bools) -> Bools:
+def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bools:
     """(H,W) the unknown cells that only the walls and the floor of one completed room surround.
 
     Such a component of unknown cells (4 neighbours) does not reach the border of the grid, touches no door and touches

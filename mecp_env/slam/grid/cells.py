@@ -12,15 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid.door_sight import door_ends, door_share, looks_through, split_outline
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Layer = NDArray[np.int16]
-Bytes = NDArray[np.uint8]
 
 FREE, HITS, COVER, COVER_ROOM, ROOM, DOOR, POCKET = range(7)  # the layers of a grid
 UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, DOOR_CELL = range(4)  # as in mecp_env.slam.messages.Cell

@@ -5,16 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.messages import MergedScan, Segments
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Record = NDArray[np.void]  # `GridConfig.record`
 
 MOVED, CAME, WENT = (1 << bit for bit in range(3))  # what can happen to landmarks
 
@@ -33,7 +28,7 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
 
 @compiled
 def _free_and_walls(
-    beams: tuple[Array, Array, Bools], lines: tuple[Array, Array, Ints, Ints, int], config: Record
+    beams: tuple[Array, Array, Bools], lines: tuple[Array, Array, Ints, Ints, int], config: Rows
 ) -> tuple[Array, Array]:
     """See `free_and_walls`; the beams that fit a line are put onto it."""
     ranges, bearings, hit = beams
@@ -65,7 +60,7 @@ def _free_and_walls(
 
 
 @compiled
-def loose_strips(ranges: Array, bearings: Array, hit: Bools, owner: Ints, strips: Array, n: int, config: Record) -> int:
+def loose_strips(ranges: Array, bearings: Array, hit: Bools, owner: Ints, strips: Array, n: int, config: Rows) -> int:
     """Write strips (.,4,2) behind neighbouring hits that lie on no line (a post, a leg), from row n; the next row."""
     count, depth, reach = ranges.shape[0], config[0].resolution_m, config[0].paint_range_m
     for i in range(count):
@@ -94,7 +89,7 @@ def turns_into_room(points: Array, i: int, j: int, gap: float) -> bool:
 
 
 @compiled
-def wall_strips(points: Array, strips: Array, config: Record) -> int:
+def wall_strips(points: Array, strips: Array, config: Rows) -> int:
     """Write strips (.,4,2) one cell deep behind the segments (L,2,2), as far as they are painted; how many."""
     count, n, depth, reach = points.shape[0], 0, config[0].resolution_m, config[0].paint_range_m
     for i in range(count):

@@ -6,19 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
-from mecp_env.slam.messages import (
-    NO_ID,
-    UNKNOWN_ROOM,
-    Array,
-    Belief,
-    Bools,
-    Ints,
-    MapPolygon,
-    RoomGraph,
-)
+from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, Belief, MapPolygon, RoomGraph
 
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 

@@ -11,21 +11,12 @@ from operator import attrgetter, is_not
 
 import numpy as np
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas, empty_grid
 from mecp_env.slam.grid.layers import DoorLayer, PolygonLayer, ScanLayer
-from mecp_env.slam.messages import (
-    UNKNOWN_ROOM,
-    Array,
-    Belief,
-    Ints,
-    MapPolygon,
-    MergedScan,
-    RoomGraph,
-    Segments,
-    SemanticGrid,
-)
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
 
 IDS = attrgetter("ids")
 

@@ -11,15 +11,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import DynamicObjectsConfig
 from mecp_env.slam.landmark_map.tracks import room_unseen_since
 from mecp_env.slam.messages import (
     NO_ID,
     Belief,
-    Bools,
     Cell,
     Corners,
     Decision,
@@ -31,11 +30,6 @@ from mecp_env.slam.messages import (
     SemanticGrid,
 )
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
-Bytes = NDArray[np.uint8]
 
 FREE, DOOR = int(Cell.FREE), int(Cell.DOOR)
 NEW, RECOGNISED = int(Decision.NEW), int(Decision.LANDMARK)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mecp_env.core.array_types import Ints
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
@@ -16,7 +17,6 @@ from mecp_env.slam.messages import (
     Belief,
     FeatureState,
     FeatureTable,
-    Ints,
     MapView,
     Match,
     MergedScan,

@@ -8,16 +8,11 @@ from dataclasses import dataclass, field, replace
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import inside_polygon
 from mecp_env.slam.messages import Belief, FeatureState, FeatureTable, MapPolygon, Match, Polygon, Rings, RoomGraph
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.void]
 
 DEAD = int(FeatureState.DEAD)
 

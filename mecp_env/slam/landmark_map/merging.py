@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.messages import LANDMARK, Belief, FeatureTable, Match
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 
 def find_duplicate(features: FeatureTable, belief: Belief, match: Match, config: TrackConfig) -> tuple[int, int] | None:

@@ -10,16 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.config import DynamicObjectsConfig
 from mecp_env.slam.messages import Belief, FeatureTable, MergedScan, Segments
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 
 def find_pruned(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn, polar_to_points, to_map
 from mecp_env.slam.config import TrackConfig
@@ -21,11 +21,6 @@ from mecp_env.slam.messages import (
     Reason,
     Sighting,
 )
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Rows = NDArray[np.void]
 
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
 JAMB, NEW, PROVISIONAL = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.PROVISIONAL)

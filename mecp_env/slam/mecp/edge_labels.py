@@ -6,14 +6,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import ClusterKind, EdgeLabel
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Record = Any  # a row of `Settings.record`: numbers by name
 
 PASSES, STOPS, SHORT = 1, 0, -1  # what a beam does at an edge

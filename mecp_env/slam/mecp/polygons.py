@@ -6,18 +6,15 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.edge_labels import wall_beams
 from mecp_env.slam.mecp.search import around_leftmost, around_robot, best_rings, twice_area
 from mecp_env.slam.mecp.wall_crossing import polygons_of_scan
 from mecp_env.slam.messages import Clusters, Corners, MergedScan, Polygon
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 def largest_empty_convex_polygons(

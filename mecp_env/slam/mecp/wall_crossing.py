@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.mecp.cycles import best_cycles, visible_edges
 from mecp_env.slam.mecp.edge_labels import EdgeBeams, Record, edge_between, edge_is_cut, write_intervals
 from mecp_env.slam.messages import CornerKind
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 LAZY_ATTEMPTS = 2
 MATCHABLE = 4  # a triangle is no evidence of a place (derivations 1.4)
@@ -23,7 +19,7 @@ MATCHABLE = 4  # a triangle is no evidence of a place (derivations 1.4)
 
 @compiled
 def polygons_of_scan(
-    corners: tuple[Array, Array, Bools, Ints, Ints, Ints], beams: tuple[Array, Array, Bools], config: NDArray[np.void]
+    corners: tuple[Array, Array, Bools, Ints, Ints, Ints], beams: tuple[Array, Array, Bools], config: Rows
 ) -> tuple[Ints, Array, Ints]:
     """Corners (s,) and intervals (t,4) of all polygons, one after the other, and where each one's end (p,2).
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.arrays import row_of
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, to_map
@@ -23,10 +23,6 @@ from mecp_env.slam.messages import (
     Reason,
     Sighting,
 )
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 DYNAMIC = int(Reason.DYNAMIC)
 

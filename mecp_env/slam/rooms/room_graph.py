@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.messages import (
@@ -35,10 +35,6 @@ from mecp_env.slam.rooms.doors import (
     seen_through,
 )
 from mecp_env.slam.rooms.trail import Trail
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Rows = NDArray[np.void]
 
 LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
 
