@@ -130,7 +130,7 @@ def belief_tables(
     cut: int = fill_tables(
         (pose, pose_cov, landmarks, goals),
         (T_map_robot, cov, belief.p_map, belief.covs),
-        (belief.ids, features.room, features.kind, became),
+        (belief.ids, features.rows["room"], features.rows["kind"], became),
         p_goals,
         limits,
     )

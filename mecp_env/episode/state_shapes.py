@@ -28,7 +28,7 @@ SHAPES: Shapes = {
     },
     "FeatureTable": {"rows": "F"},
     "MapPolygon": {"ids": "k in 0:F", "intervals": "i 4", "room": " in -1:32768"},
-    "Rings": {"ids": "n k in 0:F", "index": "n in 0:P"},
+    "PolygonGroup": {"ids": "n k in 0:F", "index": "n in 0:P"},
     "DoorMap": {"ids": "n", "jambs": "n 4 in -1:F"},
     "Trail": {"p_map": f"n 2 in {NEAR}", "since": "n 2"},
     "Canvas": {
@@ -132,8 +132,8 @@ def check_arrays(body: dict[str, Any], episode: Any, moving: Any) -> None:
     landmarks = np.flatnonzero(rows["state"] == FeatureState.LANDMARK)
     if not np.isin(landmarks, episode.pipeline.filter.slot_ids).all():
         raise StateError("state.episode.pipeline.map.features.rows: a landmark that is not in the filter")
-    if any(rings.ids.shape[1:] != (k,) for k, rings in polygons.rings.items()):
-        raise StateError("state.episode.pipeline.map.polygons.rings: polygons of another number of vertices")
+    if any(group.ids.shape[1:] != (k,) for k, group in polygons.groups.items()):
+        raise StateError("state.episode.pipeline.map.polygons.groups: polygons of another number of vertices")
     for name, value in body.items():
         check_declared(value, f"6 in {NEAR}", {}, f"state.simulation.{name}")
     sizes = {"F": len(rows), "P": len(polygons.polygons)}

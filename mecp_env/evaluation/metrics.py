@@ -59,9 +59,9 @@ class AssociationLog:
         """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
         step, truth, feature, matched = self.rows[: self.used].T
         real, hit = truth >= 0, matched.astype(np.bool_)
-        identity, born = self.features.T
+        identity, since = self.features.T
         first = np.full(self.true_corners + 1, NEVER)  # step of the first landmark of each true corner
-        np.minimum.at(first, identity, born)
+        np.minimum.at(first, identity, since)
         right = real & (feature >= 0) & (identity[feature] == truth)
         missed = real & (first[truth] < step)
         return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])

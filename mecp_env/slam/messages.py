@@ -194,10 +194,10 @@ class MapPolygon:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rings:
-    """The known polygons of one cardinality, for matching."""
+class PolygonGroup:
+    """The map polygons of one cardinality, for matching."""
 
-    index: Ints  # (C,) index in the list of known polygons
+    index: Ints  # (C,) index in the list of map polygons
     ids: Ints  # (C,k) vertex ids, ccw
 
 
@@ -226,29 +226,9 @@ FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estim
 
 @dataclass(slots=True, eq=False)
 class FeatureTable:
-    """All features, one row per id; ids are never used twice. The properties are columns, to read and to write."""
+    """All features, one row per id; ids are never used twice."""
 
     rows: Rows = field(default_factory=lambda: np.empty(0, FEATURE))  # (F,) FEATURE
-
-    @property
-    def state(self) -> Ints:
-        return self.rows["state"]
-
-    @property
-    def room(self) -> Ints:
-        return self.rows["room"]
-
-    @property
-    def kind(self) -> Ints:
-        return self.rows["kind"]
-
-    @property
-    def convex(self) -> Ints:
-        return self.rows["convex"]
-
-    @property
-    def normals(self) -> Array:
-        return self.rows["normals"]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -363,7 +343,7 @@ class MapView:
     step: int
     belief: Belief  # predicted to this step
     features: FeatureTable
-    rings: dict[int, Rings]  # known polygons by cardinality
+    groups: dict[int, PolygonGroup]  # map polygons by cardinality
     graph: RoomGraph
     through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
 

@@ -112,7 +112,7 @@ class SlamPipeline:
         associated = updated = ignored(len(corners))
         with self.divergence:
             associated = self.associator.associate(corners, polygons, view, self.filter)
-            check_match(associated, len(corners), len(view.features.state))
+            check_match(associated, len(corners), len(view.features))
             oldest = self.step_count - self.config.filter.closure_gap_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
             updated = self._update(corners, self.map.mark_closure(sure, oldest))

@@ -5,7 +5,7 @@ A filter takes and gives world coordinates and stable ids; how it stores them is
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import Protocol
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import MecpError
@@ -28,7 +28,7 @@ class Filter(Protocol):
 
     @property
     def ids(self) -> Ints:
-        """(N,) ids of the landmarks in the order of their birth."""
+        """(N,) ids of the landmarks in the order of their initialisation."""
 
     def has(self, landmark: int) -> bool:
         """True when the filter holds a landmark with this id."""
@@ -65,9 +65,6 @@ class Filter(Protocol):
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
-
-    def snapshot(self) -> Self:
-        """A deep copy."""
 
     def set_pose(self, T_map_robot: Array) -> None:
         """The pose is exactly this (estimator "truth"); the landmarks keep their covariance."""

@@ -121,7 +121,7 @@ GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
 
 def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> np.ndarray:
     rows = np.zeros((LANDMARKS, 8), np.float32)
-    labels = (belief.ids, features.room, features.kind, rooms_after_merges(graph))
+    labels = (belief.ids, features.rows["room"], features.rows["kind"], rooms_after_merges(graph))
     observation_arrays.landmark_rows(belief.T_map_robot, belief.p_map, belief.covs, labels, rows)
     return rows
 

@@ -97,16 +97,16 @@ def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
     identity = majority_identity(steps)
     pipeline = steps[-1][0]
     for landmark in steps[-1][1].belief.ids.tolist():
-        if pipeline.map.features.kind[landmark] != int(CornerKind.JAMB):
+        if pipeline.map.features.rows["kind"][landmark] != int(CornerKind.JAMB):
             west = drive.outline.corners.p_world[identity[landmark], 0] < 5.0
-            assert pipeline.rooms.resolve(int(pipeline.map.features.room[landmark])) == (0 if west else 1)
+            assert pipeline.rooms.resolve(int(pipeline.map.features.rows["room"][landmark])) == (0 if west else 1)
 
 
 def test_visible_landmarks_are_the_vertices_of_the_polygons_around_a_point(steps):
     pipeline, output, _, _ = steps[-1]
     here = pipeline.visible_landmarks(output.belief.T_map_robot[:2])
     assert len(here) >= 4
-    assert (pipeline.map.features.state[here] == int(FeatureState.LANDMARK)).all()
+    assert (pipeline.map.features.rows["state"][here] == int(FeatureState.LANDMARK)).all()
     assert len(pipeline.visible_landmarks(np.array([100.0, 100.0]))) == 0
 
 

@@ -44,7 +44,7 @@ class OracleAssociator(Associator):
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner: its landmark or track if the true corner has one, new otherwise."""
-        builder, state = MatchBuilder(len(corners)), view.features.state
+        builder, state = MatchBuilder(len(corners)), view.features.rows["state"]
         self.true_corner = self.correspondences(corners)
         for i, true_corner in enumerate(self.true_corner.tolist()):
             feature = self.feature_of.get(true_corner, NO_ID)

@@ -10,7 +10,7 @@ from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import Corners, FeatureState, MapView, Polygon, Rings
+from mecp_env.slam.messages import Corners, FeatureState, MapView, Polygon, PolygonGroup
 from mecp_env.slam.protocols import Filter
 
 
@@ -26,11 +26,11 @@ class PolygonMatch:
 
 def map_polygons_of(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
     """Indices (C,) of the map polygons of that cardinality made of landmarks alone, and their ids (C,k)."""
-    rings = view.rings.get(cardinality)
-    if rings is None:
+    group = view.groups.get(cardinality)
+    if group is None:
         return np.empty(0, np.int64), np.empty((0, cardinality), np.int64)
-    whole = (view.features.state[rings.ids] == int(FeatureState.LANDMARK)).all(axis=1)
-    return rings.index[whole], rings.ids[whole]
+    whole = (view.features.rows["state"][group.ids] == int(FeatureState.LANDMARK)).all(axis=1)
+    return group.index[whole], group.ids[whole]
 
 
 @compiled
@@ -83,11 +83,11 @@ class PolygonMatcher:
 
     def _match(self, polygon: Polygon) -> tuple[int, Ints, Ints] | None:
         """Index of the map polygon, the corners (v,) whose landmarks are clear, and their ids (v,); or None."""
-        rings = self.view.rings.get(len(polygon.corners))
-        if rings is None:
+        group = self.view.groups.get(len(polygon.corners))
+        if group is None:
             return None
         gate = chi2_gate(2, self.config.gate_probability)
-        ids, which = self._hypotheses(polygon, rings, 2.0 * gate)  # generous: the joint test decides
+        ids, which = self._hypotheses(polygon, group, 2.0 * gate)  # generous: the joint test decides
         if not len(ids):
             return None
         joint_gate = chi2_gate(2 * len(polygon.corners), self.config.gate_probability)
@@ -98,15 +98,15 @@ class PolygonMatcher:
                 continue
             joint = self.belief.joint_nis(z, R, hypothesis)
             if joint <= joint_gate:
-                accepted.append((joint, int(rings.index[c]), hypothesis))
+                accepted.append((joint, int(group.index[c]), hypothesis))
         return _agreed(accepted, polygon.corners, self.config.rival_gap)
 
-    def _hypotheses(self, polygon: Polygon, rings: Rings, gate: float) -> tuple[Ints, Ints]:
-        """Ids (h,k) of map polygons as `polygon_hypotheses` writes them, and which of `rings` (h,) they are."""
-        view, (count, k) = self.view, rings.ids.shape
+    def _hypotheses(self, polygon: Polygon, group: PolygonGroup, gate: float) -> tuple[Ints, Ints]:
+        """Ids (h,k) of map polygons as `polygon_hypotheses` writes them, and which of `group` (h,) they are."""
+        view, (count, k) = self.view, group.ids.shape
         ids, which = np.empty((count * k + 1, k), np.int64), np.empty(count * k + 1, np.int64)
         landmarks, features = view.belief.ids, view.features.rows
-        h = polygon_hypotheses(self.nis, polygon.corners, landmarks, features, rings.ids, gate, ids, which)
+        h = polygon_hypotheses(self.nis, polygon.corners, landmarks, features, group.ids, gate, ids, which)
         return ids[:h], which[:h]
 
 

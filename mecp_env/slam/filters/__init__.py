@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from mecp_env.core.registry import register
 from mecp_env.slam.config import KINDS, FilterConfig
-from mecp_env.slam.filters.ekf import Ekf
-from mecp_env.slam.filters.riekf import RightInvariantEkf
+from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
 from mecp_env.slam.protocols import Filter, FilterError
 
 __all__ = ["FILTERS", "Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter", "register_filter"]

@@ -45,7 +45,7 @@ class LandmarkMap:
 
     def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int) -> MapView:
         """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
-        return MapView(step, predicted, self.features, self.polygons.rings, graph, through)
+        return MapView(step, predicted, self.features, self.polygons.groups, graph, through)
 
     def mark_closure(self, match: Match, oldest: int) -> Match:
         """The match as a loop closure where it recognises a room of which nothing was seen since the step `oldest`."""
@@ -69,7 +69,7 @@ class LandmarkMap:
         ids = seen.match.ids[confirmed]
         landmark_filter.augment(z, R, ids)
         accepted = np.array([landmark_filter.has(int(i)) for i in ids])
-        self.features.state[ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
+        self.features.rows["state"][ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
         return replace(seen, belief=landmark_filter.belief())
 
     def link(self, polygons: tuple[Polygon, ...], seen: Sighting, graph: RoomGraph, moved: bool) -> None:
@@ -96,12 +96,11 @@ class LandmarkMap:
         self, beams: MergedScan, segments: Segments, seen: Sighting, landmark_filter: Filter, resolve: Resolve
     ) -> tuple[Belief, Ints]:
         """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
-        self.polygons.prune(self.features, resolve)  # after tracks ended, rooms changed and landmarks merged
-        gone = find_pruned(beams, segments, seen.belief, self.features, seen.step, self.config.dynamic_objects)
-        if not len(gone):
-            return seen.belief, gone
-        landmark_filter.remove(gone)
-        self.features.state[gone] = int(FeatureState.DEAD)
-        self.polygons.outdated = True
-        self.polygons.prune(self.features, resolve)
-        return landmark_filter.belief(), gone
+        belief = seen.belief
+        gone = find_pruned(beams, segments, belief, self.features, seen.step, self.config.dynamic_objects)
+        if len(gone):
+            landmark_filter.remove(gone)
+            self.features.rows["state"][gone] = int(FeatureState.DEAD)
+            self.polygons.outdated, belief = True, landmark_filter.belief()
+        self.polygons.prune(self.features, resolve)  # of dead features, too, and after rooms and landmarks merged
+        return belief, gone

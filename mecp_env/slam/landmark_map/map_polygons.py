@@ -12,7 +12,16 @@ import numpy as np
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import inside_polygon
-from mecp_env.slam.messages import Belief, FeatureState, FeatureTable, MapPolygon, Match, Polygon, Rings, RoomGraph
+from mecp_env.slam.messages import (
+    Belief,
+    FeatureState,
+    FeatureTable,
+    MapPolygon,
+    Match,
+    Polygon,
+    PolygonGroup,
+    RoomGraph,
+)
 
 DEAD = int(FeatureState.DEAD)
 
@@ -23,7 +32,7 @@ class MapPolygonStore:
 
     most_per_room: int
     polygons: list[MapPolygon] = field(default_factory=list)
-    rings: dict[int, Rings] = field(default_factory=dict)  # by cardinality, for matching; built again after a change
+    groups: dict[int, PolygonGroup] = field(default_factory=dict)  # by cardinality; built again after a change
     row: dict[tuple[int, ...], int] = field(default_factory=dict)  # vertex ids -> index in `polygons`
     outdated: bool = False  # features died, merged or changed their room, or a room has too many polygons
 
@@ -87,18 +96,18 @@ class MapPolygonStore:
     def _index(self) -> None:
         rings = [polygon.ids.tolist() for polygon in self.polygons]
         self.row = {tuple(ring): i for i, ring in enumerate(rings)}
-        self.rings = {}
+        self.groups = {}
         for cardinality in set(map(len, rings)):
             index = [i for i, ring in enumerate(rings) if len(ring) == cardinality]
-            self.rings[cardinality] = Rings(np.array(index, np.int64), np.array([rings[i] for i in index], np.int64))
+            self.groups[cardinality] = PolygonGroup(np.array(index), np.array([rings[i] for i in index]))
 
     def _index_ring(self, ring: Ints) -> None:
         """Take in the ids of the last polygon of the list."""
         index, ids = np.array([len(self.polygons) - 1]), ring.reshape(1, -1)
-        known = self.rings.get(len(ring))
+        known = self.groups.get(len(ring))
         if known is not None:
             index, ids = np.concatenate((known.index, index)), np.concatenate((known.ids, ids))
-        self.rings[len(ring)] = Rings(index, ids)
+        self.groups[len(ring)] = PolygonGroup(index, ids)
 
 
 @compiled

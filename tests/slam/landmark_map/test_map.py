@@ -156,7 +156,7 @@ def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():
     assert len(store.polygons) == 1
     assert store.polygons[0].ids.tolist() == [0, 1, 2, 3]
     assert store.polygons[0].seen == 2
-    assert store.rings[4].ids.tolist() == [[0, 1, 2, 3]]
+    assert store.groups[4].ids.tolist() == [[0, 1, 2, 3]]
 
 
 def test_edge_intervals_stay_with_their_edge():
@@ -196,7 +196,7 @@ def test_polygons_of_dead_tracks_go():
     table.state[2] = FeatureState.DEAD
     prune(store, table, graph_of())
     assert not store.polygons
-    assert not store.rings
+    assert not store.groups
 
 
 def test_the_cap_keeps_those_seen_most():
