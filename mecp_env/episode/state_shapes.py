@@ -30,7 +30,7 @@ SHAPES: Shapes = {
     "MapPolygon": {"ids": "k in 0:F", "intervals": "i 4", "room": " in -1:32768"},
     "PolygonGroup": {"ids": "n k in 0:F", "index": "n in 0:P"},
     "DoorMap": {"ids": "n", "jambs": "n 4 in -1:F"},
-    "Trail": {"p_map": f"n 2 in {NEAR}", "since": "n 2"},
+    "Trail": {"places": f"n 4 in -{LONG}:{10**15}"},
     "Canvas": {
         "layers": "7 h w",
         "grid.label": "h w",

@@ -230,6 +230,13 @@ class FeatureTable:
 
     rows: Rows = field(default_factory=lambda: np.empty(0, FEATURE))  # (F,) FEATURE
 
+    def append(self, rows: Rows) -> Ints:
+        """The ids (n,) of new features with these `rows` (n,) FEATURE."""
+        count = len(self.rows)
+        both = self.rows.view(np.uint8), rows.view(np.uint8)  # as records, it would take ten times as long
+        self.rows = np.concatenate(both).view(FEATURE)
+        return np.arange(count, len(self.rows))
+
     def __len__(self) -> int:
         return len(self.rows)
 

@@ -13,6 +13,7 @@ from mecp_env.slam.frontend.beams import Record, Records
 from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
 
 Point = tuple[float, float]
+SPARE_RAD = 1e-3  # a beam farther beside a gap does not pass it, whatever the rounding
 
 
 @compiled
@@ -20,18 +21,15 @@ def find_doorways(
     found: Records, p_robot: Array, scan: RolledScan, lines: Lines, limits: Record, gaps: Record
 ) -> tuple[Ints, Array, Bools]:
     """Jambs (g,2), right then left, widths (g,) and whether seen well (g,), of the corners `found` at p_robot (n,2)."""
-    n, size, directions = found.shape[0], 0, np.empty((2, 0))
+    n, size = found.shape[0], 0
     jambs, width, good = np.empty((n, 2), np.int64), np.empty(n), np.empty(n, np.bool_)
     rights, lefts = nearest_partners(found, p_robot, lines, limits, gaps)
     for right in range(n):
         left = lefts[right]
         if left < 0 or rights[left] != right:
             continue
-        if directions.shape[1] == 0:  # of all beams, taken once per scan
-            directions = np.empty((2, scan.polar.shape[1]))
-            directions[0], directions[1] = np.cos(scan.polar[1]), np.sin(scan.polar[1])
         a, b = gap_end(found, p_robot, right, left, limits), gap_end(found, p_robot, left, right, limits)
-        if not passes_through(found, scan, directions, lines, (right, left), (a, b), gaps):
+        if not passes_through(found, scan, lines, (right, left), (a, b), gaps):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
         (ax, ay), (bx, by) = (p_robot[right, 0], p_robot[right, 1]), (p_robot[left, 0], p_robot[left, 1])
@@ -41,7 +39,7 @@ def find_doorways(
         across = abs(mx * (by - ay) - my * (bx - ax)) / width[size]
         steep = across >= math.cos(limits.door_incidence_rad) * distance
         good[size] = distance <= limits.door_range_m and steep
-        wider = widening(scan, directions, a, b, limits, gaps)
+        wider = widening(scan, a, b, limits, gaps)
         plain, _, sides = width_limits(found, lines, right, left, limits, gaps)
         size += wider >= sides or (wider == 0 and width[size] <= plain)
     return jambs[:size], width[:size], good[:size]
@@ -129,13 +127,7 @@ def gap_end(found: Records, p_robot: Array, corner: int, opposite: int, limits: 
 
 @compiled
 def passes_through(
-    found: Records,
-    scan: RolledScan,
-    directions: Array,
-    lines: Lines,
-    jambs: tuple[int, int],
-    ends: tuple[Point, Point],
-    gaps: Record,
+    found: Records, scan: RolledScan, lines: Lines, jambs: tuple[int, int], ends: tuple[Point, Point], gaps: Record
 ) -> bool:
     """True when enough of the beams between the two walls beside the gap pass far beyond the line through its ends."""
     (right, left), (a, b), size = jambs, ends, scan.polar.shape[1]
@@ -150,14 +142,14 @@ def passes_through(
         ahead = wrap_angle(scan.polar[1, q] - start)
         if ahead <= 0.0 or ahead >= turn:
             continue
-        p = (scan.polar[0, q] * directions[0, q], scan.polar[0, q] * directions[1, q])
+        p = (scan.polar[0, q] * math.cos(scan.polar[1, q]), scan.polar[0, q] * math.sin(scan.polar[1, q]))
         depth = depth_behind(a, b, p) if scan.hit[q] else math.inf
         between, deep = between + 1, deep + (depth > gaps.deep_m)
     return between > 0 and deep >= gaps.deep_share * between
 
 
 @compiled
-def widening(scan: RolledScan, directions: Array, a: Point, b: Point, limits: Record, gaps: Record) -> int:
+def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record) -> int:
     """On how many sides the floor behind the gap from a to b gets wider than the gap; -1: on none, 0: not to be seen.
 
     Looked at are beams through the gap that cross the line square to it at a jamb, as deep as no wall is thick. Behind
@@ -167,8 +159,12 @@ def widening(scan: RolledScan, directions: Array, a: Point, b: Point, limits: Re
     ux, uy = (b[0] - a[0]) / width, (b[1] - a[1]) / width
     along, depth = -(a[0] * ux + a[1] * uy), a[1] * ux - a[0] * uy  # of the robot
     passed, stopped = np.zeros(2, np.int64), np.zeros(2, np.int64)
+    start = math.atan2(a[1], a[0])
+    turn = wrap_angle(math.atan2(b[1], b[0]) - start)
     for q in range(scan.polar.shape[1]):
-        x, y = directions[0, q], directions[1, q]
+        if not -SPARE_RAD < wrap_angle(scan.polar[1, q] - start) < turn + SPARE_RAD:
+            continue  # its direction is not needed
+        x, y = math.cos(scan.polar[1, q]), math.sin(scan.polar[1, q])
         sideways, onward = x * ux + y * uy, x * uy - y * ux
         if onward <= 1e-6 or abs(sideways) <= 1e-6 or not 0.0 < along - depth / onward * sideways < width:
             continue

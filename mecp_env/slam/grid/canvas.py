@@ -117,11 +117,20 @@ class Canvas:
 
     def fill_pockets(self, complete: Bools, occupied_ratio: float) -> None:
         """Turn the unknown pockets of completed rooms, flags (r,) by room id, into walls."""
-        self.layers[cells.POCKET] = 0
-        self.everything_dirty()
+        layer = self.layers[cells.POCKET]
+        self._touch(layer)
+        layer[:] = 0
         grid = self.publish(occupied_ratio)
-        self.layers[cells.POCKET] = find_pockets(grid.label, grid.room, complete)
-        self.everything_dirty()
+        if complete.any():
+            layer[:] = find_pockets(grid.label, grid.room, complete)
+        self._touch(layer)
+
+    def _touch(self, layer: NDArray[np.int16]) -> None:
+        """Publish the cells again that are not 0 on a layer (H,W)."""
+        rows, columns = (np.flatnonzero(layer.any(axis=axis)) for axis in (1, 0))
+        if len(rows):
+            self.dirty[::2] = np.minimum(self.dirty[::2], (rows[0], columns[0]))
+            self.dirty[1::2] = np.maximum(self.dirty[1::2], (rows[-1] + 1, columns[-1] + 1))
 
 
 def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bools:

@@ -24,6 +24,7 @@ from mecp_env.slam.messages import (
 )
 
 DEAD = int(FeatureState.DEAD)
+NOWHERE = -2  # the room of what is dead
 
 
 @dataclass(slots=True, eq=False)
@@ -158,10 +159,11 @@ def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
 
 def are_whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[int, int]) -> list[bool]:
     """Which polygons have vertices that differ, live and lie in the room that theirs has become."""
-    state, room = features.rows["state"], features.rows["room"]
+    home = np.where(features.rows["state"] == DEAD, NOWHERE, features.rows["room"]).tolist()
+    vertices = [polygon.ids.tolist() for polygon in polygons]
     return [
-        len(set(p.ids.tolist())) == len(p.ids) and bool(((state[p.ids] != DEAD) & (room[p.ids] == rooms[p.room])).all())
-        for p in polygons
+        len(set(ids)) == len(ids) and all(home[i] == rooms[polygon.room] for i in ids)
+        for ids, polygon in zip(vertices, polygons, strict=True)
     ]
 
 

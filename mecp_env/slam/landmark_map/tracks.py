@@ -42,16 +42,14 @@ def track_corners(features: FeatureTable, seen: Sighting, room: int, config: Tra
 
 def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: int) -> Match:
     """The match in which each NEW corner continues its `track` (n,), or starts a new one in `room` where that is -1."""
-    new = np.flatnonzero(match.decision == NEW)
-    ids, starts = track[new], track[new] < 0
-    started = new[starts]
-    ids[starts] = len(features) + np.arange(len(started))
-    rows = np.zeros(len(started), FEATURE)
-    rows["state"], rows["room"], rows["normals"] = TRACK, room, math.nan
-    rows["kind"], rows["convex"] = corners.kind[started], corners.convex[started]
-    features.rows = np.concatenate((features.rows, rows))
-    decision, reason = np.where(starts, NEW, PROVISIONAL), np.where(starts, match.reason[new], int(Reason.TRACK))
-    return match.assign(new, ids, decision, reason)
+    new = match.decision == NEW
+    started, follows = np.flatnonzero(new & (track < 0)), np.flatnonzero(new & (track >= 0))
+    if len(started):
+        rows = np.zeros(len(started), FEATURE)
+        rows["state"], rows["room"], rows["normals"] = TRACK, room, math.nan
+        rows["kind"], rows["convex"] = corners.kind[started], corners.convex[started]
+        match = match.assign(started, features.append(rows), NEW, match.reason[started])
+    return match.assign(follows, track[follows], PROVISIONAL, int(Reason.TRACK)) if len(follows) else match
 
 
 def drop_tracks(features: FeatureTable, step: int, config: TrackConfig) -> bool:

@@ -129,26 +129,37 @@ def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
 
 def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
-    corners, belief = seen.corners, seen.belief
-    if not len(corners.doorways.jambs):
-        return
-    next_door = rooms_next_door(door_map, room, config.confirm_sightings)
-    id_of = seen.match.ids.tolist()
-    elsewhere = ((seen.through >= 0) | (corners.beyond >= 0) | (seen.match.reason == DYNAMIC)).tolist()
-    for pair, confirmable in zip(corners.doorways.jambs.tolist(), corners.doorways.confirmable.tolist(), strict=True):
+    doorways, id_of = seen.corners.doorways, seen.match.ids.tolist()
+    elsewhere = _elsewhere(seen) if len(doorways.jambs) else []
+    for pair, confirmable in zip(doorways.jambs.tolist(), doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        ends = to_map(belief.T_map_robot, polar_to_points(corners.z[pair]))
-        if elsewhere[pair[0]] or elsewhere[pair[1]] or lies_inside(door_map, ends, config):
+        if elsewhere[pair[0]] or elsewhere[pair[1]]:
             continue
-        if ids in door_map.row:
-            _see_again(door_map, ids, confirmable, (room, next_door))
+        if ids in door_map.row and not door_map.inside:
+            _see_again(door_map, ids, confirmable, room, config)
             continue
-        if min(ids) >= 0 and confirmable:
-            door_map.sightings[ids] = max(door_map.sightings.get(ids, 0), _seen_well(door_map, ends, config)) + 1
-            _confirm(door_map, ids, features, belief, room, config)
-        _note_candidate(
-            door_map, Candidate(ends, ids, room, 1, seen.step, door_map.sightings.get(ids, 0)), belief, config
-        )
+        ends = to_map(seen.belief.T_map_robot, polar_to_points(seen.corners.z[pair]))
+        if not lies_inside(door_map, ends, config):
+            gap = Candidate(ends, ids, room, 1, seen.step, int(confirmable))
+            _record_gap(door_map, gap, features, seen.belief, config)
+
+
+def _elsewhere(seen: Sighting) -> list[bool]:
+    """(n,) the corners that are not of this room, or on something that moves."""
+    columns = seen.through.tolist(), seen.corners.beyond.tolist(), seen.match.reason.tolist()
+    return [door >= 0 or gap >= 0 or reason == DYNAMIC for door, gap, reason in zip(*columns, strict=True)]
+
+
+def _record_gap(door_map: DoorMap, gap: Candidate, features: FeatureTable, belief: Belief, config: RoomConfig) -> None:
+    """Count one sighting of a gap; `gap.confirmable`: 1 if it was seen well."""
+    if gap.ids in door_map.row:
+        _see_again(door_map, gap.ids, gap.confirmable > 0, gap.room, config)
+        return
+    if min(gap.ids) >= 0 and gap.confirmable:
+        before = door_map.sightings.get(gap.ids, 0), _seen_well(door_map, gap.ends, config)
+        door_map.sightings[gap.ids] = max(before) + 1
+        _confirm(door_map, gap.ids, features, belief, gap.room, config)
+    _note_candidate(door_map, replace(gap, confirmable=door_map.sightings.get(gap.ids, 0)), belief, config)
 
 
 def rooms_next_door(door_map: DoorMap, room: int, sightings: int) -> set[int]:
@@ -157,22 +168,23 @@ def rooms_next_door(door_map: DoorMap, room: int, sightings: int) -> set[int]:
     return {other for door in sure if room in door.rooms for other in door.rooms} - {room}
 
 
-def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, here: tuple[int, set[int]]) -> None:
-    """Count one more sighting of a known door, up to a limit; `here`: this room and those next door.
+def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room: int, config: RoomConfig) -> None:
+    """Count one more sighting of a known door from a room, if it is seen well, up to a limit.
 
     A face seen from within this room is one of its walls: if it was assigned to a room next door, it was first seen
     through an unknown door.
     """
-    d, (room, next_door) = door_map.row[ids], here
+    d = door_map.row[ids]
     door = door_map.doors[d]
-    rooms = list(door.rooms)
-    side = 0 if ids == door.jambs else 1
-    if confirmable and rooms[side] in next_door and room not in rooms:
-        rooms[side] = room
-    elif not confirmable or door.sightings >= MOST_SIGHTINGS:
+    rooms, side = list(door.rooms), 0 if ids == door.jambs else 1
+    if not confirmable:
         return
-    sightings = min(door.sightings + confirmable, max(door.sightings, MOST_SIGHTINGS))
-    door_map.doors[d] = replace(door, sightings=sightings, rooms=(rooms[0], rooms[1]))
+    if room not in rooms and rooms[side] in rooms_next_door(door_map, room, config.confirm_sightings):
+        rooms[side] = room
+    elif door.sightings >= MOST_SIGHTINGS:
+        return
+    sightings = max(door.sightings, min(door.sightings + 1, MOST_SIGHTINGS))
+    door_map.doors[d] = Door(door.id, door.jambs, door.other_face, (rooms[0], rooms[1]), sightings)
 
 
 def _confirm(
@@ -246,14 +258,15 @@ def lies_inside(door_map: DoorMap, ends: Array, config: RoomConfig) -> bool:
 
 def lies_in_door(door_map: DoorMap, ends: Array, belief: Belief, config: RoomConfig) -> bool:
     """True when the gap with the ends (2,2) is a door of the map."""
-    offset = door_map.frames(belief)[:, :2] - (ends[0] + ends[1]) / 2.0
-    return bool(((offset * offset).sum(axis=1) < config.same_gap_m**2).any())
+    x, y = ((ends[0] + ends[1]) / 2.0).tolist()
+    middles = door_map.frames(belief)[:, :2].tolist()
+    return any(math.hypot(x - d_x, y - d_y) < config.same_gap_m for d_x, d_y in middles)
 
 
 def same_gap(a: Array, b: Array, config: RoomConfig) -> bool:
     """True when two gaps with the ends a and b (2,2) are one."""
-    x, y = ((a[0] + a[1] - b[0] - b[1]) / 2.0).tolist()
-    return math.hypot(x, y) < config.same_gap_m
+    (a_x, a_y, c_x, c_y), (b_x, b_y, d_x, d_y) = a.ravel().tolist(), b.ravel().tolist()
+    return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
 
 
 def anchored(candidate: Candidate, features: FeatureTable) -> bool:

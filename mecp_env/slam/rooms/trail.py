@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.array_types import Array
 from mecp_env.slam.config import RoomConfig
 
 
@@ -15,23 +15,22 @@ from mecp_env.slam.config import RoomConfig
 class Trail:
     """Places `trail_step_m` apart, and when they were passed; the oldest are forgotten."""
 
-    p_map: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; the last is where it is now
-    since: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))  # (n,2) step, number of features then
+    places: Array = field(default_factory=lambda: np.empty((0, 4)))
+    """(n,4): x, y in m, map frame; the step and the number of features then. The last is where the robot is now."""
 
     def add(self, step: int, features: int, T_map_robot: Array, config: RoomConfig) -> None:
         """Note where the robot is in a step, and how many features there are."""
-        here, n = T_map_robot[:2], len(self.p_map)
-        if n > 1 and math.dist(self.p_map[n - 2].tolist(), here.tolist()) < config.trail_step_m:
-            self.p_map[n - 1] = here
+        (x, y, _), n = T_map_robot.tolist(), len(self.places)
+        if n > 1 and math.dist(self.places[n - 2, :2].tolist(), (x, y)) < config.trail_step_m:
+            self.places[n - 1, :2] = x, y
             return
-        kept = slice(max(n - config.trail_places, 0), n)
-        self.p_map = np.concatenate((self.p_map[kept], here[None]))
-        self.since = np.concatenate((self.since[kept], ((step, features),)))
+        kept = self.places[max(n - config.trail_places, 0) :]
+        self.places = np.concatenate((kept, ((x, y, step, features),)))
 
     def passed(self, jambs: Array) -> tuple[int, int] | None:
         """Step and number of features when the robot went through a gap (2,2) m for good; None if it did not."""
-        at = last_crossing(self.p_map, jambs)
-        return None if at < 0 else (int(self.since[at, 0]), int(self.since[at, 1]))
+        at = last_crossing(self.places[:, :2], jambs)
+        return None if at < 0 else (int(self.places[at, 2]), int(self.places[at, 3]))
 
 
 def last_crossing(path: Array, gap: Array) -> int:

@@ -82,7 +82,7 @@ def test_a_track_not_seen_again_dies_and_its_id_never_returns():
     table = FeatureTable()
     see(table, [[2.0, 1.0]], 0)
     assert see(table, [[-2.0, 1.0]], 30)[0].ids.tolist() == [1]
-    assert table.state.tolist() == [FeatureState.DEAD, FeatureState.TRACK]
+    assert table.rows["state"].tolist() == [FeatureState.DEAD, FeatureState.TRACK]
     assert see(table, [[2.0, 1.0]], 31)[0].ids.tolist() == [2]
 
 
@@ -128,8 +128,8 @@ def test_a_room_is_not_recognised_by_one_side_of_a_pedestrian():
 def landmarks(rooms):
     table = FeatureTable()
     see(table, np.concatenate((SQUARE, SQUARE * 2.0))[: len(rooms)], 0)
-    table.state[:] = FeatureState.LANDMARK
-    table.room[:] = rooms
+    table.rows["state"][:] = FeatureState.LANDMARK
+    table.rows["room"][:] = rooms
     return table
 
 
@@ -182,10 +182,10 @@ def test_no_polygon_over_two_rooms_even_after_a_merge():
     assert not store.polygons
     remember(store, table, ring(0, 1, 2, 3), graph_of())
     remember(store, table, ring(4, 5, 6, 7), graph_of(current=1))
-    table.room[3] = 1  # it was seen through a door
+    table.rows["room"][3] = 1  # it was seen through a door
     prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[4, 5, 6, 7]]
-    table.room[table.room == 1] = 0
+    table.rows["room"][table.rows["room"] == 1] = 0
     prune(store, table, graph_of(merged={1: 0}))
     assert [p.room for p in store.polygons] == [0]
 
@@ -193,7 +193,7 @@ def test_no_polygon_over_two_rooms_even_after_a_merge():
 def test_polygons_of_dead_tracks_go():
     store, table = MapPolygonStore(32), landmarks([0] * 8)
     remember(store, table, ring(0, 1, 2, 3), graph_of())
-    table.state[2] = FeatureState.DEAD
+    table.rows["state"][2] = FeatureState.DEAD
     prune(store, table, graph_of())
     assert not store.polygons
     assert not store.groups
@@ -237,7 +237,7 @@ def test_two_landmarks_on_one_corner_are_found():
 
 def test_two_faces_of_a_wall_are_no_duplicates():
     table, belief = believed(0.03)
-    table.normals[1] += np.pi
+    table.rows["normals"][1] += np.pi
     assert find_duplicate(table, belief, match_of([Decision.LANDMARK], [1]), TrackConfig()) is None
 
 

@@ -193,14 +193,14 @@ def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
     keeper, table = RoomGraphEstimator(RoomConfig()), features()
     walk(keeper, np.arange(-1.5, 1.6, 0.25))
     assert keeper.current == 0  # no door was known
-    table.room[7:] = 0
-    keeper.trail.since[:, 1] = np.where(keeper.trail.p_map[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
+    table.rows["room"][7:] = 0
+    keeper.trail.places[:, 3] = np.where(keeper.trail.places[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
     for _ in range(3):
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
     assert (keeper.current, keeper.graph().rooms) == (1, (0, 1))
     assert keeper.door_map.doors[0].rooms == (1, 0)  # its face is one of the new room
-    assert table.room[7:].tolist() == [1, 1, 1]
-    assert table.room[4:7].tolist() == [0, 0, 0]
+    assert table.rows["room"][7:].tolist() == [1, 1, 1]
+    assert table.rows["room"][4:7].tolist() == [0, 0, 0]
     assert keeper.graph().parted[1][0] == 0
     assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
 
@@ -259,8 +259,8 @@ def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_
     look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
     look(keeper, belief_at(0.8, 1.0), (7, 8, 9), table=table)
     assert keeper.current == 1
-    assert table.room[[7, 8, 9]].tolist() == [1, 1, 1]
-    assert table.room[[4, 5, 6]].tolist() == [0, 0, 0]
+    assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
+    assert table.rows["room"][[4, 5, 6]].tolist() == [0, 0, 0]
     assert len(keeper.graph().doors) == 1
 
 
@@ -281,7 +281,7 @@ def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_and_not_
     to_and_fro(keeper, table, 1)
     assert keeper.graph().rooms == (0,)
     assert keeper.graph().doors == ()
-    assert table.room[7:].tolist() == [0, 0, 0]
+    assert table.rows["room"][7:].tolist() == [0, 0, 0]
 
 
 def test_a_door_with_two_faces_parts_rooms_whatever_is_seen_from_both_sides():

@@ -41,11 +41,11 @@ def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
     trail = Trail()
     for step in range(20):
         trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]), CONFIG)
-    assert len(trail.p_map) == len(trail.since) == 2
+    assert len(trail.places) == 2
     for step in range(20, 20 + 2 * MOST):
         trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]), CONFIG)
-    assert len(trail.p_map) == len(trail.since) == MOST + 1
-    assert trail.since[-1].tolist() == [19 + 2 * MOST, 5]
+    assert len(trail.places) == MOST + 1
+    assert trail.places[-1, 2:].tolist() == [19 + 2 * MOST, 5]
 
 
 def test_passed_tells_when_and_how_many_features_there_were():
