@@ -1,20 +1,36 @@
-"""The command of the benchmarks: run one, write or compare its figures."""
+"""The command of the benchmarks: run one, write or compare its figures; the same command continues after a kill."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import json
+import shutil
 import signal
 import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, Figures, OptionError, Options, calibration_ms, failures, markdown, result, save
+from benchmarks.common import (
+    RESULTS,
+    UNITS,
+    Figures,
+    OptionError,
+    Options,
+    ShardDone,
+    calibration_ms,
+    failures,
+    markdown,
+    result,
+    save,
+)
 from benchmarks.trees import TreeError
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.work_units import WHOLE, Shard
 
 OPEN = ("association", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
+IN_UNITS = ("association", "explorers", "features", "filters", "worlds")  # of work, kept and divided
 NAMES = ("speed", "start", "features", "filters", "association", "explorers", "worlds", "vector")
 
 
@@ -29,9 +45,13 @@ def main(arguments: list[str] | None = None) -> int:
         content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
-    except TreeError as error:
+    except (TreeError, ConfigError) as error:
         print(f"python -m benchmarks: {error}", file=sys.stderr)
         return 1
+    except ShardDone as done:
+        print(f"{done}; after all shards, the same command without --shard gives the figures")
+        return 0
+    shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
@@ -52,8 +72,10 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
     if given.sweeps and not (given.against and given.name == "speed"):
         parser().error("--sweeps: only for speed --against")
+    if given.shard != WHOLE and given.name not in IN_UNITS:
+        parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
     parts = tuple(given.sets), tuple(given.modules)
-    return Options(given.jobs, given.quick, *parts, given.against, given.sweeps or 4)
+    return Options(given.jobs, given.quick, *parts, given.against, given.sweeps or 4, given.shard, UNITS / given.name)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -85,7 +107,22 @@ def parser() -> argparse.ArgumentParser:
         help="of speed and start: compare the working tree with this commit; written only with --json",
     )
     made.add_argument("--sweeps", type=positive, metavar="K", help="of speed --against: sweeps per scan, default 4")
+    made.add_argument(
+        "--shard",
+        type=shard,
+        default=WHOLE,
+        metavar="I/N",
+        help="every N-th unit only, from the I-th; then the command without --shard gives the figures",
+    )
     return made
+
+
+def shard(text: str) -> Shard:
+    """`text` as a part of the work."""
+    try:
+        return Shard.parse(text)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def positive(text: str) -> int:

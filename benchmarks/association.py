@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, in_parallel, load_modules, ratio, share
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
 from benchmarks.drives import Drive, Replay, record_drive, replay
 from mecp_env.config import merge
 from mecp_env.evaluation.metrics import AssociationLog
@@ -65,13 +65,13 @@ class Pairs:
 
 def run(options: Options) -> Figures:
     """Results of every layout and associator."""
-    figures: Figures = {}
-    rows = methods(options.modules)
-    for layout, seeds in (chosen(options.sets, SEEDS, MOST) or SEEDS).items():
-        count = 2 if options.quick else seeds
-        runs = list(in_parallel(partial(compare, layout, options.modules), range(count), options.jobs))
-        figures[layout] = {method: summarise([r[method] for r in runs]) for method in rows}
-    return figures
+    rows, seeds = methods(options.modules), chosen(options.sets, SEEDS, MOST) or SEEDS
+    drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
+    runs = in_parallel(partial(compare, options.modules), dict[str, Figures], drives, options)
+    return {
+        layout: {name: summarise([run[name] for run in of_layout]) for name in rows}
+        for layout, of_layout in grouped(drives, runs).items()
+    }
 
 
 def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
@@ -82,9 +82,9 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
     return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
 
 
-def compare(layout: str, modules: Sequence[str], seed: int) -> dict[str, Figures]:
-    """Counts for each associator on the drive of one seed."""
-    rows, drive = methods(modules), record_drive(layout, seed)
+def compare(modules: Sequence[str], drive_of: tuple[str, int]) -> dict[str, Figures]:
+    """Counts for each associator on the drive of one layout and seed."""
+    rows, drive = methods(modules), record_drive(*drive_of)
     return {name: counts(drive, replay(drive, with_change(drive, change))) for name, change in rows.items()}
 
 

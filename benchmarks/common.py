@@ -9,17 +9,13 @@ from __future__ import annotations
 import importlib
 import json
 import math
-import multiprocessing
 import os
 import platform
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -28,13 +24,15 @@ import numpy as np
 
 from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.core.jit import compiled
+from mecp_env.core.provenance import checksum, dependencies
+from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+Unit = TypeVar("Unit", bound=tuple[Any, ...])
 
 __all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
+UNITS = Path("runs/benchmarks")  # results of units of work, until all of a benchmark are there
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +45,12 @@ class Options:
     modules: tuple[str, ...] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
     sweeps: int = 4  # per scan, in that comparison
+    shard: Shard = WHOLE  # of the units of work, for benchmarks with units
+    folder: Path = UNITS  # of the results of units
+
+
+class ShardDone(Exception):
+    """A part of the units is finished, which gives no figures yet."""
 
 
 class OptionError(ValueError):
@@ -87,13 +91,34 @@ class Gate:
     slack: float  # ratio above 1 for times, speeds and errors; difference for shares; a bound is the largest value
 
 
-def in_parallel(task: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
-    """The result of `task` for each item, in order; an error in a process is raised here."""
-    if jobs <= 1:
-        yield from map(task, items)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(task, items)
+def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], options: Options) -> list[Any]:
+    """The result of `task`, of the type `kind`, for each unit in order; units are tuples of words and numbers.
+
+    Results are kept in `options.folder`, so that the same command continues after a kill. Raises `ShardDone` after a
+    part of the units, and the error of a unit that failed after all others are finished.
+    """
+    modules = {name: checksum(Path(str(sys.modules[name].__file__)).read_bytes()) for name in options.modules}
+    kept = KeptResults(options.folder, kind, {"--with": modules, **dependencies(Path(__file__).parent)})
+    named = {" ".join(map(str, unit)): unit for unit in options.shard.part(units)}
+    results, errors = dict[str, Any](), list[Exception]()
+    for name, result in run_kept(task, named, kept, options.jobs):
+        results[name] = result
+        if isinstance(result, FailedUnit):
+            errors.append(result.error)
+            print(f"failed: {result}", file=sys.stderr)
+    if errors:
+        raise errors[0]
+    if options.shard != WHOLE:
+        raise ShardDone(f"{len(named)} units of shard {options.shard} are in {options.folder}")
+    return [results[name] for name in named]
+
+
+def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[Any, list[Any]]:
+    """The results by their units without the last word, the number; a single word stands for itself."""
+    groups: dict[Any, list[Any]] = {}
+    for (*key, _), result in zip(units, results, strict=True):
+        groups.setdefault(key[0] if len(key) == 1 else tuple(key), []).append(result)
+    return groups
 
 
 def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
@@ -135,21 +160,6 @@ def machine() -> dict[str, str]:
         "numba": numba.__version__,
         "numpy": np.__version__,
     }
-
-
-@cache
-def commit() -> str:
-    """The commit of the current clone, with a `+` for uncommitted changes; "" outside a clone."""
-    try:
-        changed = "+" if _git("status", "--porcelain", "--untracked-files=no") else ""
-        return _git("rev-parse", "HEAD") + changed
-    except (OSError, subprocess.SubprocessError):
-        return ""
-
-
-def _git(*words: str) -> str:
-    line = ["git", "-C", str(Path(__file__).parent), *words]
-    return subprocess.run(line, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
 
 
 def _processor() -> str:

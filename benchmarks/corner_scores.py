@@ -58,11 +58,16 @@ class Place:
 class Score:
     """The score of one scan."""
 
-    rows: Array  # (n,6) kind, convex, range m, error m, NIS, correct: one row per corner
+    rows: list[list[float]]  # kind, convex, range m, error m, NIS, correct: one row per corner
     visible: tuple[int, int]  # true corners: detectable, others
     found: tuple[int, int]  # found among them
     doors: tuple[int, int, int]  # visible doors, found doors, false doors
-    seconds: Array  # (4,) of the four stages
+    seconds: list[float]  # of the four stages
+
+    @property
+    def table(self) -> Array:
+        """(n,6) the rows."""
+        return np.array(self.rows, float).reshape(-1, 6)
 
 
 def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str, int]]) -> list[Place]:
@@ -162,7 +167,7 @@ def score(truth: Truth, corners: Corners, seconds: Array) -> Score:
     hit = np.isin(np.arange(len(truth.convex)), partner)
     easy = truth.detectable
     visible, found = (int(easy.sum()), int((~easy).sum())), (int(hit[easy].sum()), int(hit[~easy].sum()))
-    return Score(rows, visible, found, score_doors(truth, corners), seconds)
+    return Score(rows.tolist(), visible, found, score_doors(truth, corners), seconds.tolist())
 
 
 def error_and_nis(corners: Corners, i: int, p_robot: Array) -> tuple[float, float]:

@@ -8,19 +8,19 @@ it.
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, share, table
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, ratio, share, table
+from mecp_env.policies.registry import make_policy
 from mecp_env.registration import make
 from mecp_env.wrappers import GoalActions
 
 EXPLORERS = {
-    "breadth first": "mecp_env.policies.bfs:BreadthFirstPolicy",
-    "random walk": "mecp_env.policies.random_walk:RandomWalk",
+    "breadth first": "bfs",
+    "random walk": "random_walk",
 }
 SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
 QUICK = {"paper": 2, "two_rooms": 3}
@@ -55,20 +55,18 @@ class Episode:
 
 def run(options: Options) -> Figures:
     """Results of every layout and explorer."""
-    figures: Figures = {}
-    for layout, seeds in (QUICK if options.quick else SEEDS).items():
-        tasks = [(layout, where, seed) for where in EXPLORERS.values() for seed in range(seeds)]
-        episodes = list(in_parallel(explore, tasks, options.jobs))
-        parts = {name: episodes[i * seeds : (i + 1) * seeds] for i, name in enumerate(EXPLORERS)}
-        figures[layout] = {name: summarise(part) for name, part in parts.items()}
+    seeds = QUICK if options.quick else SEEDS
+    tasks = [(layout, name, seed) for layout in seeds for name in EXPLORERS for seed in range(seeds[layout])]
+    figures: Figures = {layout: {} for layout in seeds}
+    for (layout, name), episodes in grouped(tasks, in_parallel(explore, Episode, tasks, options)).items():
+        figures[layout][name] = summarise(episodes)
     return figures
 
 
 def explore(task: tuple[str, str, int]) -> Episode:
-    """One episode: the layout, the explorer's class ("module:Class"), the seed."""
-    layout, where, seed = task
-    module, _, name = where.partition(":")
-    agent = getattr(importlib.import_module(module), name)()
+    """One episode: the layout, the name of the explorer, the seed."""
+    layout, name, seed = task
+    agent = make_policy(EXPLORERS[name])
     env = make(layout=layout, actions=agent.actions, max_steps=MAX_STEPS, start="random")
     episode = Episode()
     if isinstance(env, GoalActions):

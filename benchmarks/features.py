@@ -54,7 +54,7 @@ def run(options: Options) -> Figures:
     """Results of every preset and clustering threshold, from 80 poses per layout (8 with --quick)."""
     poses = 8 if options.quick else 80
     tasks = [(layout, poses) for layout in shipped_layouts()]
-    of_layouts = list(in_parallel(score_layout, tasks, options.jobs))
+    of_layouts = in_parallel(score_layout, dict[str, list[Score]], tasks, options)
     scores = {name: [score for of_layout in of_layouts for score in of_layout[name]] for name in of_layouts[0]}
     return {
         "poses": poses * len(tasks),
@@ -94,7 +94,7 @@ def threshold(name: str) -> ClusteringConfig:
 
 def rates(scores: Sequence[Score]) -> Figures:
     """Precision, recall of detectable corners and of the rest, mean NIS, with intervals over poses."""
-    rows = [score.rows for score in scores]
+    rows = [score.table for score in scores]
     right = [r[r[:, 5] == 1.0] for r in rows]
     return {
         "corners": sum(len(r) for r in rows),
@@ -107,7 +107,7 @@ def rates(scores: Sequence[Score]) -> Figures:
 
 def summary(scores: Sequence[Score]) -> Figures:
     """All results of one preset."""
-    rows = np.concatenate([score.rows for score in scores])
+    rows = np.concatenate([score.table for score in scores])
     right = rows[rows[:, 5] == 1.0]
     seconds = np.array([score.seconds for score in scores])
     doors = np.array([score.doors for score in scores])

@@ -42,7 +42,7 @@ def run(options: Options) -> Figures:
     runs = 8 if options.quick else 60
     cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}
-    measured = in_parallel(partial(consistency, options.modules), cases, options.jobs)
+    measured = in_parallel(partial(consistency, options.modules), Figures, cases, options)
     for (reading, kind, _), figures in zip(cases, measured, strict=True):
         nees[reading][kind] = figures
     times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in FILTERS}

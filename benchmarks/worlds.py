@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, chosen, commit, estimate, in_parallel, ratio, share, table
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
+from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.registration import make
@@ -91,11 +92,9 @@ class Visit:
 
 def run(options: Options) -> Figures:
     """Results of each setting."""
-    figures: Figures = {}
-    for setting, count in counts(options).items():
-        visits = list(in_parallel(visit, [(setting, index) for index in range(count)], options.jobs))
-        figures |= {setting: summarise(visits)} if visits else {}
-    return figures
+    buildings = [(setting, index) for setting, count in counts(options).items() for index in range(count)]
+    visits = grouped(buildings, in_parallel(visit, Visit, buildings, options))
+    return {setting: summarise(of_setting) for setting, of_setting in visits.items()}
 
 
 def counts(options: Options) -> dict[str, int]:

@@ -14,6 +14,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import common
 from benchmarks.common import Gate, Options
+from mecp_env.core.work_units import Shard
 
 GATES = (
     Gate("scan/us", "time", 1.3),
@@ -107,14 +108,77 @@ def test_times_are_compared_by_their_ratio_to_the_calibration() -> None:
     assert len(worse) == 2
 
 
-def test_parallel_runs_give_the_same_results_in_order() -> None:
-    assert list(common.in_parallel(abs, [-3, 2, -1], jobs=2)) == [3, 2, 1]
-    assert list(common.in_parallel(abs, [-3, 2, -1], jobs=1)) == [3, 2, 1]
+def cube(unit: tuple[str, int]) -> float:
+    """The task of the units below; some fail."""
+    if unit[1] > 4:
+        raise TypeError(f"no {unit[0]} of {unit[1]}")
+    return 0.1 * unit[1] ** 3
 
 
-def test_an_error_in_a_parallel_run_is_raised() -> None:
-    with pytest.raises(TypeError):
-        list(common.in_parallel(abs, ["no number"], jobs=2))
+UNITS = [("cube", n) for n in range(5)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_units_give_the_same_results_in_order(jobs: int, tmp_path: Path) -> None:
+    options = Options(jobs=jobs, folder=tmp_path)
+    assert common.in_parallel(cube, float, UNITS, options) == [cube(unit) for unit in UNITS]
+
+
+def test_a_unit_that_fails_is_named_and_raised_when_the_others_are_finished(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(TypeError, match="no cube of 7"):
+        common.in_parallel(cube, float, [("cube", 7), *UNITS], Options(folder=tmp_path))
+    assert "failed: ('cube', 7): TypeError: no cube of 7 (cube, line" in capsys.readouterr().err
+    assert len(list(tmp_path.iterdir())) == len(UNITS)
+
+
+def test_a_run_continues_and_shards_add_up_to_it(tmp_path: Path) -> None:
+    for number in (1, 2):
+        with pytest.raises(common.ShardDone, match=f"{4 - number} units of shard {number}/2 are in"):
+            common.in_parallel(cube, float, UNITS, Options(folder=tmp_path, shard=Shard(number, 2)))
+    results = common.in_parallel(lambda unit: None, float, UNITS, Options(folder=tmp_path))  # all are there
+    assert results == [cube(unit) for unit in UNITS]
+
+
+def test_results_are_grouped_by_all_but_the_number_of_their_unit() -> None:
+    units = [("a", 0), ("a", 1), ("b", 0)]
+    assert common.grouped(units, [5, 6, 7]) == {"a": [5, 6], "b": [7]}
+    assert common.grouped([("a", "x", 0), ("a", "y", 0)], [5, 6]) == {("a", "x"): [5], ("a", "y"): [6]}
+
+
+@pytest.mark.parametrize("name", command.IN_UNITS)
+def test_a_benchmark_in_units_writes_its_results_only_when_all_shards_are_there(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = types.ModuleType(f"benchmarks.{name}")
+    module.run = lambda options: {"sum": sum(common.in_parallel(cube, float, UNITS, options))}  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(command, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(command, "UNITS", tmp_path / "units")
+    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    for number in (1, 2, 3):
+        assert command.main([name, "--shard", f"{number}/3"]) == 0
+        assert "the same command without --shard gives the figures" in capsys.readouterr().out
+        assert not (tmp_path / "results").exists()
+    kept = next((tmp_path / "units" / name).iterdir())
+    assert command.main([name]) == 0
+    assert json.loads((tmp_path / "results" / f"{name}.json").read_text())["figures"] == {"sum": sum(map(cube, UNITS))}
+    assert not kept.exists()  # another run measures again
+
+
+def test_units_of_other_code_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module = types.ModuleType("benchmarks.worlds")
+    module.run = lambda options: common.in_parallel(cube, float, UNITS, options)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(command, "UNITS", tmp_path)
+    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    assert command.main(["worlds", "--shard", "1/2"]) == 0
+    monkeypatch.setattr(common, "dependencies", lambda *_: {"checksum of the code": "other"})
+    assert command.main(["worlds", "--shard", "2/2"]) == 1
+    assert f"{tmp_path / 'worlds'} has results of another run: checksum of the code" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -124,6 +188,7 @@ def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> types.ModuleType:
     module.GATES = (Gate("steps_per_s", "rate_per_s", 1.3),)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "benchmarks.speed", module)
     monkeypatch.setattr(command, "RESULTS", tmp_path)
+    monkeypatch.setattr(command, "UNITS", tmp_path / "units")
     monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
     return module
 
@@ -149,7 +214,17 @@ def test_a_gate_without_a_baseline_fails(toy: types.ModuleType) -> None:
     assert command.main(["speed", "--gate"]) == 1
 
 
-@pytest.mark.parametrize("line", [["unknown"], ["speed", "--jobs", "0"], ["speed", "--jobs", "x"], []])
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["unknown"],
+        ["speed", "--jobs", "0"],
+        ["speed", "--jobs", "x"],
+        [],
+        ["worlds", "--shard", "3/2"],
+        ["speed", "--shard", "1/2"],
+    ],
+)
 def test_a_wrong_command_line_ends_with_2(line: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         command.main(line)
