@@ -16,7 +16,6 @@ from shapely.geometry import Polygon
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.checks import check_geometry, checked_outline
 from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
-from mecp_env.world.generator.furniture import Room, _free_standing, _is_clear, _is_off, _is_off_walls, _shelf
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
 from mecp_env.world.schema import BoxSpec, Layout
@@ -270,19 +269,3 @@ def test_what_no_building_can_be_is_refused() -> None:
         split_seed("dev", 0)
     with pytest.raises(ConfigError, match="1000 buildings"):
         split_seed("test", 1000)
-
-
-@pytest.mark.parametrize("kind", ["shelf", "box", "square_pillar", "round_pillar"])
-def test_what_is_in_the_way_is_the_same_whatever_is_looked_at_first(kind: str) -> None:
-    """Twin: every place against every piece, door and wall."""
-    ring = np.array([(0.0, 0.0), (7.0, 0.0), (7.0, 3.0), (4.0, 3.0), (4.0, 6.5), (0.0, 6.5)])
-    rng, found = np.random.default_rng(0), 0
-    for _ in range(60):
-        room = Room(ring, np.array([[2.0, 0.0], [4.0, 5.0]]), 0.12)
-        room.put_all(["box", "round_pillar", "shelf"][: rng.integers(4)], rng)
-        places = _shelf(ring, 0.12, rng) if kind == "shelf" else _free_standing(kind, room, rng)
-        clear = _is_off(places, room.circles, 0.8) & _is_off(places, room.doors, 1.1)
-        clear &= _is_off_walls(places, room)
-        assert np.array_equal(_is_clear(places, room), clear)
-        found += int(clear.sum())
-    assert found > 20

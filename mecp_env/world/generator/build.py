@@ -40,12 +40,11 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
     rejected: list[Rejected] = []
     while len(rejected) < ATTEMPTS and sum(why.field == "furniture" for why in rejected) < FURNISHED:
         try:
-            layout = _attempt(spec, seed, rng)
+            return _attempt(spec, seed, rng)
+        except Rejected as why:
+            rejected.append(why)
         except LayoutError as error:
             raise ConfigError(f"rooms, furniture: more than a layout may hold ({error})") from None
-        if isinstance(layout, Layout):
-            return layout
-        rejected.append(layout)
     raise ConfigError(_impossible(spec, rejected))
 
 
@@ -71,25 +70,19 @@ def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
     return f"{field}: {value:g} {say[field]} {tried}; ask for less, or for larger rooms"
 
 
-def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout | Rejected:
-    """One try: rejected when rooms do not fit into the plot, doors not between the rooms, furniture not into them."""
+def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout:
+    """One try. Raises `Rejected` when rooms do not fit into the plot, doors not between them, or furniture not in."""
     spaces = partition(spec, rng)
-    if spaces is None:
-        return Rejected("rooms")
     thickness = spec.drawn_thickness_m(rng)
     slants = _cut_corners(spaces, spec, rng)
     if len(slants) < spec.slanted_corners:
-        return Rejected("slanted_corners", len(slants))
+        raise Rejected("slanted_corners", len(slants))
     lines = borders(spaces)
     doors = plan_doors(spaces, shared_stretches(lines), thickness, spec, rng)
-    if isinstance(doors, Rejected):
-        return doors
     furniture = furnish(spaces, doors, thickness, spec, rng)
-    if isinstance(furniture, Rejected):
-        return furniture
     starts = _starts(spaces, furniture, rng)
     if not starts:
-        return Rejected("furniture")
+        raise Rejected("furniture")
     walls = joined(wall_lines(lines), slants)
     turn = math.radians(rng.uniform(*spec.turned_deg))
     return _layout(f"rooms-{spec.rooms}-{seed}", _Turned(turn), (spaces, walls, doors, furniture, starts), thickness)

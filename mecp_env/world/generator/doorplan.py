@@ -26,13 +26,11 @@ class Opening(NamedTuple):
 
 def plan_doors(
     spaces: list[Space], stretches: list[Shared], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Opening] | Rejected:
-    """rooms - 1 + loops doors that join all rooms, no two between the same rooms; else what could not be."""
+) -> list[Opening]:
+    """rooms - 1 + loops doors that join all rooms, no two between the same rooms. Raises `Rejected`."""
     widths = rng.uniform(*spec.door_width_m, spec.rooms - 1 + spec.loops)
     places = _places(stretches, float(widths.max()) + 2.0 * POST_M + thickness)
     pairs = _chosen(list(places), spaces, spec, rng)
-    if isinstance(pairs, Rejected):
-        return pairs
     return [_opening(places[pair], float(width), thickness, rng) for pair, width in zip(pairs, widths, strict=True)]
 
 
@@ -48,7 +46,7 @@ def _places(stretches: list[Shared], least: float) -> dict[tuple[int, int], Shar
 
 def _chosen(
     pairs: list[tuple[int, int]], spaces: list[Space], spec: GeneratorSpec, rng: np.random.Generator
-) -> list[tuple[int, int]] | Rejected:
+) -> list[tuple[int, int]]:
     """Pairs of rooms with a door: first a tree in random order that prefers corridors, then the loops."""
     corridor = np.array([space.corridor for space in spaces])
     order = rng.random(len(pairs)) - 0.5 * corridor[np.array(pairs, np.int64).reshape(-1, 2)].sum(axis=1)
@@ -57,8 +55,10 @@ def _chosen(
     tree = _tree(ranked, most)
     loops = [pair for pair in ranked if pair not in tree and _take(pair, most)]
     if len(tree) < spec.rooms - 1:
-        return Rejected("rooms")
-    return tree + loops[: spec.loops] if len(loops) >= spec.loops else Rejected("loops", len(loops))
+        raise Rejected("rooms")
+    if len(loops) < spec.loops:
+        raise Rejected("loops", len(loops))
+    return tree + loops[: spec.loops]
 
 
 def _tree(ranked: list[tuple[int, int]], most: list[int]) -> list[tuple[int, int]]:

@@ -12,6 +12,7 @@ from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bools
@@ -52,8 +53,8 @@ class Places(NamedTuple):
 
 def furnish(
     spaces: list[Space], doors: list[Opening], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Placed] | Rejected:
-    """The furniture of all rooms but the corridors, as many pieces as the specification says; else what did fit.
+) -> list[Placed]:
+    """The furniture of all rooms but the corridors, as many pieces as the specification says. Raises `Rejected`.
 
     Each room has its share; what does not fit there is put into another one.
     """
@@ -63,11 +64,14 @@ def furnish(
     if wanted == 0.0:
         return []
     shares = zip(rooms, _counts(areas, round(wanted), rng), strict=True)
-    left = [left for room, count in shares for left in room.put_all(rng.choice(spec.pieces, count).tolist(), rng)]
+    left: list[str] = []
+    for room, count in shares:
+        left += [kind for kind in rng.choice(spec.pieces, count).tolist() if not room.put(kind, rng)]
     _elsewhere(left, rooms, spec, rng)
     placed = list(chain.from_iterable(room.pieces for room in rooms))
-    enough = len(placed) >= min(round(wanted), LEAST_SHARE * wanted)
-    return placed if enough else Rejected("furniture", spec.furniture * len(placed) / wanted)
+    if len(placed) < min(round(wanted), LEAST_SHARE * wanted):
+        raise Rejected("furniture", spec.furniture * len(placed) / wanted)
+    return placed
 
 
 def _counts(areas: Array, total: int, rng: np.random.Generator) -> list[int]:
@@ -92,22 +96,14 @@ class Room:
     ring: Array  # (n,2) m
     doors: Array  # (d,2) m, their middles
     thickness: float  # m, of the walls
-    low: Array = field(init=False)  # (2,) m, the box around it: its lower left corner
-    high: Array = field(init=False)  # (2,) m, and its upper right one
     circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
     pieces: list[Placed] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.low, self.high = self.ring.min(axis=0), self.ring.max(axis=0)
-
-    def put_all(self, kinds: list[str], rng: np.random.Generator) -> list[str]:
-        """The pieces for which no free place was found; all others are placed where they block no passage."""
-        return [kind for kind in kinds if not self.put(kind, rng)]
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Place a piece where it blocks no passage; False where no such place was found."""
         places = _shelf(self.ring, self.thickness, rng) if kind == "shelf" else _free_standing(kind, self, rng)
-        fits = np.flatnonzero(_is_clear(places, self))
+        clear = _is_off(places, self.circles, CLEAR_M) & _is_off(places, self.doors, DOOR_CLEAR_M)
+        fits = np.flatnonzero(clear & _is_off_walls(places, self))
         if not len(fits):
             return False
         first = int(fits[0])
@@ -130,12 +126,8 @@ def ring_area(ring: Sequence[Point]) -> float:
 
 def inside(ring: Array, points: Array) -> Bools:
     """Which points (m,2) lie in the simple polygon (n,2)."""
-    (x0, y0), (x1, y1) = ring.T, following(ring).T
-    x, y = points[:, :1], points[:, 1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossed = ((y0 > y) != (y1 > y)) & (x < (x1 - x0) * (y - y0) / (y1 - y0) + x0)
-    odd: Bools = crossed.sum(axis=1) % 2 == 1
-    return odd
+    within: Bools = shapely.contains_xy(shapely.Polygon(ring), points)
+    return within
 
 
 def edge_distances(ring: Array, points: Array) -> Array:
@@ -150,36 +142,6 @@ def edge_distances(ring: Array, points: Array) -> Array:
 def following(ring: Array) -> Array:
     """For each corner (n,2) of a ring the next one."""
     return np.concatenate([ring[1:], ring[:1]])
-
-
-def _is_clear(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece is in the room, away from doors, pieces and walls, except the wall behind it.
-
-    Cheap tests come first: in a full room they reject nearly everything.
-    """
-    clear = _may_be_off_walls(places, room)
-    left = np.flatnonzero(clear)
-    if not len(left):
-        return clear
-    some = Places(places.centres[left], places.radius, places.wall[left], places.middles, places.piece)
-    off = _is_off(some, room.circles, CLEAR_M)
-    off &= _is_off(some, room.doors, DOOR_CLEAR_M)
-    if off.any():
-        off &= _is_off_walls(some, room)
-    clear[left] = off
-    return clear
-
-
-def _may_be_off_walls(places: Places, room: Room) -> Bools:
-    """At which places (m,) a piece without a wall behind it is far enough from the box around the room.
-
-    Inside of the room its walls are nearer than the box.
-    """
-    if places.wall[0] >= 0:
-        return np.ones(len(places.centres), np.bool_)
-    least = places.radius + CLEAR_M + room.thickness / 2.0 - 1e-6  # so that rounding refuses nothing
-    inner = (places.centres >= room.low + least) & (places.centres <= room.high - least)
-    return np.asarray(inner.all(axis=(1, 2)))
 
 
 def _is_off_walls(places: Places, room: Room) -> Bools:
@@ -203,7 +165,7 @@ def _is_off(places: Places, others: Array, least_m: float) -> Bools:
 
 def _free_standing(kind: str, room: Room, rng: np.random.Generator) -> Places:
     """A pillar or a box anywhere in the box around a room."""
-    centres = rng.uniform(room.low, room.high, (PLACES, 2)).round(3)
+    centres = rng.uniform(room.ring.min(axis=0), room.ring.max(axis=0), (PLACES, 2)).round(3)
     offsets, radius, piece = _piece(kind, rng)
     return Places(centres[:, None] + offsets, radius, np.full(PLACES, -1), centres, piece)
 

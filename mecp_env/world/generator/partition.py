@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.world.generator.spec import ROOMS_OF, GeneratorSpec
+from mecp_env.world.generator.spec import ROOMS_OF, GeneratorSpec, Rejected
 
 GRID_M = 0.05  # walls lie on multiples of this
 CUTS = 20  # candidate cuts of one rectangle
@@ -55,13 +55,16 @@ class Space:
     corridor: bool = False
 
 
-def partition(spec: GeneratorSpec, rng: np.random.Generator) -> list[Space] | None:
-    """The rooms of a building on a rectangular plot, corridors among them; None when they did not fit."""
+def partition(spec: GeneratorSpec, rng: np.random.Generator) -> list[Space]:
+    """The rooms of a building on a rectangular plot, corridors among them. Raises `Rejected` when they did not fit."""
     items = _items(spec, rng)
     area = 1.05 * _area(items, spec.corridors)
     width = math.sqrt(area * rng.uniform(0.8, 1.8))
     plot = Rect(0.0, 0.0, _snap(width), _snap(area / width))
-    return _fill(plot, items, spec.corridors, spec, rng)
+    spaces = _fill(plot, items, spec.corridors, spec, rng)
+    if spaces is None:
+        raise Rejected("rooms")
+    return spaces
 
 
 def _area(items: list[Item], corridors: int) -> float:
@@ -138,21 +141,16 @@ def _divide(
     strip = _snap(rng.uniform(*spec.corridor_width_m)) if corridors else 0.0
     cut = max(1, min(len(items) - 1, round(len(items) * rng.uniform(0.3, 0.7))))
     first, second = items[:cut], items[cut:]
-    rest = _shares(corridors - 1 if strip else corridors, first, items)
-    one, two = _area(first, rest[0]), _area(second, rest[1])
+    corridors -= bool(strip)
+    here = round(corridors * len(first) / len(items))
+    one, two = _area(first, here), _area(second, corridors - here)
     wide = rect.x1 - rect.x0 > rect.y1 - rect.y0
     lengthwise = (wide != bool(strip)) == (rng.random() < 0.8)
     low, high = (rect.x0, rect.x1) if lengthwise else (rect.y0, rect.y1)
     at = _snap(low + (high - low - strip) * one / (one + two))
     corridor = [Space(_slice(rect, lengthwise, at, _snap(at + strip)).ring(), True)] if strip else []
     below, above = _slice(rect, lengthwise, low, at), _slice(rect, lengthwise, _snap(at + strip), high)
-    return corridor, [(below, first, rest[0]), (above, second, rest[1])]
-
-
-def _shares(corridors: int, first: list[Item], items: list[Item]) -> tuple[int, int]:
-    """The corridors of the two halves, by their numbers of rooms."""
-    here = round(corridors * len(first) / len(items))
-    return here, corridors - here
+    return corridor, [(below, first, here), (above, second, corridors - here)]
 
 
 def _slice(rect: Rect, lengthwise: bool, low: float, high: float) -> Rect:

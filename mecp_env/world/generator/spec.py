@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -29,7 +30,8 @@ SPLITS: dict[str, range] = {
 }
 
 
-class Rejected(NamedTuple):
+@dataclass(eq=False)
+class Rejected(Exception):
     """Why a try failed: the field that it could not meet, and the value that it reached."""
 
     field: str
