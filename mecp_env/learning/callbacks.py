@@ -71,7 +71,7 @@ class StatisticsCallback(BaseCallback):
 
     def _on_step(self) -> bool:
         state, infos = self.state, self.locals["infos"]
-        state.periods += sum(info["periods"] for info in infos)
+        state.periods += int(sum(info["periods"] for info in infos))
         for info in infos:
             state.episodes += "figures" in info
             for name, value in info.get("figures", {}).items():
@@ -122,7 +122,7 @@ class SafeCheckpointCallback(BaseCallback):
         with self.statistics.paused():
             self.folder.checkpoints.save(self.model, state)
             if not self.folder.config.log.evaluate_buildings:
-                keep_policy(self.folder, self.model, state, {})
+                self.folder.keep_policy(self.model, state)
         self.saved_s = time.perf_counter()
 
 
@@ -162,12 +162,7 @@ class EvaluationCallback(BaseCallback):
             self.log.add_evaluation(self.statistics.clock(), figures, best)
             if best:
                 state.best_score = figures["auc"]
-                keep_policy(self.folder, self.model, state, {"validation": figures})
-
-
-def keep_policy(folder: RunFolder, model: OnPolicyAlgorithm, state: TrainingState, facts: dict[str, Any]) -> None:
-    """Make the policy of a model the one that is loaded from the folder."""
-    folder.keep_policy(model.policy, facts | {"decisions": state.decisions, "seconds": round(state.seconds)})
+                self.folder.keep_policy(self.model, state, validation=figures)
 
 
 class Validation:

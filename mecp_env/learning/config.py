@@ -169,10 +169,7 @@ class TrainConfig(Settings):
 COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.0}}}
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
-    "environments": 16,
-    "env": {
-        "reward": {"contact": -0.01, "time": -0.001}
-    },  # with the environment's own weights it learns to stand still
+    "env": {"reward": {"contact": -0.01, "time": -0.001}},  # with the defaults it learns to stand still
     "network": {"width": 32, "grid_channels": 8},
     "ppo": {"steps": 128, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
     "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},

@@ -22,7 +22,6 @@ from mecp_env.learning.downsampled import DownsampledObservation, goal_masks
 from mecp_env.learning.sb3_batch import SB3Batch
 from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
 from mecp_env.vector import BatchEnv
-from mecp_env.wrappers import GoalActions
 
 Env = gym.Env[Any, Any]
 Step = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
@@ -70,9 +69,9 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self.discount, self.discount_m = discount, discount_m
         self.statistics, self.steps = EpisodeStatistics(), list[Step]()
-        self.goals = goal_wrapper(env)
-        if self.goals is not None:
-            self.goals.callback = self.steps.append
+        self.goals = env.has_wrapper_attr("callback")  # of `GoalActions`
+        if self.goals:
+            env.set_wrapper_attr("callback", self.steps.append)
         self.metres = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -88,7 +87,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         step = self.env.step(action)
         observation, reward, terminated, truncated, _ = step
         discount = self.discount
-        if self.goals is not None:
+        if self.goals:
             reward, discount = self._of_option()
         else:
             self.steps.append(step)
@@ -126,15 +125,6 @@ class FixedBuildings(gym.Wrapper[Any, Any, Any, Any]):
         building = self.buildings[self.next % len(self.buildings)]
         self.next += 1
         return self.env.reset(seed=building, options={"building": building})
-
-
-def goal_wrapper(env: Env) -> GoalActions | None:
-    """The `GoalActions` among the wrappers of an environment."""
-    while isinstance(env, gym.Wrapper):
-        if isinstance(env, GoalActions):
-            return env
-        env = env.env
-    return None
 
 
 def make_env(config: TrainConfig, index: int = 0, split: str | None = None) -> Env:

@@ -22,7 +22,6 @@ except ImportError:  # Windows
     fcntl = None
 
 MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy; `mecp_env.learning.learned` loads no larger file
-MOST_BYTES = 4 * MOST_POLICY_BYTES  # of a checkpoint: such weights, the two moments of Adam, and the rest
 
 
 class WeightError(ConfigError):
@@ -62,7 +61,7 @@ def checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read_tensors(path: Path, sha256: str, most_bytes: int = MOST_BYTES) -> dict[str, Tensor]:
+def read_tensors(path: Path, sha256: str, most_bytes: int) -> dict[str, Tensor]:
     """The tensors in a file. Raises `WeightError` when it is missing, too large, or has another checksum or format."""
     try:
         size = path.stat().st_size

@@ -6,23 +6,56 @@ file of Stable-Baselines3 (a zip with a pickle) is code: it is refused unless th
 
 from __future__ import annotations
 
+import json
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import torch
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
+from mecp_env.learning.downsampled import downsample, goal_masks
 from mecp_env.learning.files import WeightError
-from mecp_env.learning.foreign import load_zip
-from mecp_env.learning.models import make_network, use_threads
-from mecp_env.learning.predicting import PredictingPolicy
+from mecp_env.learning.models import CLASSES, make_network
 from mecp_env.learning.run_folder import CONFIG, POLICY
 from mecp_env.policies.registry import WEIGHTS, shipped
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
+MOST_UNPACKED = 1_000_000_000  # bytes of a model file of Stable-Baselines3
+MARKS = {"sb3_contrib.common.maskable": "maskable_ppo", "sb3_contrib.common.recurrent": "recurrent_ppo"}
+
+
+class PredictingPolicy:
+    """Takes the most probable action of a model or network, as a function of the observation alone.
+
+    With a configuration the network receives the downsampled observation, else the environment's own.
+    """
+
+    def __init__(self, network: Any, actions: str, config: TrainConfig | None, name: str) -> None:
+        self.network, self.actions, self.config, self.name = network, actions, config, name
+        self.reset()
+
+    def reset(self, seed: int = 0) -> None:
+        """Start an episode; nothing here is random."""
+        self.memory: Any = None
+        self.episode_start = np.ones(1, np.bool_)
+
+    def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
+        """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows."""
+        goals, masks = self.actions == "goal", dict[str, Any]()
+        if goals:
+            masks["action_masks"] = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)[None]
+        inputs = observation if self.config is None else downsample(observation, goals)
+        batch = {name: np.asarray(values)[None] for name, values in inputs.items()}
+        actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)
+        self.episode_start = np.zeros(1, np.bool_)
+        return int(actions[0]) if goals else np.asarray(actions[0], np.float32)
 
 
 def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy:
@@ -34,7 +67,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy:
     another checksum, or belong to another network.
     """
     path = Path(name_or_folder)
-    use_threads(1)
+    torch.set_num_threads(1)
     if path.suffix == ".safetensors":
         raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
     if path.suffix == ".zip" or path.is_file():
@@ -61,3 +94,36 @@ def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Pat
     if not isinstance(name, str) or not isinstance(sha256, str) or not FILE_NAME.fullmatch(name):
         raise WeightError(f"{folder / POLICY}: expected the name of a file in this folder and its SHA-256")
     return files.read_tensors(folder / name, sha256, MOST_BYTES), folder / name
+
+
+def load_zip(path: Path, trust: bool) -> PredictingPolicy:
+    """The model in a file of Stable-Baselines3.
+
+    Raises `ConfigError` without `trust` or a file, `WeightError` for a file with another content.
+    """
+    if not path.is_file():
+        raise ConfigError(f"policy: {path}: no such file")
+    if not trust:
+        raise ConfigError(
+            f"policy: {path}: loading a model file of Stable-Baselines3 can run arbitrary code; if you trust its "
+            "source, use --trust (load(path, trust=True))"
+        )
+    algorithm = algorithm_of(path)
+    try:
+        model = CLASSES[algorithm].load(path, device="cpu")
+    except Exception as error:  # the file's own code may raise anything
+        raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
+    return PredictingPolicy(model, "goal" if algorithm == "maskable_ppo" else "velocity", None, str(path))
+
+
+def algorithm_of(path: Path) -> str:
+    """The algorithm of a model file, from the name of its policy's class; no code is loaded for that."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(part.file_size for part in archive.infolist())
+            if unpacked > MOST_UNPACKED:
+                raise ValueError(f"{unpacked} bytes unpacked, at most {MOST_UNPACKED}")
+            kind = str(json.loads(archive.read("data"))["policy_class"]["__module__"])
+    except Exception as error:  # damaged bytes may raise anything
+        raise WeightError(f"{path}: not a model file of Stable-Baselines3: {error!r}") from None
+    return next((name for mark, name in MARKS.items() if kind.startswith(mark)), "ppo")

@@ -118,14 +118,16 @@ def make_network(config: TrainConfig) -> BasePolicy:
     policy, keywords = policy_arguments(config)
     if isinstance(policy, str):
         policy = CLASSES[config.algorithm].policy_aliases[policy]
-    made: BasePolicy = policy(observation_space(config), action_space(config), lambda _: 0.0, **keywords)
+    goals = config.actions == "goal"
+    actions = spaces.Discrete(GOALS) if goals else spaces.Box(-1.0, 1.0, (2,), np.float32)
+    made: BasePolicy = policy(downsampled_space(Observer().space, goals), actions, lambda _: 0.0, **keywords)
     made.set_training_mode(False)
     return made
 
 
 def check_size(config: TrainConfig) -> None:
     """Raise `ConfigError` for a network whose weights would be refused at loading."""
-    use_threads(1)  # workers may be forked later, which threads of PyTorch would not survive
+    torch.set_num_threads(1)  # workers may be forked later, which threads of PyTorch would not survive
     size = len(files.tensor_bytes(files.weights_of(make_network(config))))
     network = config.network
     if size > files.MOST_POLICY_BYTES:
@@ -133,20 +135,3 @@ def check_size(config: TrainConfig) -> None:
             f"network.width: {network.width} (grid_channels {network.grid_channels}, lstm {network.lstm}) makes a file "
             f"of {size} bytes of weights, at most {files.MOST_POLICY_BYTES}"
         )
-
-
-def observation_space(config: TrainConfig) -> spaces.Dict:
-    """The observation space of the network."""
-    return downsampled_space(Observer().space, goals=config.actions == "goal")
-
-
-def action_space(config: TrainConfig) -> spaces.Space[Any]:
-    """The action space of the policy."""
-    if config.actions == "goal":
-        return spaces.Discrete(GOALS)
-    return spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-
-def use_threads(count: int) -> None:
-    """Let PyTorch compute in that many threads."""
-    torch.set_num_threads(count)

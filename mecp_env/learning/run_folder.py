@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import nn
 
 import mecp_env
@@ -21,7 +22,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.paths import write_atomic
 from mecp_env.core.provenance import commit
 from mecp_env.learning import files
-from mecp_env.learning.checkpoints import Checkpoints
+from mecp_env.learning.checkpoints import Checkpoints, TrainingState
 from mecp_env.learning.config import TrainConfig, read_config
 from mecp_env.learning.files import write_json
 
@@ -83,13 +84,14 @@ class RunFolder:
             known = list(json.loads(path.read_text()))
         write_json(path, [*known, {"event": event, **provenance()}])
 
-    def keep_policy(self, policy: nn.Module, facts: Mapping[str, Any]) -> None:
-        """Make these the weights that are loaded from this folder; `facts` describe their origin.
+    def keep_policy(self, model: OnPolicyAlgorithm, state: TrainingState, **facts: Any) -> None:
+        """Make the policy of a model the one that is loaded from this folder; `facts` describe its origin.
 
         Raises `NotFiniteError`; the previous weights then stay.
         """
-        files.check_finite(policy)
-        save_policy(self.folder, policy, self.config.algorithm, facts)
+        files.check_finite(model.policy)
+        facts |= {"decisions": state.decisions, "seconds": round(state.seconds)}
+        save_policy(self.folder, model.policy, self.config.algorithm, facts)
 
 
 def save_policy(folder: Path, policy: nn.Module, algorithm: str, facts: Mapping[str, Any]) -> None:

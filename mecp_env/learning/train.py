@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
 from mecp_env.learning import models
@@ -53,7 +54,7 @@ class TrainingRun:
 
     def __enter__(self) -> Self:
         config = self.config
-        models.use_threads(config.threads)
+        torch.set_num_threads(config.threads)
         timed = make_many(config, config.seed)
         gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
         self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)

@@ -6,12 +6,13 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import to_map
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 ELLIPSE_MAGNIFIED = 5.0
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
 TRUTH_GREY = (0.72, 0.73, 0.75)
+TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> None:
@@ -49,66 +51,69 @@ def map_figure(view: SceneView) -> Figure:
     _draw_truth(axes, view)
     _draw_rooms(axes, view)
     _draw_doors(axes, view)
-    axes.plot(*view.path_world.T, color=unit(palette.INK), linewidth=2.2, alpha=0.35)
-    axes.plot(*to_map(view.T_world_map, view.path_map).T, color=unit(palette.ESTIMATE), linewidth=0.9)
+    axes.plot(*view.path_world.T, color=unit(TRUE_PATH), linewidth=4.0, label="true path")
+    p_world = to_map(view.T_world_map, view.path_map)
+    axes.plot(*p_world.T, color=unit(palette.ESTIMATE), linewidth=1.1, label="estimated path")
     _draw_landmarks(axes, view)
     _name_rooms(axes, view)
     _draw_scale(axes, view.bounds)
     _plain(axes, view.bounds)
-    caption = sanitised(_caption(view))
+    caption = sanitised("    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))]))
     size = min(13.0, max(7.0, CAPTION_POINTS / len(caption)))
     figure.suptitle(caption, x=0.01, ha="left", fontsize=size, parse_math=False)
-    figure.legend(handles=_map_legend(view), loc="outside lower left", ncols=7, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower left", ncols=8, frameon=False, fontsize=9, columnspacing=1.5)
     return figure
-
-
-def _caption(view: SceneView) -> str:
-    return "    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))])
 
 
 def _draw_truth(axes: Axes, view: SceneView) -> None:
     """Walls in grey, free space in white; the polygons of the map lie between the two."""
-    for strip in shapes.wall_strips(view.segments):
-        axes.add_patch(Polygon(strip, facecolor=TRUTH_GREY, edgecolor="none"))
-    for ring in loops(view.segments):
-        solid = signed_area(ring) < 0.0
-        axes.add_patch(Polygon(ring, facecolor=TRUTH_GREY if solid else "white", edgecolor="none"))
-    for ring in loops(view.moving):
-        axes.add_patch(Polygon(ring, facecolor=unit(palette.MOVER), edgecolor="none", alpha=0.6, zorder=3.0))
+    rings = loops(view.segments)
+    inside = [TRUTH_GREY if signed_area(ring) < 0.0 else (1.0, 1.0, 1.0) for ring in rings]
+    strips = list(shapes.wall_strips(view.segments))
+    axes.add_collection(PolyCollection(strips, facecolors=TRUTH_GREY, label="true walls"))
+    axes.add_collection(PolyCollection(rings, facecolors=inside))
+    if len(view.moving):
+        looks: dict[str, Any] = {"facecolors": unit(palette.MOVER), "alpha": 0.6, "zorder": 3.0}
+        axes.add_collection(PolyCollection(loops(view.moving), label="pedestrian, box", **looks))
 
 
 def _draw_rooms(axes: Axes, view: SceneView) -> None:
-    for polygon, ring in shapes.polygon_rings(view.slam_output):
-        colour = palette.room_colour(view.slam_output.graph.resolve(polygon.room))
-        light = palette.mix(colour, palette.FREE, 0.75)  # opaque: many polygons of a room are no darker than one
-        p_world = to_map(view.T_world_map, ring)
-        axes.add_patch(Polygon(p_world, facecolor=unit(light), edgecolor="none"))
-        axes.add_patch(Polygon(p_world, fill=False, edgecolor=(*unit(colour), 0.3), linewidth=0.7, zorder=1.5))
+    known = shapes.polygon_rings(view.slam_output)
+    rings = [to_map(view.T_world_map, ring) for _, ring in known]
+    colours = [palette.room_colour(view.slam_output.graph.resolve(polygon.room)) for polygon, _ in known]
+    light = [unit(palette.mix(colour, palette.FREE, 0.75)) for colour in colours]  # many are no darker than one
+    edges = [(*unit(colour), 0.3) for colour in colours]
+    axes.add_collection(PolyCollection(rings, facecolors=light, zorder=1.2))
+    looks: dict[str, Any] = {"facecolors": "none", "edgecolors": edges, "linewidths": 0.7, "zorder": 1.5}
+    axes.add_collection(PolyCollection(rings, label="polygons of a room", **looks))
 
 
 def _draw_doors(axes: Axes, view: SceneView) -> None:
-    where = shapes.positions(view.slam_output.belief)
-    for door in view.slam_output.graph.doors:
-        for face in shapes.door_faces(door, where):
-            axes.plot(*to_map(view.T_world_map, face).T, color=unit(palette.DOOR), linewidth=3.0)
-    for candidate in view.slam_output.graph.candidates:
-        ends = to_map(view.T_world_map, candidate.ends)
-        axes.plot(*ends.T, color=unit(palette.DOOR), linewidth=1.5, linestyle=":")
+    graph, where = view.slam_output.graph, shapes.positions(view.slam_output.belief)
+    faces = [to_map(view.T_world_map, face) for door in graph.doors for face in shapes.door_faces(door, where)]
+    ends = [to_map(view.T_world_map, candidate.ends) for candidate in graph.candidates]
+    colour = unit(palette.DOOR)
+    axes.add_collection(LineCollection(faces, colors=colour, linewidths=3.0, label="door"))
+    axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.5, linestyles=":"))
 
 
 def _draw_landmarks(axes: Axes, view: SceneView) -> None:
-    belief = view.slam_output.belief
-    for mean, cov in zip(belief.p_map, belief.covs, strict=True):
-        ring = to_map(view.T_world_map, shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED))
-        axes.add_patch(Polygon(ring, fill=False, edgecolor=unit(palette.LANDMARK), linewidth=0.8))
-    axes.plot(*to_map(view.T_world_map, belief.p_map).T, "+", color=unit(palette.LANDMARK), markersize=5)
+    belief, colour = view.slam_output.belief, unit(palette.LANDMARK)
+    ellipses = [shapes.ellipse(*point, ELLIPSE_MAGNIFIED) for point in zip(belief.p_map, belief.covs, strict=True)]
+    rings = [to_map(view.T_world_map, ring) for ring in ellipses]
+    said = f"95 % ellipse x {ELLIPSE_MAGNIFIED:.0f}"
+    axes.plot(*to_map(view.T_world_map, belief.p_map).T, "+", color=colour, markersize=5, label="landmark")
+    axes.add_collection(
+        PolyCollection(rings, facecolors="none", edgecolors=colour, linewidths=0.8, zorder=2.0, label=said)
+    )
 
 
 def _name_rooms(axes: Axes, view: SceneView) -> None:
-    for room, p_map in shapes.room_labels(view.slam_output).items():
+    for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
         x, y = to_map(view.T_world_map, p_map[None])[0]
         colour = unit(palette.mix(palette.room_colour(room), palette.INK, 0.4))
-        axes.text(x, y, f"room {room}", ha="center", va="center", color=colour, fontsize=11, fontweight="bold")
+        name = axes.text(x, y, f"room {room}", ha="center", va="center", color=colour, fontsize=11, fontweight="bold")
+        name.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
 
 
 def _draw_scale(axes: Axes, bounds: Array) -> None:
@@ -123,23 +128,3 @@ def _plain(axes: Axes, bounds: Array) -> None:
     axes.set_axis_off()
     axes.set_xlim(bounds[0, 0] - 0.5, bounds[1, 0] + 0.5)
     axes.set_ylim(bounds[0, 1] - 1.0, bounds[1, 1] + 0.5)
-
-
-def _map_legend(view: SceneView) -> list[Patch | Line2D]:
-    ink, blue, red, amber = (unit(c) for c in (palette.INK, palette.ESTIMATE, palette.LANDMARK, palette.DOOR))
-    room = unit(palette.ROOMS[0])
-    movers = [Patch(color=unit(palette.MOVER), alpha=0.6, label="pedestrian, box")] if len(view.moving) else []
-    return [
-        Patch(color=TRUTH_GREY, label="true walls"),
-        Line2D([], [], color=ink, alpha=0.35, linewidth=2.2, label="true path"),
-        Line2D([], [], color=blue, label="estimated path"),
-        Line2D([], [], color=red, marker="+", linestyle="none", label="landmark"),
-        Line2D([], [], color=red, marker="o", fillstyle="none", linestyle="none", label=_ellipse_label()),
-        Patch(facecolor=(*room, 0.2), edgecolor=room, label="polygons of a room"),
-        Line2D([], [], color=amber, linewidth=3, label="door"),
-        *movers,
-    ]
-
-
-def _ellipse_label() -> str:
-    return f"95 % ellipse, drawn {ELLIPSE_MAGNIFIED:.0f} times larger"

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.messages import Belief, Door, MapPolygon, SlamOutput
@@ -14,6 +15,7 @@ Array = NDArray[np.float64]
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+WIDE = (2.5, 1.0)  # a name is so many times as wide as high
 
 
 def ellipse(mean: Array, cov: Array, magnified: float = 1.0) -> Array:
@@ -57,13 +59,17 @@ def door_faces(door: Door, where: dict[int, Array]) -> list[Array]:
     return [np.array([where[a], where[b]]) for a, b in faces if a in where and b in where]
 
 
-def room_labels(output: SlamOutput) -> dict[int, Array]:
-    """Room id -> where to write its name: the middle (2,) of its cells, map frame."""
+def room_labels(output: SlamOutput, path: Array | None = None) -> dict[int, Array]:
+    """Room id -> where to write its name: the widest place (2,) of its cells, away from a path (n,2), map frame."""
     grid = output.grid
-    labels = {}
+    free, labels = np.ones_like(grid.room, np.bool_), {}
+    if path is not None:
+        cells = np.floor((path - grid.origin) / grid.resolution_m).astype(np.int64)
+        free[cells[:, 1].clip(0, len(free) - 1), cells[:, 0].clip(0, free.shape[1] - 1)] = False
     for room in output.graph.rooms:
-        rows, cols = np.nonzero(grid.room == room)
-        if len(rows):
-            middle = np.array([np.median(cols), np.median(rows)]) + 0.5
-            labels[room] = grid.origin + grid.resolution_m * middle
+        inside = np.pad((grid.room == room) & free, 1)
+        if inside.any():
+            depth = distance_transform_edt(inside, sampling=WIDE)
+            row, col = np.unravel_index(np.argmax(depth), depth.shape)
+            labels[room] = grid.origin + grid.resolution_m * (np.array([col, row]) - 0.5)
     return labels

@@ -11,7 +11,7 @@ pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
 from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
-from mecp_env.learning.models import make_network, observation_space  # noqa: E402
+from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.policies.gain import Gain  # noqa: E402
 from mecp_env.policies.nearest import Nearest  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
@@ -48,7 +48,7 @@ def shaken(algorithm="maskable_ppo"):
 def test_downsampled_observations_are_in_their_space_and_means_of_the_grid(seen):
     env = gym.make("mecp_env/Rooms-v0", difficulty="easy")
     space = downsampled_space(env.observation_space, goals=True)
-    assert space == observation_space(quick())
+    assert space == make_network(quick()).observation_space
     for observation in seen:
         made = downsample(observation, goals=True)
         assert space.contains(made)

@@ -198,7 +198,7 @@ def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_pat
         archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
     with pytest.raises(WeightError, match="cannot be loaded"):
         load(path, trust=True)
-    monkeypatch.setattr("mecp_env.learning.foreign.MOST_UNPACKED", 1000)
+    monkeypatch.setattr("mecp_env.learning.learned.MOST_UNPACKED", 1000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", " " * 100_000)
     with pytest.raises(WeightError, match="unpacked"):

@@ -22,12 +22,13 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
-from mecp_env.learning import files, train, warm_start  # noqa: E402
-from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint  # noqa: E402
+from mecp_env.learning import train, warm_start  # noqa: E402
+from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint, write_checkpoint  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
 from mecp_env.learning.run_folder import RunFolder  # noqa: E402
 from mecp_env.learning.run_log import CsvTable  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
+from tests.learning.test_learned import Payload  # noqa: E402
 from tests.learning.training import QUICK, ROOT, quick, resume, run  # noqa: E402
 from tests.vector.helpers import gone_within  # noqa: E402
 
@@ -188,14 +189,15 @@ def trained(tmp_path_factory):
     return run(tmp_path_factory.mktemp("trained"), steps=24)[0]
 
 
-@pytest.mark.parametrize("written", ["tensors", "half"])
+@pytest.mark.parametrize("written", [0.0, 0.5, 0.999])
 def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(written, trained, tmp_path, capsys):
-    """The tensors are written first, the JSON part last, each to a temporary file."""
+    """A checkpoint is written to a temporary file; a part of one under its own name is skipped, too."""
     folder = shutil.copytree(trained, tmp_path / "run")
-    newest = folder / "checkpoints" / "000000000024.json"
-    (newest if written == "tensors" else newest.with_suffix(".safetensors")).rename(folder / "checkpoints" / ".x.tmp")
-    if written == "half":
-        newest.unlink()
+    newest = folder / "checkpoints" / "000000000024.zip"
+    data = newest.read_bytes()
+    newest.rename(folder / "checkpoints" / ".x.tmp")
+    if written:
+        newest.write_bytes(data[: int(written * len(data))])
     assert resume(folder) == 0
     assert "resumed after 12 decisions" in capsys.readouterr().out
 
@@ -206,39 +208,57 @@ def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(written, tra
         {"state": {"decisions": "24"}},
         {"state": {"decision": 24}},
         {"state": [1]},
-        {"version": 3},
-        {"sha256": 7},
-        {"numpy_position": -5},
-        {"sha256": None},
+        {"random": {"position": -5}},
+        {"random": {"numpy": torch.zeros(3)}},
+        {"random": {"torch": torch.zeros(3)}},
+        {"policy": {"log_std": torch.zeros(3)}},
+        {"policy": 3},
+        {"other": {}},
     ],
     ids=str,
 )
 def test_a_tampered_checkpoint_is_skipped_with_its_reason(change, trained, tmp_path, capsys):
     folder = shutil.copytree(trained, tmp_path / "run")
-    path = folder / "checkpoints" / "000000000024.json"
-    about = json.loads(path.read_text())
-    given = change.get("state")
-    path.write_text(json.dumps(about | change | ({"state": about["state"] | given} if isinstance(given, dict) else {})))
+    path = folder / "checkpoints" / "000000000024.zip"
+    parts = read_checkpoint(path)
+    for name, part in change.items():
+        parts[name] = parts[name] | part if isinstance(part, dict) and name in parts else part
+    write_checkpoint(path, parts)
     assert resume(folder) == 0
     out = capsys.readouterr().out.replace("\n", "")
     assert "skipped " in out
     assert "resumed after 12 decisions" in out
 
 
+def test_a_checkpoint_that_would_run_code_is_skipped(trained, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    path, mark = folder / "checkpoints" / "000000000024.zip", tmp_path / "it_ran"
+    write_checkpoint(path, read_checkpoint(path) | {"state": Payload(mark)})
+    assert resume(folder) == 0
+    assert "resumed after 12 decisions" in capsys.readouterr().out
+    assert not mark.exists()
+
+
+def test_checkpoints_of_an_older_version_are_refused(trained, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    for path in (folder / "checkpoints").iterdir():
+        path.rename(path.with_suffix(".safetensors"))
+    assert resume(folder) == 2
+    assert "checkpoints of an older version" in capsys.readouterr().err
+
+
 def test_moments_of_another_network_and_text_in_tables_do_not_end_a_resumption(trained, tmp_path, capsys):
     folder = shutil.copytree(trained, tmp_path / "run")
-    path = folder / "checkpoints" / "000000000024.json"
-    about, tensors = read_checkpoint(path)
-    tensors["optimizer.0.exp_avg"] = torch.zeros(3)
-    data = files.tensor_bytes(tensors)
-    path.with_suffix(".safetensors").write_bytes(data)
-    path.write_text(json.dumps(about | {"sha256": files.checksum(data)}))
+    path = folder / "checkpoints" / "000000000024.zip"
+    parts = read_checkpoint(path)
+    parts["policy.optimizer"]["state"][0]["exp_avg"] = torch.zeros(3)
+    write_checkpoint(path, parts)
     for name in ("progress.csv", "evaluation.csv"):
         with (folder / name).open("a") as table:
             table.write("a lot,of,text\n")
     (folder / "run.json").write_text("{")
     assert resume(folder) == 0
-    assert "optimizer.0.exp_avg is (3,) float32" in capsys.readouterr().out.replace("\n", "")
+    assert "exp_avg is (3,) float32" in capsys.readouterr().out.replace("\n", "")
 
 
 def test_a_tampered_configuration_is_refused_with_a_suggestion(trained, tmp_path, capsys):
@@ -278,7 +298,7 @@ def test_a_run_that_made_a_few_decisions_more_than_its_steps_may_be_resumed(tmp_
     checkpoints = Checkpoints(folder / "checkpoints", 3)
     assert checkpoints.decisions() == 12
     assert resume(folder, "--steps", "10") == 0
-    (checkpoints.folder / "9x.json").write_bytes(b"of another program")
+    (checkpoints.folder / "9x.zip").write_bytes(b"of another program")
     for path in checkpoints.paths():
         path.write_bytes(b"damaged")
     assert checkpoints.decisions() == 0
