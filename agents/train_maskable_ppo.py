@@ -14,18 +14,25 @@ from typing import Any
 
 import gymnasium as gym
 import tyro
-from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.learning.callbacks import OptionCallback
-from mecp_env.learning.downsampled import DownsampledObservation
-from mecp_env.learning.encoder import ObservationEncoder
-from mecp_env.learning.environments import OptionReward, vectorise
-from mecp_env.learning.files import tensor_bytes, weights_of, write_atomic
-from mecp_env.learning.models import OptionBuffer
-from mecp_env.learning.pointer import GoalPointerPolicy
+from mecp_env.core.paths import write_atomic
+from mecp_env.policies.registry import INSTALL
+
+try:
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.maskable.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    from mecp_env.learning.callbacks import OptionCallback
+    from mecp_env.learning.downsampled import DownsampledObservation
+    from mecp_env.learning.encoder import ObservationEncoder
+    from mecp_env.learning.environments import OptionReward, vectorise
+    from mecp_env.learning.files import tensor_bytes, weights_of
+    from mecp_env.learning.models import OptionBuffer
+    from mecp_env.learning.pointer import GoalPointerPolicy
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 
 
 @dataclass

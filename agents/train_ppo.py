@@ -14,15 +14,22 @@ from typing import Any
 
 import gymnasium as gym
 import tyro
-from stable_baselines3 import PPO
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.learning.downsampled import DownsampledObservation
-from mecp_env.learning.encoder import ObservationEncoder
-from mecp_env.learning.environments import vectorise
-from mecp_env.learning.files import tensor_bytes, weights_of, write_atomic
+from mecp_env.core.paths import write_atomic
+from mecp_env.policies.registry import INSTALL
+
+try:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    from mecp_env.learning.downsampled import DownsampledObservation
+    from mecp_env.learning.encoder import ObservationEncoder
+    from mecp_env.learning.environments import vectorise
+    from mecp_env.learning.files import tensor_bytes, weights_of
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 
 
 @dataclass
@@ -37,6 +44,7 @@ class Args:
     learning_rate: float = 3e-4  # it falls linearly to 0
     rollout: int = 128  # steps per environment and update
     batch: int = 512  # steps per gradient step
+    epochs: int = 3  # over the steps of an update
     discount: float = 0.995  # per control step
     validation: int = 8  # buildings of the validation split in the evaluation at the end
     out: Path = Path("runs/ppo.safetensors")  # the weights
@@ -55,16 +63,16 @@ def make_many(args: Args, count: int, split: str) -> VecMonitor:
     return VecMonitor(vectorise([partial(make_env, args, split)] * count))
 
 
-def main(args: Args) -> None:
+def main(args: Args, algorithm: Any = PPO, policy: str = "MultiInputPolicy", **policy_kwargs: Any) -> None:
     """Train, evaluate on the validation split, save the weights."""
     venv = VecNormalize(make_many(args, args.environments, "train"), norm_obs=False, gamma=args.discount)
-    model = PPO(
-        "MultiInputPolicy",
+    model = algorithm(
+        policy,
         venv,
         learning_rate=lambda left: args.learning_rate * left,
         n_steps=args.rollout,
         batch_size=args.batch,
-        n_epochs=3,
+        n_epochs=args.epochs,
         gamma=args.discount,
         target_kl=0.03,
         policy_kwargs={
@@ -72,6 +80,7 @@ def main(args: Args) -> None:
             "log_std_init": -0.7,
             "features_extractor_class": ObservationEncoder,
             "features_extractor_kwargs": {"width": 32, "channels": 8, "attention": True},
+            **policy_kwargs,
         },
         seed=args.seed,
         verbose=1,

@@ -1,4 +1,4 @@
-"""PPO with memory (LSTM) that drives by velocities, in one file.
+"""PPO with memory (LSTM) that drives by velocities: `train_ppo.py` with another algorithm.
 
     python agents/train_recurrent_ppo.py --steps 1000000
 
@@ -8,85 +8,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
+import train_ppo  # the script beside this one
 import tyro
-from sb3_contrib import RecurrentPPO
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.learning.downsampled import DownsampledObservation
-from mecp_env.learning.encoder import ObservationEncoder
-from mecp_env.learning.environments import vectorise
-from mecp_env.learning.files import tensor_bytes, weights_of, write_atomic
+try:
+    from sb3_contrib import RecurrentPPO
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error.name} is not installed; {train_ppo.INSTALL}") from None
 
 
 @dataclass
-class Args:
+class Args(train_ppo.Args):
     """Options of this script."""
 
-    steps: int = 2_000_000  # control steps, of all environments together
-    environments: int = 16  # environments side by side, in one process per core
-    difficulty: str = "medium"  # easy, medium, hard or huge
-    max_steps: int = 3000  # control steps per episode, at most
-    seed: int = 0  # of network and environments
-    learning_rate: float = 3e-4  # it falls linearly to 0
-    rollout: int = 128  # steps per environment and update
-    batch: int = 512  # steps per gradient step
-    discount: float = 0.995  # per control step
+    epochs: int = 2  # over the steps of an update
     lstm: int = 128  # size of the memory
-    validation: int = 8  # buildings of the validation split in the evaluation at the end
     out: Path = Path("runs/recurrent_ppo.safetensors")  # the weights
 
 
-def make_env(args: Args, split: str) -> gym.Env[Any, Any]:
-    """An environment with velocity commands; larger penalties would teach a beginner to stand still."""
-    reward = {"completion": 1.0, "contact": -0.01, "time": -0.001}
-    where = {"difficulty": args.difficulty, "split": split, "start": "random", "max_steps": args.max_steps}
-    env = gym.make("mecp_env/Rooms-v0", **where, reward=reward)
-    return DownsampledObservation(env, goals=False)
-
-
-def make_many(args: Args, count: int, split: str) -> VecMonitor:
-    """Environments side by side."""
-    return VecMonitor(vectorise([partial(make_env, args, split)] * count))
-
-
-def main(args: Args) -> None:
-    """Train, evaluate on the validation split, save the weights."""
-    venv = VecNormalize(make_many(args, args.environments, "train"), norm_obs=False, gamma=args.discount)
-    model = RecurrentPPO(
-        "MultiInputLstmPolicy",
-        venv,
-        learning_rate=lambda left: args.learning_rate * left,
-        n_steps=args.rollout,
-        batch_size=args.batch,
-        n_epochs=2,
-        gamma=args.discount,
-        target_kl=0.03,
-        policy_kwargs={
-            "net_arch": {"pi": [32], "vf": [32]},
-            "log_std_init": -0.7,
-            "lstm_hidden_size": args.lstm,
-            "features_extractor_class": ObservationEncoder,
-            "features_extractor_kwargs": {"width": 32, "channels": 8, "attention": True},
-        },
-        seed=args.seed,
-        verbose=1,
-        device="cpu",
-    )
-    model.learn(args.steps)
-    venv.close()
-    validation = make_many(args, min(args.validation, args.environments), "validation")
-    mean, deviation = evaluate_policy(model, validation, args.validation)
-    validation.close()
-    print(f"return on the validation split: {mean:.3f} +- {deviation:.3f}")
-    write_atomic(args.out, tensor_bytes(weights_of(model.policy)))
-
-
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    options = tyro.cli(Args)
+    train_ppo.main(options, RecurrentPPO, "MultiInputLstmPolicy", lstm_hidden_size=options.lstm)

@@ -13,11 +13,11 @@ from mecp_env.core.settings import guess
 from mecp_env.policies.policy import Policy
 
 EXPLORERS = {  # name -> "module:Class", constructed without arguments
-    "bfs": "mecp_env.policies.bfs:BreadthFirstPolicy",
-    "nearest": "mecp_env.policies.nearest:Nearest",
+    "bfs": "mecp_env.policies.explorers:BreadthFirstPolicy",
+    "nearest": "mecp_env.policies.explorers:Nearest",
     "gain": "mecp_env.policies.gain:Gain",
-    "random_goal": "mecp_env.policies.random_goal:RandomGoal",
-    "random_walk": "mecp_env.policies.random_walk:RandomWalk",
+    "random_goal": "mecp_env.policies.explorers:RandomGoal",
+    "random_walk": "mecp_env.policies.explorers:RandomWalk",
 }
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +25,6 @@ PERIOD_S = 0.4
 BUILDING = 0
 
 
-@dataclass(slots=True, eq=False)
-class Recording:
-    """The pictures of one policy, one every `every` steps."""
-
-    frames: list[Image]
-    every: int
-
-    def at(self, step: int) -> Image:
-        """The picture at a step; after the end the last one."""
-        return self.frames[min(-(-step // self.every), len(self.frames) - 1)]
-
-
 class Recorder:
     """Draws the belief of a policy while it explores."""
 
@@ -56,31 +44,32 @@ class Recorder:
         words = f"{time_s:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
         return thumbnail(self.env.get_wrapper_attr("view")(), PANEL, self.policy, words)
 
-    def recording(self) -> Recording:
-        """All pictures, with the last one."""
-        ended = "    done" if not self.info["goals"] else "    ..."
-        return Recording([*self.film.frames, self.picture(ended)], self.film.every)
-
 
 def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
     """Write the film of all policies in one building as a GIF; long episodes are cut."""
     shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
-    recordings = [record(policy, shorter, trust) for policy in policies]
-    every = max(recording.every for recording in recordings)
-    last = max(recording.every * (len(recording.frames) - 1) for recording in recordings)
+    films = [record(policy, shorter, trust) for policy in policies]
+    every = max(film.every for film in films)
+    last = max(film.every * (len(film.frames) - 1) for film in films)
     whole = Film()
-    whole.frames = [mosaic([recording.at(step) for recording in recordings]) for step in range(0, last + every, every)]
+    whole.frames = [mosaic([at(film, step) for film in films]) for step in range(0, last + every, every)]
     whole.save(path)
 
 
-def record(policy: str, setting: Setting, trust: bool = False) -> Recording:
-    """The pictures of one exploration."""
+def record(policy: str, setting: Setting, trust: bool = False) -> Film:
+    """The pictures of one exploration, with the last one."""
     made = make_policy(policy, trust)
     env = make_rooms(setting, made)
     recorder = Recorder(policy, env)
     run_policy(for_policy(env, made, recorder.add), made, recorder.add, BUILDING)
+    recorder.film.frames.append(recorder.picture("    ..." if recorder.info["goals"] else "    done"))
     env.close()
-    return recorder.recording()
+    return recorder.film
+
+
+def at(film: Film, step: int) -> Image:
+    """The picture at a step; after the end the last one."""
+    return film.frames[min(-(-step // film.every), len(film.frames) - 1)]
 
 
 def mosaic(pictures: list[Image]) -> Image:

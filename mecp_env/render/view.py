@@ -27,7 +27,7 @@ ITEMS = (
 class SceneView:
     """One moment of an episode: the truth, the estimate, and the goal of the agent."""
 
-    segments: Array  # (S,2,2) m, world frame: faces of all solids, free space on the left of start -> end
+    segments: Array  # (S,2,2) m, world frame: faces of all solids ring by ring, free space on the left
     T_world_robot: Array  # (3,) true pose
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     path_world: Array  # (n,2) m, world frame: where the robot has been
@@ -61,13 +61,9 @@ def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:
 
 
 def loops(segments: Array) -> list[Array]:
-    """Closed rings (k,2) of faces (S,2,2), the largest first; a ring around a solid is clockwise, a hole is not."""
-    starts = {tuple(np.round(start, 9)): index for index, (start, _) in enumerate(segments)}
-    left = set(range(len(segments)))
-    rings = []
-    while left:
-        ring = _follow(segments, starts, left)
-        rings.append(ring)
+    """Closed rings (k,2) of faces (S,2,2) that are in order, the largest first; a ring around a solid is clockwise."""
+    follows = np.isclose(segments[1:, 0], segments[:-1, 1]).all(axis=1)
+    rings = [ring[:, 0] for ring in np.split(segments, 1 + np.flatnonzero(~follows)) if len(ring)]
     return sorted(rings, key=lambda ring: -abs(signed_area(ring)))
 
 
@@ -75,14 +71,3 @@ def signed_area(ring: Array) -> float:
     """Area of a ring (k,2), m^2: positive when it runs counter-clockwise."""
     after = np.roll(ring, -1, axis=0)
     return float(0.5 * np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
-
-
-def _follow(segments: Array, starts: dict[tuple[float, ...], int], left: set[int]) -> Array:
-    """The ring through one of the faces `left`, which it takes out."""
-    index: int | None = min(left)
-    points = []
-    while index is not None and index in left:
-        left.remove(index)
-        points.append(segments[index, 0])
-        index = starts.get(tuple(np.round(segments[index, 1], 9)))
-    return np.array(points)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.bfs import RoomByRoom
-from mecp_env.policies.bfs import BreadthFirstPolicy
+from mecp_env.policies.explorers import BreadthFirstPolicy
 from tests.policies.scenes import goal, observation
 
 ROOT = Path(__file__).parents[2]
@@ -57,3 +57,15 @@ def test_training_ends_with_weights(algorithm: str, tmp_path: Path) -> None:
     printed = run_script(f"train_{algorithm}", tmp_path, *SMALL.split(), "--out", str(tmp_path / "w.safetensors"))
     assert "on the validation split" in printed
     assert (tmp_path / "w.safetensors").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])
+def test_without_stable_baselines_a_script_says_in_one_line_what_to_install(algorithm: str, tmp_path: Path) -> None:
+    for name in ("stable_baselines3", "sb3_contrib"):
+        (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError('none', name={name!r})")
+    environ = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    command = [sys.executable, str(ROOT / "agents" / f"train_{algorithm}.py")]
+    done = subprocess.run(command, capture_output=True, text=True, env=environ)
+    assert done.returncode == 1
+    assert "is not installed; install the extra `rl`" in done.stderr
+    assert done.stderr.count("\n") == 1

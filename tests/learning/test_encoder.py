@@ -12,8 +12,8 @@ pytest.importorskip("sb3_contrib")
 from mecp_env.learning import tables  # noqa: E402
 from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
+from mecp_env.policies.explorers import Nearest  # noqa: E402
 from mecp_env.policies.gain import Gain  # noqa: E402
-from mecp_env.policies.nearest import Nearest  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
 

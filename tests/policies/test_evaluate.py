@@ -162,7 +162,7 @@ def test_a_folder_of_another_setting_is_refused_and_stays_as_it_is(
 
 
 def test_a_changed_policy_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "from mecp_env.policies.nearest import Nearest as Own\n"
+    code = "from mecp_env.policies.explorers import Nearest as Own\n"
     (tmp_path / "changing_policy.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     first = {task.name for task in evaluation_of("changing_policy:Own").tasks()}
@@ -263,7 +263,7 @@ def test_without_the_reference_nothing_is_compared(tmp_path: Path, capsys: pytes
 def test_a_class_of_the_working_directory_is_a_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "own_policy.py").write_text("from mecp_env.policies.nearest import Nearest as Own\n")
+    (tmp_path / "own_policy.py").write_text("from mecp_env.policies.explorers import Nearest as Own\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [*sys.path])
     assert evaluate(tmp_path, "own_policy:Own", "nearest", episodes=1, max_steps=40, truth=False) == 0

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mecp_env.policies.explorers import Nearest, RandomGoal
 from mecp_env.policies.gain import Gain, Weights, unseen_area, well_known
-from mecp_env.policies.nearest import Nearest
 from mecp_env.policies.policy import VALID
-from mecp_env.policies.random_goal import RandomGoal
 from mecp_env.policies.registry import EXPLORERS, make_policy
 from tests.policies.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 

@@ -12,7 +12,7 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies import registry
-from mecp_env.policies.nearest import Nearest
+from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import EpisodeTask, Setting, run_episode
 
