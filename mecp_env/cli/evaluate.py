@@ -150,13 +150,11 @@ def collect(evaluation: Evaluation, kept: KeptResults, jobs: int) -> None:
 
     console, total = Console(stderr=True), len(evaluation.tasks())
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("episodes", total=total)
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    with bar, closing(evaluation.run(kept, jobs)) as results:
         try:
-            with closing(evaluation.run(kept, jobs)) as results:
-                for done, result in enumerate(results, start=1):
-                    progress.advance(bar)
-                    report(result, done, total)
+            for done, result in enumerate(bar.track(results, total, description="episodes"), start=1):
+                report(result, done, total)
         except KeyboardInterrupt:
             evaluation.interrupted = True
             print_error("interrupted; the same command continues")

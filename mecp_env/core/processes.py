@@ -49,14 +49,14 @@ class Failure:
     @classmethod
     def of(cls, error: Exception, place: str = "") -> Failure:
         """The failure that an exception at a `place` stands for."""
-        text = "".join(traceback.format_exception_only(error)).strip()
+        text = f"{type(error).__name__}: {error}"
         raised = traceback.extract_tb(error.__traceback__)[-1]
         note = f"in {place}:\n{traceback.format_exc()}" if place else traceback.format_exc()
         try:
             sent: Exception = pickle.loads(pickle.dumps(error))  # noqa: S301  (just written)
         except Exception:  # an exception with an argument that cannot be sent
             sent = WorkerError(text)
-        return cls(sent, note, f"{type(error).__name__}: {error} ({raised.name}, line {raised.lineno})")
+        return cls(sent, note, f"{text} ({raised.name}, line {raised.lineno})")
 
 
 def start_method(wanted: str | None = None) -> str:
@@ -91,7 +91,7 @@ class Worker:
         self.pipe, theirs = context.Pipe()
         inherited = [*siblings, self.pipe] if method == "fork" else []
         self.process = context.Process(target=_serve, args=(theirs, inherited, target), name=name, daemon=True)
-        with _one_thread_each(), _ctrl_c_blocked(method), warnings.catch_warnings():
+        with _one_thread_each(), _ctrl_c_later(method), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
             self.process.start()
         theirs.close()
@@ -140,7 +140,7 @@ class WorkerPool:
             raise RuntimeError('a worker process may start no others; vectorization_mode="sync" needs none')
         self._owner = os.getpid()
         self._workers: list[Worker] = []
-        self._answers: dict[int, Any] = {}  # of this question, so far
+        self._answers: list[Any] = []  # to this question, so far: Ctrl-C may end a wait
         try:
             for name, target in targets.items():
                 self._workers.append(Worker(target, name, method, [worker.pipe for worker in self._workers]))
@@ -164,10 +164,9 @@ class WorkerPool:
     def gather(self) -> list[Any]:
         """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
         with self._closed_by_death():
-            for number in range(len(self._workers)):
-                if number not in self._answers:  # Ctrl-C may have ended an earlier wait
-                    self._answers[number] = self._answer(number)
-        answers, self._answers = [self._answers[number] for number in range(len(self._workers))], {}
+            while len(self._answers) < len(self._workers):
+                self._answers.append(self._answer(len(self._answers)))
+        answers, self._answers = self._answers, []
         for answer in answers:
             if isinstance(answer, Failure):
                 answer.error.add_note(answer.note)
@@ -233,11 +232,8 @@ def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
 
 def _cause(exit_code: int | None) -> str:
     """What ended a process, in words."""
-    if exit_code is None or exit_code >= 0:
-        return f"ended with exit code {exit_code}"
-    with contextlib.suppress(ValueError):
-        return f"was killed by {signal.Signals(-exit_code).name}"
-    return f"was killed by signal {-exit_code}"
+    signals = {-one: one.name for one in signal.Signals}
+    return f"was killed by {signals[exit_code]}" if exit_code in signals else f"ended with exit code {exit_code}"
 
 
 @contextlib.contextmanager
@@ -253,15 +249,20 @@ def _one_thread_each() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _ctrl_c_blocked(method: str) -> Iterator[None]:
+def _ctrl_c_later(method: str) -> Iterator[None]:
     """A process started in it never receives Ctrl-C, also while it imports; this process receives it afterwards."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield  # a thread is not interrupted; Windows
         return
     if method != "fork":
         resource_tracker.ensure_running()  # its start would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    pressed = list[int]()
+    handler = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))  # called from any other thread
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)

@@ -135,6 +135,7 @@ def test_shards_and_processes_give_the_bytes_of_a_single_run(tmp_path: Path) -> 
     assert math.isnan(json.loads(single)["seed 3"]["nan"])
 
 
+SEEDS = 15
 SLOW = """
 import sys, time
 from pathlib import Path
@@ -145,7 +146,7 @@ def slow(seed):
     return quick(seed)
 test_work_units.figures = slow
 print("started", flush=True)
-test_work_units.run(Path(sys.argv[1]), range(40))
+test_work_units.run(Path(sys.argv[1]), range(test_work_units.SEEDS))
 """
 
 
@@ -156,14 +157,14 @@ def start_slow(folder: Path) -> subprocess.Popen[str]:
 
 
 def test_a_run_killed_in_the_middle_continues_and_gives_the_same_bytes(tmp_path: Path) -> None:
-    single, folder = run(tmp_path / "single", range(40)), tmp_path / "killed"
+    single, folder = run(tmp_path / "single", range(SEEDS)), tmp_path / "killed"
     process = start_slow(folder)
     while not folder.is_dir() or len(list(folder.glob("[!.]*"))) < 3:
         time.sleep(0.01)
     process.kill()
     process.communicate()
-    assert 3 <= len(list(folder.glob("[!.]*.json"))) < 40
-    assert run(folder, range(40)) == single
+    assert 3 <= len(list(folder.glob("[!.]*.json"))) < SEEDS
+    assert run(folder, range(SEEDS)) == single
     written = {name: data for name, data in kept_bytes(folder).items() if not name.startswith(".")}
     assert written == kept_bytes(tmp_path / "single")
 
@@ -173,7 +174,7 @@ def test_two_processes_in_one_folder_do_not_disturb_each_other(tmp_path: Path) -
     for process in both:
         _, errors = process.communicate(timeout=60)
         assert (process.returncode, errors) == (0, "")
-    run(tmp_path / "single", range(40))
+    run(tmp_path / "single", range(SEEDS))
     assert kept_bytes(tmp_path / "both") == kept_bytes(tmp_path / "single")
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +37,7 @@ from mecp_env.policies.rollout import (
     metrics,
     run_episode,
 )
+from tests.vector.helpers import gone_within, needs_linux
 
 ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 150)
@@ -137,6 +141,27 @@ def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
     assert evaluate(tmp_path, **QUICKLY) == 0
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
     assert all(path.stat().st_mtime_ns == written for path, written in kept.items())
+
+
+@needs_linux
+def test_ctrl_c_while_processes_start_is_quiet_and_leaves_nothing(tmp_path: Path) -> None:
+    """As a terminal sends it: to the command and its processes, which import modules for a second."""
+    line = [sys.executable, "-m", "mecp_env", "evaluate", "nearest", *words(out=tmp_path / "out", jobs=2)]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(line, cwd=ROOT, start_new_session=True, preexec_fn=deaf_no_more, **pipes)
+    pids = list[int]()
+    while len(pids) < 3 and process.poll() is None:  # the resource tracker of multiprocessing, and two workers
+        time.sleep(0.02)
+        pids = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "mecp-env: interrupted; the same command continues\n")
+    assert gone_within(pids, 5.0)
+
+
+def deaf_no_more() -> None:
+    """A test that runs in the background may have inherited that Ctrl-C is ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def test_more_episodes_and_policies_use_those_that_are_there(tmp_path: Path) -> None:
