@@ -8,7 +8,6 @@ joined. The corners are where neighbouring lines cross.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from typing import Any, NamedTuple
@@ -22,9 +21,9 @@ from mecp_env.core.array_types import Array
 from mecp_env.world.outline import thin_walls_m
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing
-# the share of the noise that is believed, and what of it may be between faces of one line, one after the other until
-# nothing crosses and no wall is lost: walls as thin as a pixel are less than that apart
-BELIEVED = ((1.0, (1.0, 0.5, 0.25, 0.0)), (0.6, (1.0,)), (0.4, (1.0,)))
+# shares of the noise, one pair after the other until nothing crosses and no wall is lost: what is believed, and what
+# may be between faces of one line; walls as thin as a pixel are less than that apart
+BELIEVED = ((1.0, 1.0), (1.0, 0.5), (1.0, 0.25), (1.0, 0.0), (0.6, 0.6), (0.4, 0.4))
 LEAST_WALL_M = 0.01  # a thinner one is lost
 BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
 THIN = 0.75  # of the noise, for the vertices that stay
@@ -72,26 +71,14 @@ def straightened(area: Polygon, noise_m: float, turn: bool = True) -> Polygon:
 def _soundest(drawn: Polygon, noise_m: float) -> Polygon | None:
     """`drawn` with the edges of its rings along lines: of as many rings, and with as few walls lost, as can be."""
     best: Try | None = None
-    for share, in_lines in BELIEVED:
-        tries = (_try(drawn, share * noise_m, in_line * share * noise_m) for in_line in in_lines)
-        best = min([best, *_until_good(tries)], key=lambda one: (math.inf, 0.0) if one is None else one[:2])
-        if best and not best.crossing:
+    for share, in_line in BELIEVED:
+        if best and not best.crossing and (share < 1.0 or best.lost_m == 0.0):
             break
+        turned, crossing = _turned(drawn, share * noise_m, in_line * noise_m)
+        if turned.is_valid:
+            found = Try(crossing, thin_walls_m(turned, LEAST_WALL_M), turned)
+            best = min(best or found, found, key=lambda one: one[:2])
     return best and best.area
-
-
-def _until_good(tries: Iterable[Try | None]) -> Iterator[Try | None]:
-    """The tries up to the first in which nothing crosses and no wall is lost."""
-    for one in tries:
-        yield one
-        if one and not one.crossing and one.lost_m == 0.0:
-            return
-
-
-def _try(drawn: Polygon, noise_m: float, in_line_m: float) -> Try | None:
-    """`drawn` with its edges along lines; None where rings cross each other."""
-    turned, crossing = _turned(drawn, noise_m, in_line_m)
-    return Try(crossing, thin_walls_m(turned, LEAST_WALL_M), turned) if turned.is_valid else None
 
 
 def _turned(drawn: Polygon, noise_m: float, in_line_m: float) -> tuple[Polygon, int]:
@@ -267,19 +254,19 @@ def _same_direction(a: Line, b: Line) -> bool:
     return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) > 0.999
 
 
+def _is_one(a: Line, b: Line, noise_m: float) -> bool:
+    return _same_direction(a, b) and abs(a.offset - b.offset) <= noise_m
+
+
 def _merged(lines: list[Line], noise_m: float) -> list[Line]:
     """`lines` of a ring with neighbours that are one line joined; a step is left between others that are parallel."""
     joined: list[Line] = []
     for line in lines:
-        if joined and _same_direction(joined[-1], line) and abs(joined[-1].offset - line.offset) <= noise_m:
+        if joined and _is_one(joined[-1], line, noise_m):
             joined[-1] = _union(joined[-1], line)
         else:
             joined.append(line)
-    if (
-        len(joined) > 4
-        and _same_direction(joined[-1], joined[0])
-        and abs(joined[-1].offset - joined[0].offset) <= noise_m
-    ):
+    if len(joined) > 4 and _is_one(joined[-1], joined[0], noise_m):
         joined = [*joined[1:-1], replace(_union(joined[-1], joined[0]), end=joined[0].end)]
     return [piece for a, b in zip(joined, [*joined[1:], joined[0]], strict=True) for piece in _with_step(a, b)]
 
