@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from statistics import fmean, median
 from typing import Any, ClassVar
 
@@ -70,7 +70,7 @@ def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, l
     quiet = len(single) < MANY
     found: dict[str, list[Figures]] = {word: [] for word in words}
     for word, one in track(single, "measuring", console=Console(stderr=True), transient=True, disable=quiet):
-        found[word].append(building_figures(load(one, reading)).as_dict())
+        found[word].append(asdict(building_figures(load(one, reading))))
     return found
 
 

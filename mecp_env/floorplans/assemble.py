@@ -67,18 +67,18 @@ def _layout(plan: FreeSpace, area: Polygon, rooms: Rooms, read: list[Polygon]) -
     names = _names(rooms.floors, plan.labels)
     holes = [Polygon(hole) for hole in area.interiors]
     pieces = [fitted(hole, read, plan.noise_m) if read else None for hole in holes]
-    return check_geometry(
-        Layout(
-            name=plan.name[:80],
-            description=plan.description,
-            solids=_solids(area, [hole for hole, piece in zip(holes, pieces, strict=True) if piece is None]),
-            walls=[],
-            rooms=[{"name": n, "polygon": _outline(f)} for n, f in zip(names, rooms.floors, strict=True)],
-            doors=[_door(door, (names[a], names[b])) for door, (a, b) in zip(rooms.doors, rooms.sides, strict=True)],
-            obstacles=[piece for piece in pieces if piece is not None],
-            starts=_starts(area, rooms.floors),
-        )
+    layout = Layout(
+        name=plan.name[:80],
+        description=plan.description,
+        solids=_solids(area, [hole for hole, piece in zip(holes, pieces, strict=True) if piece is None]),
+        walls=[],
+        rooms=[{"name": n, "polygon": _outline(f)} for n, f in zip(names, rooms.floors, strict=True)],
+        doors=[_door(door, (names[a], names[b])) for door, (a, b) in zip(rooms.doors, rooms.sides, strict=True)],
+        obstacles=[piece for piece in pieces if piece is not None],
+        starts=_starts(area, rooms.floors),
     )
+    check_geometry(layout)
+    return layout
 
 
 def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:

@@ -1,18 +1,62 @@
-"""Plain images: bright pixels are floor."""
+"""Images: untrusted ones are checked before they are decoded; of plain ones the bright pixels are floor."""
 
 from __future__ import annotations
 
+import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from mecp_env.core.array_types import Bools
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import exists
-from mecp_env.floorplans.files import grey, read_image
+from mecp_env.core.paths import exists, read_bytes
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
+
+MAX_IMAGE_BYTES = 20_000_000
+MAX_PIXELS = 4096 * 4096
+MAX_PLAIN_PIXELS = 1_000_000  # of an image written in digits, which is slow to read
+MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
+DAMAGE = OSError, ValueError, SyntaxError, struct.error, OverflowError, LookupError, Image.DecompressionBombError
+
+
+def read_image(path: Path) -> Image.Image:
+    """The decoded image of a PNG or PGM file, in one of `MODES`.
+
+    Raises LayoutError naming what is wrong: bytes, format, pixels or mode out of bounds (before anything is decoded),
+    or data that do not fit the header.
+    """
+    most = MAX_PLAIN_PIXELS if read_bytes(path, MAX_IMAGE_BYTES).startswith(DIGITS) else MAX_PIXELS
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("PNG", "PPM")) as image:
+            _check_header(image, most)
+            image.load()
+            return image
+    except LayoutError:
+        raise
+    except DAMAGE as error:
+        raise LayoutError(f"image: damaged, or no PNG or PGM of at most {most} pixels ({error!s:.120})") from None
+
+
+def _check_header(image: Image.Image, most: int) -> None:
+    width, height = image.size
+    if width * height > most:
+        raise LayoutError(f"image: {width} x {height} pixels, at most {most} in all")
+    if image.mode not in MODES:
+        raise LayoutError(f"image: mode {image.mode}, one of {', '.join(MODES)} (8 bits a channel)")
+
+
+def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
+    """Grey levels (h,w) 0-255 of an image, and where (h,w) it is opaque."""
+    if image.mode == "P":
+        image = image.convert("RGBA" if "transparency" in image.info else "RGB")
+    levels = np.asarray(image.convert("L"))
+    opaque = np.asarray(image.getchannel("A")) == 255 if "A" in image.mode else np.ones(levels.shape, np.bool_)
+    return levels, opaque
 
 
 def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:

@@ -14,7 +14,7 @@ from shapely.geometry import Point
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.errors import LayoutError
-from mecp_env.floorplans.files import read_image
+from mecp_env.floorplans.image import read_image
 from mecp_env.floorplans.options import Crossing, FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import MAX_CELLS, Placement, floor_polygon
 

@@ -15,7 +15,7 @@ from mecp_env.core.array_types import Bools
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.paths import read_bytes
 from mecp_env.core.settings import shown
-from mecp_env.floorplans.files import grey, read_image
+from mecp_env.floorplans.image import grey, read_image
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 from mecp_env.world.schema import Document

@@ -41,14 +41,8 @@ OPEN_SHARE = 0.9  # of a doorway that is a gap
 SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts may not touch
 
 
-def check_geometry(layout: Layout) -> Layout:
-    """`layout` itself. Raises LayoutError with the field, the value and the bound of what is impossible."""
-    checked_outline(layout)
-    return layout
-
-
-def checked_outline(layout: Layout) -> Outline:
-    """The outline of `layout`, whose geometry is checked as in `check_geometry`."""
+def check_geometry(layout: Layout) -> Outline:
+    """The outline of `layout`. Raises LayoutError with the field, the value and the bound of what is impossible."""
     rooms = [Polygon(room.polygon) for room in layout.rooms]
     solids, obstacles = [solid_shape(solid) for solid in layout.solids], list(map(obstacle_shape, layout.obstacles))
     for field, shapes in (("rooms.{}.polygon", rooms), ("solids.{}", solids), ("obstacles.{}.points", obstacles)):

@@ -33,7 +33,9 @@ def load_layout(given: str | os.PathLike[str] | dict[str, Any] | Layout) -> Layo
     """
     given = Path(given) if isinstance(given, os.PathLike) else given
     try:
-        return check_geometry(_parse(given))
+        layout = _parse(given)
+        check_geometry(layout)
+        return layout
     except LayoutError as error:
         source = f"{given}: " if isinstance(given, str | Path) else ""
         raise LayoutError(f"{source}{error}") from None

@@ -65,11 +65,6 @@ class Simulation:
         pose[2] = wrap_angle(pose[2])
         return pose
 
-    @property
-    def velocity(self) -> Array:
-        """True velocity (3,): x, y in the world frame, m/s; turn rate, rad/s. A copy."""
-        return self._state[3:].copy()
-
     def reset(self, T_world_robot: Array) -> None:
         """Puts the robot at rest at a pose (3,). Raises MecpError for one that is not finite or reaches into a wall."""
         pose = np.array(T_world_robot, dtype=np.float64)

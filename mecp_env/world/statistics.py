@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -29,10 +29,6 @@ class BuildingFigures:
     longest_corridor_m: float  # the longest room that is narrow, 0 without one
     width_m: float  # along x
     height_m: float  # along y
-
-    def as_dict(self) -> dict[str, float]:
-        """Name -> value."""
-        return asdict(self)
 
 
 def building_figures(layout: Layout, outline: Outline | None = None) -> BuildingFigures:

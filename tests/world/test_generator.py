@@ -14,7 +14,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.world.checks import check_geometry, checked_outline
+from mecp_env.world.checks import check_geometry
 from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
@@ -25,8 +25,8 @@ VERTICES = {"L": 6, "U": 8, "T": 8}
 
 
 def check(spec: GeneratorSpec, layout: Layout) -> None:
-    """All promises of a specification. `checked_outline` proves that every room, door and start is reachable."""
-    outline = checked_outline(layout)
+    """All promises of a specification. `check_geometry` proves that every room, door and start is reachable."""
+    outline = check_geometry(layout)
     names = Counter(room.name.split()[0] for room in layout.rooms)
     assert (names["corridor"], names.total()) == (spec.corridors, spec.rooms)
     assert len(layout.doors) == spec.rooms - 1 + spec.loops

@@ -76,11 +76,11 @@ def test_acceleration_is_limited(paper: Outline) -> None:
     speeds = []
     for _ in range(4):
         simulation.step(10.0, 0.0)
-        speeds.append(float(np.hypot(*simulation.velocity[:2])))
+        speeds.append(float(np.hypot(*simulation.get_state()["body"][3:5])))
     assert speeds == pytest.approx([0.4, 0.75, 0.75, 0.75])
     simulation.step(-10.0, 10.0)
-    assert simulation.velocity[2] == pytest.approx(1.75)
-    assert float(np.hypot(*simulation.velocity[:2])) == pytest.approx(0.35)
+    assert simulation.get_state()["body"][5] == pytest.approx(1.75)
+    assert float(np.hypot(*simulation.get_state()["body"][3:5])) == pytest.approx(0.35)
 
 
 def test_a_turn_in_place_stays_in_place(paper: Outline) -> None:
@@ -127,7 +127,7 @@ def test_a_wall_stops_the_robot_and_is_felt(two_rooms: Outline) -> None:
     first = felt.index(True)
     assert all(felt[first:])
     assert simulation.T_world_robot[0] == pytest.approx(4.94 - 0.22, abs=2e-3)
-    assert np.hypot(*simulation.velocity[:2]) < 1e-9
+    assert np.hypot(*simulation.get_state()["body"][3:5]) < 1e-9
     assert simulation.step(0.75, 0.0).increments[:, 0].sum() == pytest.approx(0.0, abs=1e-6)
 
 
