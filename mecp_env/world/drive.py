@@ -59,10 +59,10 @@ class MovingBodies(NamedTuple):
 def drive_on(
     segments: Array,
     state: Array,
-    limits: RobotLimits,
+    robot_limits: tuple[float, float, float, float, float, int],
     course: Array,
     increments: Array,
-    obstacles: MovingBodies,
+    moving: tuple[Array, Array, Array, Array, Array, bool],
     done: int,
 ) -> tuple[int, bool]:
     """Drive on from substep `done` of the control step; the substep reached, and whether something was touched.
@@ -70,7 +70,9 @@ def drive_on(
     The substep reached is the last one, or the one before a substep that pymunk has to make because something that
     moves is within reach: `course` then holds the velocity that the wheels aim at, and, in the next call, the velocity
     that pymunk left. Updates the state (6,), the readings `increments` (M,2) of the arcs that end, and the pedestrians.
+    `robot_limits` and `moving` are the fields of `RobotLimits` and `MovingBodies`: a plain tuple costs less in a call.
     """
+    limits, obstacles = RobotLimits(*robot_limits), MovingBodies(*moving)
     touched, boxes, box_discs, robot = False, obstacles.boxes, obstacles.box_discs, obstacles.robot
     if done > 0:
         touched = math.hypot(course[FELT_X] - course[AIM_X], course[FELT_Y] - course[AIM_Y]) > PUSHED_M_S

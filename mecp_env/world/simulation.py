@@ -85,7 +85,7 @@ class Simulation:
         self._course[SPEED], self._course[TURN] = self._within_limits(v, w)
         self._movers.decide(self._segments, self._state[:3], self._state[3:])
         increments, moving = np.empty((self.config.arcs, 2)), self._moving
-        robot = self._segments, self._state, self._limits, self._course, increments, moving
+        robot = self._segments, self._state, tuple(self._limits), self._course, increments, tuple(moving)
         done, contact = drive_on(*robot, 0)
         bodies = Bodies(self._segments, self.config, self._state, moving) if done < self._substeps else None
         while bodies and done < self._substeps:
