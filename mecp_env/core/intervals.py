@@ -19,11 +19,7 @@ def estimate(values: ArrayLike) -> Figures:
     """Mean of a sample with a bootstrap 95 % interval: {value, low, high, n}; a nan counts as missing."""
     sample = np.asarray(values, float).ravel()
     sample = sample[np.isfinite(sample)]
-    if not len(sample):
-        return {"value": None, "low": None, "high": None, "n": 0}
-    draws = np.random.default_rng(0).integers(0, len(sample), (RESAMPLES, len(sample)))
-    low, high = np.percentile(sample[draws].mean(axis=1), [2.5, 97.5])
-    return {"value": float(sample.mean()), "low": float(low), "high": float(high), "n": len(sample)}
+    return ratio(sample, np.ones(len(sample)))
 
 
 def ratio(parts: ArrayLike, wholes: ArrayLike) -> Figures:

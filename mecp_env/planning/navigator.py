@@ -16,9 +16,6 @@ from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, la
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid, SlamOutput
 
-OFF_PATH_M = 0.4  # the robot plans again when it is farther from its path
-BACK_M_S = 0.2
-BACK_STEPS = 4
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)
 

@@ -323,6 +323,13 @@ class Candidate:
     confirmable: int = 0  # sightings from near enough, of either face, whichever ids its jambs had
 
 
+def resolved(room: int, merged: dict[int, int]) -> int:
+    """The room that `room` stands for after all merges; `merged`: as in `RoomGraph`."""
+    while room in merged:
+        room = merged[room]
+    return room
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomGraph:
     """Rooms and the doors between them."""
@@ -338,9 +345,7 @@ class RoomGraph:
 
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""
-        while room in self.merged:
-            room = self.merged[room]
-        return room
+        return resolved(room, self.merged)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,10 +59,10 @@ class MovingBodies(NamedTuple):
 def drive_on(
     segments: Array,
     state: Array,
-    robot_limits: tuple[float, float, float, float, float, int],
+    robot_limits: tuple[Any, ...],
     course: Array,
     increments: Array,
-    moving: tuple[Array, Array, Array, Array, Array, bool],
+    moving: tuple[Any, ...],
     done: int,
 ) -> tuple[int, bool]:
     """Drive on from substep `done` of the control step; the substep reached, and whether something was touched.

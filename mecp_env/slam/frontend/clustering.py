@@ -115,7 +115,4 @@ def collect_runs(ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll
             found += 1
         start, first = position + 1, beam + 1 if beam + 1 < size else 0
         nearest, farthest = math.inf, 0.0
-    columns = np.empty((3, found), np.int64)
-    for run in range(found):
-        columns[0, run], columns[1, run], columns[2, run] = runs[run, 0], runs[run, 1], runs[run, 2]
-    return columns
+    return runs[:found].T.copy()

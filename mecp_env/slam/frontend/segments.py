@@ -65,10 +65,7 @@ def find_segments(
         if write_segment((ends[found], line[found], cov[found]), polar[1], span, fit, freedom, limits, noise):
             spans[found, 0], spans[found, 1], spans[found, 2] = spans[k, 0], span[0], span[1]
             found += 1
-    kept = np.empty((3, found), np.int64)
-    for k in range(found):
-        kept[0, k], kept[1, k], kept[2, k] = spans[k, 0], spans[k, 1], spans[k, 2]
-    return ends[:found], line[:found], cov[:found], kept
+    return ends[:found], line[:found], cov[:found], spans[:found].T.copy()
 
 
 @compiled

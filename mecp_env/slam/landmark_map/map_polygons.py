@@ -47,10 +47,9 @@ class MapPolygonStore:
             # Fig. 6: polygons of different rooms share no vertex
             if link(polygon.corners, match.ids, features.rows, graph.current, ring, polygon.intervals, intervals):
                 self._note(ring, intervals, graph.current, step)
-        self.outdated |= len(self.polygons) > added and self._above_cap(graph.current)
-
-    def _above_cap(self, room: int) -> bool:
-        return sum(polygon.room == room for polygon in self.polygons) > self.most_per_room
+        if len(self.polygons) > added:
+            count = sum(polygon.room == graph.current for polygon in self.polygons)
+            self.outdated |= count > self.most_per_room
 
     def _note(self, ring: Ints, intervals: Array, room: int, step: int) -> None:
         key = tuple(ring.tolist())
@@ -72,7 +71,10 @@ class MapPolygonStore:
             return
         rooms = {room: resolve(room) for room in {p.room for p in self.polygons}}
         sound = are_whole(self.polygons, features, rooms)
-        kept = {tuple(p.ids.tolist()): _in_room(p, rooms[p.room]) for p in compress(self.polygons, sound)}
+        kept = {
+            tuple(p.ids.tolist()): MapPolygon(p.ids, p.intervals, rooms[p.room], p.seen, p.last_step)
+            for p in compress(self.polygons, sound)
+        }
         self.polygons = _seen_most(list(kept.values()), self.most_per_room)
         self.outdated = False
         self._index()
@@ -165,7 +167,3 @@ def are_whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[in
         len(set(ids)) == len(ids) and all(home[i] == rooms[polygon.room] for i in ids)
         for ids, polygon in zip(vertices, polygons, strict=True)
     ]
-
-
-def _in_room(polygon: MapPolygon, room: int) -> MapPolygon:
-    return polygon if polygon.room == room else replace(polygon, room=room)

@@ -50,6 +50,11 @@ class DoorMap:
         ]
         self.row = {pair: d for face, d in faces for pair in (face, face[::-1])}
 
+    def add(self, door: Door) -> None:
+        """One more door, whose id is `next_id`."""
+        self.set_doors([*self.doors, door])
+        self.next_id += 1
+
     def frames(self, belief: Belief) -> Array:
         """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
 
@@ -191,7 +196,7 @@ def _confirm(
     door_map: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
 ) -> None:
     """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
-    if door_map.sightings[ids] < config.confirm_sightings or not _landmarks(ids, features):
+    if door_map.sightings[ids] < config.confirm_sightings or not are_landmarks(ids, features):
         return
     _mark_jambs(ids, features)
     new = Door(door_map.next_id, ids, None, (room, UNKNOWN_ROOM), door_map.sightings[ids])
@@ -201,8 +206,7 @@ def _confirm(
         if joined is not None:
             door_map.set_doors([*door_map.doors[:d], joined, *door_map.doors[d + 1 :]])
             return
-    door_map.set_doors([*door_map.doors, new])
-    door_map.next_id += 1
+    door_map.add(new)
 
 
 def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
@@ -210,7 +214,8 @@ def _mark_jambs(ids: tuple[int, int], features: FeatureTable) -> None:
     features.rows["kind"][[i for i in ids if features.rows["convex"][i]]] = int(CornerKind.JAMB)
 
 
-def _landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
+def are_landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
+    """True when both jambs are landmarks, so that the gap can become a door."""
     return all(i >= 0 and features.rows["state"][i] == int(FeatureState.LANDMARK) for i in ids)
 
 
@@ -269,18 +274,11 @@ def same_gap(a: Array, b: Array, config: RoomConfig) -> bool:
     return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
 
 
-def anchored(candidate: Candidate, features: FeatureTable) -> bool:
-    """True when both jambs of the candidate are landmarks, so that it can become a door."""
-    return _landmarks(candidate.ids, features)
-
-
 def pass_through(door_map: DoorMap, candidate: Candidate, features: FeatureTable, room_beyond: int) -> None:
     """The robot drove through a candidate: it is a door, passed rather than seen."""
     door_map.candidates = [c for c in door_map.candidates if c is not candidate]
     _mark_jambs(candidate.ids, features)
-    rooms = (candidate.room, room_beyond)
-    door_map.set_doors([*door_map.doors, Door(door_map.next_id, candidate.ids, None, rooms, candidate.sightings)])
-    door_map.next_id += 1
+    door_map.add(Door(door_map.next_id, candidate.ids, None, (candidate.room, room_beyond), candidate.sightings))
 
 
 def _without_faces(door: Door, lost: set[int]) -> Door | None:

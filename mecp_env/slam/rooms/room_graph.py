@@ -21,10 +21,11 @@ from mecp_env.slam.messages import (
     MapPolygon,
     RoomGraph,
     Sighting,
+    resolved,
 )
 from mecp_env.slam.rooms.doors import (
     DoorMap,
-    anchored,
+    are_landmarks,
     door_frames,
     forget_jambs,
     lies_inside,
@@ -35,8 +36,6 @@ from mecp_env.slam.rooms.doors import (
     seen_through,
 )
 from mecp_env.slam.rooms.trail import Trail
-
-LANDMARK, JAMB = int(Decision.LANDMARK), int(CornerKind.JAMB)
 
 
 @dataclass(slots=True, eq=False)
@@ -161,7 +160,7 @@ class RoomGraphEstimator:
         """Driving through a gap that is not yet a door opens a room as well."""
         for candidate in self.door_map.candidates:
             passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
-            if passed and self.resolve(candidate.room) == self.current and anchored(candidate, features):
+            if passed and self.resolve(candidate.room) == self.current and are_landmarks(candidate.ids, features):
                 room = self._open()
                 pass_through(self.door_map, candidate, features, room)
                 self._arrive(room)
@@ -181,7 +180,8 @@ class RoomGraphEstimator:
         taken_for, _ = self.parted.get(self.current, (UNKNOWN_ROOM, 0))  # it was given polygons of this room
         if polygon_room not in (UNKNOWN_ROOM, self.current, self.resolve(taken_for)):
             return self._note_other_room(polygon_room, seen.belief, self.config.recognise_m, features)
-        ids = _here(seen, features, self.current)
+        match, beyond = seen.match, seen.corners.beyond
+        ids = _on_this_side(match.ids, match.decision, seen.through, beyond, features.rows, self.current)
         if not len(ids):
             return False
         rooms = features.rows["room"][ids].tolist()
@@ -265,9 +265,7 @@ class RoomGraphEstimator:
 
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""
-        while room in self.merged:
-            room = self.merged[room]
-        return room
+        return resolved(room, self.merged)
 
 
 @compiled
@@ -299,18 +297,13 @@ def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
     return abs(aside) < width / 2.0 and -1.0 < ahead < -margin
 
 
-def _here(seen: Sighting, features: FeatureTable, current: int) -> Ints:
-    """Ids of the landmarks recognised that are no jambs and not seen through a door; none when all are in `current`."""
-    match = seen.match
-    return _on_this_side(match.ids, match.decision, seen.through, seen.corners.beyond, features.rows, current)
-
-
 @compiled
 def _on_this_side(ids: Ints, decision: Ints, through: Ints, beyond: Ints, rows: Rows, current: int) -> Ints:
-    """(c,) ids of the landmarks on this side of all doors, jambs left out; (0,) when all are in `current`."""
+    """(c,) ids of the landmarks recognised on this side of all doors, but for jambs; (0,) when all are in `current`."""
     kept, count, elsewhere = np.empty(ids.shape[0], np.int64), 0, 0
     for i in range(ids.shape[0]):
-        if decision[i] == LANDMARK and through[i] < 0 and beyond[i] < 0 and rows[ids[i]].kind != JAMB:
+        here = decision[i] == Decision.LANDMARK and through[i] < 0 and beyond[i] < 0
+        if here and rows[ids[i]].kind != CornerKind.JAMB:
             kept[count] = ids[i]
             elsewhere += rows[ids[i]].room != current
             count += 1

