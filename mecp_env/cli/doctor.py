@@ -24,6 +24,7 @@ from rich.text import Text
 
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import FAILED
+from mecp_env.core.processes import cores
 
 COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "bold red"}
 EXTRAS = ("torch", "stable-baselines3", "sb3-contrib")
@@ -92,9 +93,7 @@ def machine(_: float) -> Iterator[Finding]:
 
     where = f"{platform.system()} {platform.machine()}, {sys.executable}"
     yield Finding("PASS", "Python", f"{platform.python_version()} on {where}")
-    cores = os.cpu_count() or 1
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
-    yield Finding("PASS", "processor", f"{cores} cores, {usable} of them for this process")
+    yield Finding("PASS", "processor", f"{os.cpu_count()} cores, {cores()} of them for this process")
     threads = f"up to {numba.config.NUMBA_NUM_THREADS} threads, layer {numba.config.THREADING_LAYER!r}"
     yield Finding("PASS", "numba threading", f"{threads}; an environment itself runs on one core, without threads")
 

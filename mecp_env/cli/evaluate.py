@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 import tyro
+from pydantic import Field
 
-from mecp_env.cli.base import Command, check_folder, check_writable
+from mecp_env.cli.base import Command, OutFolder, Steps, check_writable
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from mecp_env.policies.evaluation import Evaluation
     from mecp_env.policies.rollout import EpisodeResult
 
-MOST_JOBS, MOST_EPISODES, MOST_STEPS = 256, 1_000_000, 10_000_000
 Estimator = Literal["slam", "known", "truth"]
 
 
@@ -47,17 +47,17 @@ class Evaluate(Command):
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
     split: str = "test"  # of the buildings: train, validation or test
     difficulty: str = "medium"  # easy, medium, hard or huge
-    episodes: int = 100  # buildings, one episode in each
-    jobs: int = 1  # processes at the same time
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100  # buildings, one episode in each
+    jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     shard: str = "1/1"  # run every n-th building only, from the i-th, given as i/n; the results are written without it
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     truth: bool = True  # run each policy once more with the ground-truth pose
     record: bool = False  # a film of all policies side by side, in the first building
     reference: str = "nearest"  # the policy to which the others are compared
     trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run arbitrary code
-    max_steps: int = 3000  # of an episode (control steps of 0.4 s)
+    max_steps: Steps = 3000  # of an episode (control steps of 0.4 s)
     json: Path | None = None  # also write the result there, and the page beside it
-    out: Path = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, side_by_side.gif
+    out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
 
     def run(self, line: Sequence[str]) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
@@ -82,9 +82,6 @@ class Evaluate(Command):
 
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
-        check_within("jobs", self.jobs, MOST_JOBS)
-        check_within("max_steps", self.max_steps, MOST_STEPS)
-        check_within("episodes", self.episodes, MOST_EPISODES)
         check_word("split", self.split, SPLITS)
         check_word("difficulty", self.difficulty, DIFFICULTIES)
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
@@ -94,7 +91,6 @@ class Evaluate(Command):
         evaluation.check_buildings(policies[0])
         if self.json is not None and (self.json.suffix != ".json" or self.json.is_dir()):
             raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
-        check_folder(self.out)
         if self.json is not None:
             check_writable(self.json)
 
@@ -129,12 +125,6 @@ class Evaluate(Command):
 
             names = list(dict.fromkeys(self.policies))
             write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
-
-
-def check_within(name: str, value: int, most: int) -> None:
-    """Raise `ConfigError` unless 1 <= value <= most."""
-    if not 1 <= value <= most:
-        raise ConfigError(f"{name}: {value}, expected 1 to {most}")
 
 
 def check_word(name: str, word: str, known: Mapping[str, object]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import re
 import sys
 import textwrap
 from typing import Any
@@ -114,7 +115,7 @@ def parse(words: str, line: list[str]) -> Command:
     try:
         return TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:
-        raise ConfigError(describe(error, words, Settings).replace(f"{words}.", "--")) from None
+        raise ConfigError(re.sub(rf"(^|; ){words}\.", r"\1--", describe(error, words, Settings))) from None
 
 
 if __name__ == "__main__":
