@@ -15,8 +15,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
-from mecp_env.learning.building_fields import OPTION
-from mecp_env.world.generator.fields import Value, check_fields
+from mecp_env.learning.building_fields import OPTION, Value, check_fields
 
 ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
