@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import re
@@ -20,6 +21,7 @@ from PIL import Image
 
 from mecp_env.cli import main as cli
 from mecp_env.cli.evaluate import Evaluate
+from mecp_env.core import paths
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_units
 from mecp_env.policies.comparison import Row, compare, difference, rows_of
@@ -141,6 +143,26 @@ def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
     assert evaluate(tmp_path, **QUICKLY) == 0
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
     assert all(path.stat().st_mtime_ns == written for path, written in kept.items())
+
+
+def test_a_full_disk_is_one_line_and_the_same_command_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writes, write = [0], paths.os.fsync
+
+    def full_at_last(handle: int) -> None:
+        writes[0] += 1
+        if writes[0] == 3:  # after the first file and its folder
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(handle)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(paths.os, "fsync", full_at_last)
+        assert evaluate(tmp_path, "nearest", **QUICKLY) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.fullmatch(r"mecp-env: .*/episodes/nearest_.*\.json: No space left on device", said)
+    assert not list((tmp_path / "out" / "episodes").glob(".*"))
+    assert evaluate(tmp_path, "nearest", **QUICKLY) == 0
 
 
 @needs_linux
