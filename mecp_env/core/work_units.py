@@ -160,8 +160,9 @@ class KeptResults:
         """Write the result of the unit `name`, unless another process was faster; the result as its file has it."""
         path = self.folder / f"{NOT_A_NAME.sub('_', name):.60}-{checksum(name.encode())}.json"
         if not path.exists():
-            content = {"format": FORMAT, "version": VERSION, "run": self._run, "unit": name, "result": result}
-            write_atomic(path, (json.dumps(content, default=_plain) + "\n").encode())
+            plain = json.loads(json.dumps(result, default=_plain))
+            content = {"format": FORMAT, "version": VERSION, "run": self._run, "unit": name, "result": plain}
+            write_atomic(path, (json.dumps(content | {"checksum": _checksum(content)}) + "\n").encode())
         _, self.found[name] = self._read(path)
         return self.found[name]
 
@@ -171,6 +172,8 @@ class KeptResults:
             if content["format"] != FORMAT:
                 raise ValueError(f"its format is {content['format']!r:.40}")
             self._check_run(path, content["version"], content["run"])
+            if content.pop("checksum") != _checksum(content):
+                raise ValueError("its checksum is that of another content")
             return str(content["unit"]), self._kind.validate_python(content["result"])
         except ConfigError:
             raise
@@ -206,6 +209,10 @@ def run_kept(
         for number, result in finished:
             name = todo[number]
             yield name, result if isinstance(result, FailedUnit) else kept.keep(name, result)
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    return checksum(json.dumps(content).encode())
 
 
 def _plain(value: Any) -> Any:

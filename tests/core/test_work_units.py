@@ -206,6 +206,8 @@ DAMAGE: dict[str, Any] = {
     "no run": lambda text: json.dumps({name: value for name, value in json.loads(text).items() if name != "run"}),
     "a run of another kind": lambda text: json.dumps(json.loads(text) | {"run": [1]}),
     "no result": lambda text: json.dumps({name: value for name, value in json.loads(text).items() if name != "result"}),
+    "another number": lambda text: text.replace("1.0,", "1.5,").replace("1.0}", "1.5}"),
+    "another unit": lambda text: text.replace('"unit": "x"', '"unit": "y"'),
     "another result": lambda text: json.dumps(json.loads(text) | {"result": "none"}),
     "deep": lambda text: "[" * 100_000,
 }
