@@ -30,24 +30,25 @@ def read_image(path: Path) -> Image.Image:
     Raises LayoutError naming what is wrong: bytes, format, pixels or mode out of bounds (before anything is decoded),
     or data that do not fit the header.
     """
-    most = MAX_PLAIN_PIXELS if read_bytes(path, MAX_IMAGE_BYTES).startswith(DIGITS) else MAX_PIXELS
     try:
+        most = MAX_PLAIN_PIXELS if read_bytes(path, MAX_IMAGE_BYTES).startswith(DIGITS) else MAX_PIXELS
         with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("PNG", "PPM")) as image:
             _check_header(image, most)
             image.load()
             return image
-    except LayoutError:
-        raise
+    except LayoutError as error:
+        raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except DAMAGE as error:
-        raise LayoutError(f"image: damaged, or no PNG or PGM of at most {most} pixels ({error!s:.120})") from None
+        said = f"damaged, or no PNG or PGM of at most {MAX_PIXELS} pixels ({error!s:.120})"
+        raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
 
 
 def _check_header(image: Image.Image, most: int) -> None:
     width, height = image.size
     if width * height > most:
-        raise LayoutError(f"image: {width} x {height} pixels, at most {most} in all")
+        raise LayoutError(f"{width} x {height} pixels, at most {most} in all")
     if image.mode not in MODES:
-        raise LayoutError(f"image: mode {image.mode}, one of {', '.join(MODES)} (8 bits a channel)")
+        raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)} (8 bits a channel)")
 
 
 def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
-from PIL import Image
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 
 from mecp_env.core.array_types import Bools
@@ -68,7 +67,7 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     x, y, yaw = sheet.origin
     placement = Placement(sheet.resolution, (x, y), yaw)
     image = _beside(path, sheet.image)
-    levels, opaque = grey(_decoded(image, sheet.image))
+    levels, opaque = grey(read_image(image))
     area = floor_polygon(sheet.floor_levels()[levels] & opaque, placement)
     note = f"From {path.name} and {image.name}: {sheet.resolution:g} m per pixel."
     return FreeSpace(path.stem, note, area, placement.noise_m)
@@ -104,11 +103,3 @@ def _beside(path: Path, given: str) -> Path:
     if not image.is_relative_to(folder):
         raise LayoutError(f"image: {shown(given)} leaves the folder of the yaml file")
     return image
-
-
-def _decoded(image: Path, given: str) -> Image.Image:
-    """The image of the field `image`, which every error names with what it says."""
-    try:
-        return read_image(image)
-    except LayoutError as error:
-        raise LayoutError(f"image: {shown(given)}: {str(error).removeprefix('image: ')}") from None

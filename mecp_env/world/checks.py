@@ -111,29 +111,25 @@ def _check_doors(layout: Layout) -> None:
         if depth is None:
             nearest = int(tree.nearest(Point(door.centre)))
             depth = thickness[nearest]
-            _check_door_wall(door, lines[nearest], i)
-        _check_door_sides(floors, door, depth, i)
+            _check_door_wall(door, lines[nearest], f"doors.{i}")
+        _check_door_sides(floors, door, depth, f"doors.{i}")
 
 
-def _check_door_wall(door: DoorSpec, wall: LineString, index: int) -> None:
+def _check_door_wall(door: DoorSpec, wall: LineString, field: str) -> None:
     """The door lies with its whole width in one straight wall, and is square to it."""
     off = wall.distance(Point(door.centre))
     if off > ON_LINE_M:
-        raise LayoutError(
-            f"doors.{index}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m"
-        )
+        raise LayoutError(f"{field}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m")
     (x0, y0), (x1, y1) = wall.coords
     square = math.degrees(math.atan2(y1 - y0, x1 - x0)) + 90.0 - door.direction_deg
     if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
-        raise LayoutError(f"doors.{index}.direction_deg: {door.direction_deg:g} is not square to its wall")
+        raise LayoutError(f"{field}.direction_deg: {door.direction_deg:g} is not square to its wall")
     widest = 2.0 * min(math.dist(door.centre, end) for end in wall.coords)
     if door.width_m > widest:
-        raise LayoutError(
-            f"doors.{index}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m"
-        )
+        raise LayoutError(f"{field}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m")
 
 
-def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, index: int) -> None:
+def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, field: str) -> None:
     """A point in front of the door is in the first room, a point behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)
@@ -141,7 +137,7 @@ def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: 
     for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
         if not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
-            raise LayoutError(f"doors.{index}.centre: {door.centre} is not between its rooms, {beside}")
+            raise LayoutError(f"{field}.centre: {door.centre} is not between its rooms, {beside}")
 
 
 def _check_doors_apart(doors: Doors) -> None:

@@ -10,7 +10,8 @@ from pydantic import AfterValidator, Field, model_validator
 from mecp_env.core.settings import Settings
 
 
-def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
+def ordered(limits: tuple[float, float]) -> tuple[float, float]:
+    """`limits` themselves. Raises `ValueError` when the first is larger."""
     if limits[0] > limits[1]:
         raise ValueError(f"expected least <= most, given {limits[0]:g}, {limits[1]:g}")
     return limits
@@ -19,9 +20,9 @@ def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
 Metres = Annotated[float, Field(ge=0.1, le=2.0)]
 Speed = Annotated[float, Field(ge=0.05, le=2.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
-Sizes = Annotated[tuple[Metres, Metres], AfterValidator(_ordered)]
-Speeds = Annotated[tuple[Speed, Speed], AfterValidator(_ordered)]
-Times = Annotated[tuple[Seconds, Seconds], AfterValidator(_ordered)]
+Sizes = Annotated[tuple[Metres, Metres], AfterValidator(ordered)]
+Speeds = Annotated[tuple[Speed, Speed], AfterValidator(ordered)]
+Times = Annotated[tuple[Seconds, Seconds], AfterValidator(ordered)]
 
 RANGE_SIGMA_M = {"paper": 0.05, "lms200": 0.01, "ideal": 0.0}  # IV: sigma_r of the paper's SICK laser is 0.05 m
 BEARING_SIGMA_DEG = {"paper": 0.3, "lms200": 0.0, "ideal": 0.0}  # IV: sigma_theta = 0.3 deg, on every beam

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, as_range, guess
+from mecp_env.world.config import ordered
 
 Difficulty = Literal["easy", "medium", "hard", "huge"]
 Shape = Literal["L", "T", "U"]
 Piece = Literal["shelf", "box", "square_pillar", "round_pillar"]
-Single, Word = BeforeValidator(as_range), BeforeValidator(as_many)
+Single, Ordered, Word = BeforeValidator(as_range), AfterValidator(ordered), BeforeValidator(as_many)
 Side = Annotated[float, Field(ge=2.4, le=15.0)]
 Thickness = Annotated[float, Field(ge=0.05, le=0.4)]
 Width = Annotated[float, Field(ge=0.6, le=2.0)]
@@ -48,15 +49,18 @@ class GeneratorSpec(Settings):
     rooms: int = Field(8, ge=2, le=60)  # corridors are rooms too
     loops: int = Field(0, ge=0, le=30)  # doors beyond those that join all rooms: rooms - 1 + loops doors
     corridors: int = Field(0, ge=0, le=8)  # of the rooms so many; at most one for three others
-    corridor_width_m: Annotated[tuple[Width, Width], Single] = (1.6, 2.0)  # between the middles of its walls
-    room_side_m: Annotated[tuple[Side, Side], Single] = (3.2, 5.5)  # the side of a square of the room's area
+    corridor_width_m: Annotated[tuple[Width, Width], Single, Ordered] = (1.6, 2.0)  # between the middles of its walls
+    room_side_m: Annotated[tuple[Side, Side], Single, Ordered] = (3.2, 5.5)  # the side of a square of the room's area
     shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are not rectangles
     shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # their possible shapes
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
-    turned_deg: Annotated[tuple[Turn, Turn], Single] = (0.0, 0.0)  # the whole building against the axes
-    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single] = (0.12, 0.12)  # one for the whole building
-    door_width_m: Annotated[tuple[Width, Width], Single] = (0.9, 0.9)  # drawn for each door
+    turned_deg: Annotated[tuple[Turn, Turn], Single, Ordered] = (0.0, 0.0)  # the whole building against the axes
+    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single, Ordered] = (
+        0.12,
+        0.12,
+    )  # one for the whole building
+    door_width_m: Annotated[tuple[Width, Width], Single, Ordered] = (0.9, 0.9)  # drawn for each door
     max_doors: int = Field(4, ge=1, le=20)  # of a room; corridors may have any number
     # pieces on 10 m^2 of rooms, none in corridors; in rooms of 3.2-5.5 m about 2 find room (boxes 1), over 6 m 3
     furniture: float = Field(0.0, ge=0.0, le=3.0)
@@ -78,22 +82,15 @@ class GeneratorSpec(Settings):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for name in ("corridor_width_m", "room_side_m", "turned_deg", "wall_thickness_m", "door_width_m"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name}: ({low:g}, {high:g}) is no range, the lower end comes first")
         plain = self.rooms - self.corridors
         needed = self.shaped_rooms * max(ROOMS_OF[shape] for shape in self.shapes)
         if needed > plain:
-            raise ValueError(
-                f"shaped_rooms: {self.shaped_rooms} with their notches need {needed} rooms, {plain} are left"
-            )
+            raise ValueError(f"shaped_rooms: {self.shaped_rooms} with their notches need {needed} rooms, {plain} left")
         if self.corridors and plain < 3 * self.corridors:
             raise ValueError(f"corridors: {self.corridors}, at most one for three rooms beside them")
-        if self.door_width_m[1] > self.room_side_m[0] - 1.5:
-            raise ValueError(
-                f"door_width_m: up to {self.door_width_m[1]:g} m is too wide for rooms of {self.room_side_m[0]:g} m"
-            )
+        width, side = self.door_width_m[1], self.room_side_m[0]
+        if width > side - 1.5:
+            raise ValueError(f"door_width_m: up to {width:g} m is too wide for rooms of {side:g} m")
         return self
 
     def require_doors(self) -> None:
