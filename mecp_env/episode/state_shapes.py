@@ -11,6 +11,7 @@ import numpy as np
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_shapes import Shapes, check_declared, check_shapes
+from mecp_env.planning.goal_list import INTEGERS, LENGTHS
 from mecp_env.slam.messages import FEATURE, FeatureState
 
 FAR = 500  # m; a position further away would need a grid that does not fit into memory
@@ -55,22 +56,9 @@ SHAPES: Shapes = {
     "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
     "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "n 2 2"},
     "GridPainter": {"p_landmark": "n 2"},
-    "MergedScan": {
-        "ranges": "b",
-        "bearings": "b",
-        "hit": "b",
-        "count": "b",
-        "raw_ranges": "r",
-        "raw_bearings": "r",
-    },
-    "Segments": {
-        "points": "s 2 2",
-        "line": "s 2",
-        "cov": "s 2 2",
-        "cluster": "s",
-        "first": "s",
-        "last": "s",
-    },
+    "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")
+    | dict.fromkeys(("raw_ranges", "raw_bearings"), "r"),
+    "Segments": {"points": "s 2 2", "line": "s 2", "cov": "s 2 2"} | dict.fromkeys(("cluster", "first", "last"), "s"),
     "Corners": {
         "z": "n 2",
         "cov": "2n 2n",
@@ -99,16 +87,7 @@ SHAPES: Shapes = {
         "used": " in 0:r+1",
     },
     "GoalHistory": {"entry[]": "2"},
-    "Goals": {
-        "p_map": f"g 2 in {NEAR}",
-        "kind": "g",
-        "size_m": "g",
-        "room": "g",
-        "level": "g",
-        "path_m": "g",
-        "visits": "g",
-        "door": "g",
-    },
+    "Goals": {"p_map": f"g 2 in {NEAR}"} | dict.fromkeys((*INTEGERS, *LENGTHS), "g"),
     "TravelledPath": {"points": f"c 2 in {NEAR}", "count": " in 0:c+1"},
     "Moving": {
         "pedestrians": f"n 11 in -{LONG}:{LONG}",

@@ -64,13 +64,6 @@ def true_correspondences(
     return TrueCorrespondences(T_world_robot, true, segments)
 
 
-def identify(
-    corners: Corners, T_world_robot: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
-) -> Ints:
-    """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""
-    return true_correspondences(T_world_robot, outline, obstacles)(corners)
-
-
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
     """An outline with its rasters: derived from a layout, constant."""
@@ -139,5 +132,5 @@ class GroundTruth:
         return true_correspondences(T_world_robot, self.outline, obstacles)
 
     def identify(self, corners: Corners, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> Ints:
-        """(n,) index of the true corner that each corner of a scan is, or -1 (see `identify`)."""
-        return identify(corners, T_world_robot, self.outline, obstacles)
+        """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""
+        return self.correspondences(T_world_robot, obstacles)(corners)

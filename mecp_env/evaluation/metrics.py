@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
-from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth, identify
+from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
 from mecp_env.slam.messages import Belief, SlamOutput
 
-__all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth", "identify"]
+__all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
 
 
 NEVER = 2**40  # a step that never comes

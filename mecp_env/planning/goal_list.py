@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Outcome(IntEnum):
 
 
 OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind  # a name is found much faster than a member of an enumeration
+INTEGERS, LENGTHS = ("kind", "room", "level", "visits", "door"), ("size_m", "path_m")  # columns of `Goals`
 LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 
 
@@ -68,23 +70,7 @@ class Goals:
     @classmethod
     def of(cls, goals: Sequence[Goal]) -> Goals:
         """The list of some goals, in their order."""
-        return cls(
-            np.array([(goal.x, goal.y) for goal in goals], np.float64).reshape(-1, 2),
-            integers(goals, "kind"),
-            reals(goals, "size_m"),
-            integers(goals, "room"),
-            integers(goals, "level"),
-            reals(goals, "path_m"),
-            integers(goals, "visits"),
-            integers(goals, "door"),
-        )
-
-
-def integers(goals: Sequence[Goal], name: str) -> Ints:
-    """(g,) one attribute of the goals."""
-    return np.array([getattr(goal, name) for goal in goals], np.int64)
-
-
-def reals(goals: Sequence[Goal], name: str) -> Array:
-    """(g,) one attribute of the goals."""
-    return np.array([getattr(goal, name) for goal in goals], np.float64)
+        p_map = np.array([(goal.x, goal.y) for goal in goals], np.float64).reshape(-1, 2)
+        kinds = dict.fromkeys(INTEGERS, np.int64) | dict.fromkeys(LENGTHS, np.float64)
+        columns: Any = {name: np.array([getattr(goal, name) for goal in goals], kind) for name, kind in kinds.items()}
+        return cls(p_map, **columns)

@@ -48,11 +48,7 @@ def check_scan(scan: Scan) -> None:
     shape = np.shape(scan.ranges)
     if len(shape) != 2 or 0 in shape:
         raise SensorError(f"scan.ranges: shape {shape} is not (K, B) with K, B >= 1")
-    for name in ("bearings", "hit"):
-        given = np.shape(getattr(scan, name))
-        if given != shape:
-            raise SensorError(f"scan.{name}: shape {given} is not that of the ranges, {shape}")
-    _require_arrays(scan, KINDS, "scan", SensorError)
+    _require_arrays(scan, KINDS, shape, "scan", SensorError)
     fault = find_fault(scan.ranges, scan.bearings, float(scan.max_range_m))
     if fault == Fault.NOT_FINITE:
         raise SensorError("scan.ranges, scan.bearings: every value must be finite")
@@ -126,11 +122,7 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     """
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
-    _require_arrays(match, COLUMNS, "match", MatchError)
-    for name in COLUMNS:
-        shape = getattr(match, name).shape
-        if shape != (corners,):
-            raise MatchError(f"match.{name}: shape {shape}, one of each corner expected, ({corners},)")
+    _require_arrays(match, COLUMNS, (corners,), "match", MatchError)
     for corner, (id_, decision) in enumerate(zip(match.ids.tolist(), match.decision.tolist(), strict=True)):
         if decision not in DECISIONS:
             raise MatchError(
@@ -141,11 +133,15 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     return match
 
 
-def _require_arrays(carrier: object, kinds: dict[str, np.dtype[Any]], what: str, error: type[MecpError]) -> None:
-    """Raise `error` unless the fields of `kinds` are arrays of that type."""
+def _require_arrays(
+    carrier: object, kinds: dict[str, np.dtype[Any]], shape: tuple[int, ...], what: str, error: type[MecpError]
+) -> None:
+    """Raise `error` unless the fields of `kinds` are arrays of that type and `shape`."""
     for name, kind in kinds.items():
         given = getattr(carrier, name)
         if not isinstance(given, np.ndarray):
             raise error(f"{what}.{name}: {type(given).__name__}, an array of {kind} expected")
         if given.dtype != kind:
             raise error(f"{what}.{name}: an array of {given.dtype}, one of {kind} expected")
+        if given.shape != shape:
+            raise error(f"{what}.{name}: shape {given.shape}, {shape} expected")

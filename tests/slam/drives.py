@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mecp_env.core.se2 import compose, inverse, wrap_angle
-from mecp_env.evaluation.ground_truth import identify
+from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
@@ -33,7 +33,7 @@ class Drive:
         pipeline = SlamPipeline(config)
         for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
             output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-            yield pipeline, output, identify(output.corners, pose, self.outline), self._error(output, pose)
+            yield pipeline, output, true_correspondences(pose, self.outline)(output.corners), self._error(output, pose)
 
     def _error(self, output, pose):
         error = compose(inverse(self.T_world_robot[0]), pose) - output.belief.T_map_robot
