@@ -11,6 +11,7 @@ import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -121,14 +122,9 @@ class Decoder:
         self._made[place] = kind([self.decode(item) for item in content])
         return self._made[place]
 
-    def _tuple(self, content: list[Any]) -> Any:
-        return self._frozen(tuple, content)
-
-    def _set(self, content: list[Any]) -> Any:
-        return self._frozen(set, content)
-
-    def _frozenset(self, content: list[Any]) -> Any:
-        return self._frozen(frozenset, content)
+    _tuple = partialmethod(_frozen, tuple)
+    _set = partialmethod(_frozen, set)
+    _frozenset = partialmethod(_frozen, frozenset)
 
     def _dict(self, content: list[Any]) -> Any:
         made: dict[Any, Any] = self._keep({})
@@ -183,10 +179,8 @@ def generator_data(generator: np.random.Generator) -> dict[str, Any]:
 def make_generator(data: dict[str, Any]) -> np.random.Generator:
     """The generator that `generator_data` described. Raises `StateError`."""
     bits = np.random.PCG64(0)
-    try:
+    with damage_refused():
         bits.state = data  # type: ignore[assignment]  # NumPy checks it
-    except (TypeError, ValueError, KeyError) as error:
-        raise StateError(f"state: damaged random generator ({error})") from None
     return np.random.Generator(bits)
 
 

@@ -20,11 +20,10 @@ Examples = Mapping[type, Mapping[str, Any]]
 def examples_of(value: Any) -> Examples:
     """Of every object in `value` whose class declares no fields: the class, and its fields with their types."""
     found: dict[type, Mapping[str, Any]] = {}
-    for item in fields_of(value).values():
-        if is_object(item):
-            found.update(examples_of(item))
-            if not is_dataclass(item):
-                found[type(item)] = {name: kind_of(part) for name, part in fields_of(item).items()}
+    for item in filter(is_object, fields_of(value).values()):
+        found.update(examples_of(item))
+        if not is_dataclass(item):
+            found[type(item)] = {name: kind_of(part) for name, part in fields_of(item).items()}
     return found
 
 

@@ -72,13 +72,13 @@ def missing_entries() -> list[Entry]:
     from mecp_env.core import jit_cache
 
     names = [path.name for path in jit_cache.cache_directory().glob("*.nbc")]
-    missing = []
-    for entry in warm_up_list.entries():
+
+    def is_missing(entry: Entry) -> bool:
         with contextlib.suppress(Exception):  # renamed, or another type
-            function = warm_up_list.function_of(entry).py_func
-            if not jit_cache.is_cached(function, names):
-                missing.append(entry)
-    return missing
+            return not jit_cache.is_cached(warm_up_list.function_of(entry).py_func, names)
+        return False
+
+    return list(filter(is_missing, warm_up_list.entries()))
 
 
 def show(done: int, total: int) -> None:
@@ -174,9 +174,7 @@ class _Helper(threading.Thread):
 
     def run(self) -> None:
         with contextlib.suppress(OSError, ValueError):  # the process died, or `stop` closed its pipes
-            for entry in _drain(self._todo):
-                if not self._compile(entry):
-                    return
+            for _ in itertools.takewhile(self._compile, _drain(self._todo)):
                 self._progress.advance()
 
     def _compile(self, entry: Entry) -> bool:

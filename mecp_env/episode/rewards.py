@@ -63,7 +63,7 @@ def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
     if not sure or inputs.grid.version == memory.grid_version:
         return memory.area_m2
     memory.grid_version = inputs.grid.version
-    return mapped_area(inputs.grid)
+    return float(np.count_nonzero(inputs.grid.label) * inputs.grid.resolution_m**2)  # UNKNOWN is 0
 
 
 def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
@@ -101,11 +101,6 @@ def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool
 def apply_weights(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
     """Each term times its weight, in the order of `TERMS`; the reward is their sum."""
     return {name: getattr(config, name) * terms[name] for name in TERMS}
-
-
-def mapped_area(grid: SemanticGrid) -> float:
-    """m^2 of the cells that are not UNKNOWN, which is 0."""
-    return float(np.count_nonzero(grid.label) * grid.resolution_m**2)
 
 
 @compiled

@@ -97,8 +97,9 @@ class Navigator:
             return True
         if output.grid.version == self.planned_version:
             return False
-        old = self.steps - self.planned >= self.config.navigator.replan_steps
-        return old or blocked(self.path, output, self.config)
+        old, grid = self.steps - self.planned >= self.config.navigator.replan_steps, output.grid
+        place = grid.origin, grid.resolution_m
+        return old or bool(grid_paths.wall_on_path(grid.label, self.path, *place, self.config.paths.radius_m))
 
     def _plan(self, target: Target, output: SlamOutput) -> None:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
@@ -198,14 +199,7 @@ def cell_of(p_map: Array, grid: SemanticGrid) -> tuple[int, int]:
 
 def door_of(target: Target, output: SlamOutput) -> Door | None:
     """The door of a target as it is known now."""
-    doors = [door for door in output.graph.doors if door.id == target.door]
-    return doors[0] if doors else None
-
-
-def blocked(path: Array, output: SlamOutput, config: PlanningConfig) -> bool:
-    """True when a wall is closer to the path (n,2) than the robot's radius."""
-    grid = output.grid
-    return bool(grid_paths.wall_on_path(grid.label, path, grid.origin, grid.resolution_m, config.paths.radius_m))
+    return next((door for door in output.graph.doors if door.id == target.door), None)
 
 
 def plan(target: Target, output: SlamOutput, config: PlanningConfig) -> Array:

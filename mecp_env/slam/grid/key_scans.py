@@ -193,20 +193,3 @@ def surest_landmarks(matched: Ints, ids: Ints, covs: Array, most: int) -> Ints:
     spread = covs[rows, 0, 0] + covs[rows, 1, 1]
     surest: Ints = ids[rows[np.argsort(spread, kind="stable")[:most]]]
     return surest
-
-
-def door_quads(p_landmark: Array, jambs: Ints, depth: Array, rim: float) -> Array:
-    """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face, and a rim.
-
-    `p_landmark` (F,2) by id; `jambs` (d,4): right and left of the first face, and of the other; `depth` (d,) m from
-    those of the other face on.
-    """
-    faces = p_landmark[jambs]
-    along = faces[:, 1] - faces[:, 0]
-    share = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    onward = np.stack((share[:, 1], -share[:, 0]), axis=1)
-    quads: Array = faces.take((0, 1, 3, 2), axis=1)
-    quads[:, :2] += -rim * onward[:, None]
-    quads[:, 2:] += depth[:, None, None] * onward[:, None]
-    quads[:, 2:] += rim * onward[:, None]
-    return quads

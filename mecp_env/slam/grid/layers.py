@@ -221,9 +221,17 @@ class DoorLayer:
         With one face known the door is as deep as a thin wall. It is deeper by half a cell on both sides, to join
         the floor.
         """
-        jambs = np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
+        faces = p_landmark[
+            np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
+        ]
         depth = np.array([0.0 if other else self.config.wall_m for _, _, other in doors], np.float64)
-        quads: Array = key_scans.door_quads(p_landmark, jambs, depth, 0.5 * self.config.resolution_m)
+        along, rim = faces[:, 1] - faces[:, 0], 0.5 * self.config.resolution_m
+        share = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+        onward = np.stack((share[:, 1], -share[:, 0]), axis=1)[:, None]
+        quads: Array = faces.take((0, 1, 3, 2), axis=1)
+        quads[:, :2] += -rim * onward
+        quads[:, 2:] += depth[:, None, None] * onward
+        quads[:, 2:] += rim * onward
         return quads
 
     def cuts(self, graph: RoomGraph) -> Array:

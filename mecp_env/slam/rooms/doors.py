@@ -302,11 +302,9 @@ def rename_jambs(door_map: DoorMap, keep: int, drop: int) -> None:
     def renamed(pair: tuple[int, int]) -> tuple[int, int]:
         return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
 
+    faces = [(renamed(door.jambs), door.other_face and renamed(door.other_face)) for door in door_map.doors]
     door_map.set_doors(
-        [
-            replace(d, jambs=renamed(d.jambs), other_face=None if d.other_face is None else renamed(d.other_face))
-            for d in door_map.doors
-        ]
+        [replace(door, jambs=one, other_face=two) for door, (one, two) in zip(door_map.doors, faces, strict=True)]
     )
     merged: dict[tuple[int, int], int] = {}
     for pair, count in door_map.sightings.items():
