@@ -183,11 +183,16 @@ def with_levels(goals: list[Goal], output: SlamOutput, history: GoalHistory) -> 
         goal.level = rooms.get(goal.room, len(rooms))
     local = [goal for goal in goals if goal.kind != DOOR]
     for room in {goal.room for goal in local}:
-        centres, levels = polygon_levels(output, room, history.entry.get(room))
-        for goal in [goal for goal in local if goal.room == room and levels]:
-            far = [math.hypot(goal.x - x, goal.y - y) for x, y in centres]
-            goal.level = levels[far.index(min(far))]
+        of_room = [goal for goal in local if goal.room == room]
+        set_levels(of_room, *polygon_levels(output, room, history.entry.get(room)))
     return goals
+
+
+def set_levels(goals: list[Goal], centres: list[tuple[float, float]], levels: list[int]) -> None:
+    """Give goals of a room the level of the polygon nearest to each, if there is one."""
+    for goal in goals if levels else ():
+        far = [math.hypot(goal.x - x, goal.y - y) for x, y in centres]
+        goal.level = levels[far.index(min(far))]
 
 
 def in_order(goals: list[Goal], current: int) -> list[Goal]:
