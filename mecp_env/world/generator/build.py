@@ -83,9 +83,15 @@ def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout
     starts = _starts(spaces, furniture, rng)
     if not starts:
         raise Rejected("furniture")
-    walls = joined(wall_lines(lines), slants)
-    turn = math.radians(rng.uniform(*spec.turned_deg))
-    return _layout(f"rooms-{spec.rooms}-{seed}", _Turned(turn), (spaces, walls, doors, furniture, starts), thickness)
+    turned, names = _Turned(math.radians(rng.uniform(*spec.turned_deg))), _names(spaces)
+    return Layout(
+        name=f"rooms-{spec.rooms}-{seed}",
+        walls=[{"points": turned.line(w), "thickness_m": thickness} for w in joined(wall_lines(lines), slants)],
+        rooms=[{"name": n, "polygon": turned.line(s.ring)} for n, s in zip(names, spaces, strict=True)],
+        doors=[turned.door(door, names) for door in doors],
+        obstacles=[turned.piece(piece.obstacle) for piece in furniture],
+        starts=[{"point": turned.point(p), "heading_deg": turned.heading(heading)} for p, heading in starts],
+    )
 
 
 def _cut_corners(spaces: list[Space], spec: GeneratorSpec, rng: np.random.Generator) -> list[tuple[Point, Point]]:
@@ -113,9 +119,8 @@ def _cut(ring: list[Point], corner: Point, rng: np.random.Generator) -> tuple[Po
 def _starts(spaces: list[Space], furniture: list[Placed], rng: np.random.Generator) -> list[tuple[Point, float]]:
     """A start in each of a few rooms in random order: point and heading in degrees."""
     circles = np.concatenate([piece.circles for piece in furniture] or [np.empty((0, 3))])
-    points = (
-        _free_point(np.array(spaces[index].ring), circles, rng) for index in rng.permutation(len(spaces)).tolist()
-    )
+    order = rng.permutation(len(spaces)).tolist()
+    points = (_free_point(np.array(spaces[index].ring), circles, rng) for index in order)
     found = [point for point in islice(points, 2 * MOST_STARTS) if point is not None]
     return [(point, float(rng.integers(-180, 180))) for point in found[:MOST_STARTS]]
 
@@ -130,7 +135,7 @@ def _free_point(ring: Array, circles: Array, rng: np.random.Generator) -> Point 
 
 
 class _Turned:
-    """Turns a plan about its origin."""
+    """Turns a plan about its origin, and writes its parts as a layout has them."""
 
     def __init__(self, angle: float) -> None:
         self.cos, self.sin, self.degrees = math.cos(angle), math.sin(angle), math.degrees(angle)
@@ -144,37 +149,13 @@ class _Turned:
     def heading(self, degrees: float) -> float:
         return (degrees + self.degrees + 180.0) % 360.0 - 180.0
 
+    def door(self, door: Opening, names: list[str]) -> dict[str, Any]:
+        rooms, heading = (names[door.rooms[0]], names[door.rooms[1]]), self.heading(math.degrees(door.heading))
+        return {"centre": self.point(door.centre), "width_m": door.width, "rooms": rooms, "direction_deg": heading}
 
-def _layout(
-    name: str,
-    turned: _Turned,
-    plan: tuple[list[Space], list[Line], list[Opening], list[Placed], list[tuple[Point, float]]],
-    thickness: float,
-) -> Layout:
-    """The plan as a layout, turned."""
-    spaces, walls, doors, furniture, starts = plan
-    names = _names(spaces)
-    return Layout(
-        name=name,
-        walls=[{"points": turned.line(wall), "thickness_m": thickness} for wall in walls],
-        rooms=[{"name": n, "polygon": turned.line(s.ring)} for n, s in zip(names, spaces, strict=True)],
-        doors=[
-            {
-                "centre": turned.point(door.centre),
-                "width_m": door.width,
-                "rooms": (names[door.rooms[0]], names[door.rooms[1]]),
-                "direction_deg": turned.heading(math.degrees(door.heading)),
-            }
-            for door in doors
-        ],
-        obstacles=[_turned_piece(piece.obstacle, turned) for piece in furniture],
-        starts=[{"point": turned.point(p), "heading_deg": turned.heading(heading)} for p, heading in starts],
-    )
-
-
-def _turned_piece(piece: dict[str, Any], turned: _Turned) -> dict[str, Any]:
-    moved = piece | {"centre": turned.point(piece["centre"])}
-    return moved | {"turn_deg": turned.heading(piece["turn_deg"])} if "turn_deg" in piece else moved
+    def piece(self, piece: dict[str, Any]) -> dict[str, Any]:
+        turn = {"turn_deg": self.heading(piece["turn_deg"])} if "turn_deg" in piece else {}
+        return piece | {"centre": self.point(piece["centre"])} | turn
 
 
 def _names(spaces: list[Space]) -> list[str]:
