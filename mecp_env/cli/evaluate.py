@@ -103,13 +103,11 @@ class Evaluate(Command):
         if not rows:
             print_error("no building was finished by every policy: nothing to compare")
             return
-        self.out.mkdir(parents=True, exist_ok=True)
         result = evaluation.figures(rows, command)
         text = page(result)
         write_result(result, text, self.out / "results.json", self.out / "page.md")
         evaluation.write_episodes(self.out / "episodes.csv")
         if self.json is not None:
-            self.json.parent.mkdir(parents=True, exist_ok=True)
             write_result(result, text, self.json, self.json.with_suffix(".md"))
         self._draw(result, evaluation)
         echo(*text.split("\n"), f"written to {self.out}")

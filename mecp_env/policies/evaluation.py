@@ -16,6 +16,7 @@ from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
+from mecp_env.core.paths import write_atomic
 from mecp_env.core.provenance import dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, rows_of, timing
@@ -112,6 +113,6 @@ class Evaluation:
 
 
 def write_result(figures: Figures, text: str, json_path: Path, page_path: Path) -> None:
-    """Write the figures as JSON, and the page."""
-    json_path.write_text(json.dumps(figures, indent=1) + "\n")
-    page_path.write_text(text)
+    """Write the figures as JSON, and the page, each whole or not at all."""
+    write_atomic(json_path, (json.dumps(figures, indent=1) + "\n").encode())
+    write_atomic(page_path, text.encode())
