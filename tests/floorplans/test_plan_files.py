@@ -210,7 +210,7 @@ def test_labelled_images_that_are_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_bad_files_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) -> None:
-    """Both bounds are documented in docs/plans.md."""
+    """docs/plans.md promises 3 s, which a damaged image of the largest size takes, and 200 MB."""
     sound = plans.map_pair(tmp_path, plans.two_rooms_picture())
     files = []
     for name in BAD:
