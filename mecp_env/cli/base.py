@@ -47,7 +47,7 @@ class Command(ABC):
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
 
 
-def check_folder(path: Path) -> Path:
+def check_folder(path: Path, option: str = "--out") -> Path:
     """`path` itself, a folder that may have to be made. Raises `ConfigError` where nothing can be written in it.
 
     A folder that would have to be made with the name of a file, as in `paper.json/x.json`, is a mistake.
@@ -56,24 +56,24 @@ def check_folder(path: Path) -> Path:
     there = next(place for place in places if place.exists())
     for folder in places[: places.index(there)]:
         if folder.suffix.lower() in FILE_SUFFIXES:
-            raise ConfigError(f"--out: {path}: {folder.name} is the name of a file, not of a folder; {ELSEWHERE}")
+            raise ConfigError(f"{option}: {path}: {folder.name} is the name of a file, not of a folder; {ELSEWHERE}")
     if not there.is_dir():
-        raise ConfigError(f"--out: {there} is a file, not a folder; {ELSEWHERE}")
+        raise ConfigError(f"{option}: {there} is a file, not a folder; {ELSEWHERE}")
     try:
         tempfile.TemporaryFile(dir=there).close()
     except OSError as error:
-        raise ConfigError(f"--out: {there} cannot be written to ({error.strerror}); {ELSEWHERE}") from None
+        raise ConfigError(f"{option}: {there} cannot be written to ({error.strerror}); {ELSEWHERE}") from None
     return path
 
 
-def check_writable(path: Path) -> Path:
+def check_writable(path: Path, option: str = "--out") -> Path:
     """`path` itself, a file that may have to be made. Raises `ConfigError` where it cannot be written."""
-    check_folder(path.parent)
+    check_folder(path.parent, option)
     if path.is_dir():
-        raise ConfigError(f"--out: {path} is a folder, not a file; {ELSEWHERE}")
+        raise ConfigError(f"{option}: {path} is a folder, not a file; {ELSEWHERE}")
     return path
 
 
 Seed = Annotated[int, Field(ge=0)]
 Steps = Annotated[int, Field(ge=1, le=10_000_000)]
-OutFolder = Annotated[Path, AfterValidator(check_folder)]
+OutFolder = Annotated[Path, AfterValidator(lambda path: check_folder(path))]

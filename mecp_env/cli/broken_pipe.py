@@ -15,7 +15,7 @@ class UnbreakableStream:
     """A stream that reports a closed pipe once on stderr, and then discards all output."""
 
     def __init__(self, stream: Any) -> None:
-        self._stream, self._broken = stream, False
+        self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -33,14 +33,8 @@ class UnbreakableStream:
         try:
             operation()
         except BrokenPipeError:
-            self._discard()
-
-    def _discard(self) -> None:
-        with suppress(OSError, ValueError):  # what is buffered in the stream has to go somewhere
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
-        if not self._broken:
-            self._broken = True
             with suppress(OSError):  # stderr may be the same closed pipe
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())  # also for what is in its buffer
                 print_error("the output pipe is closed; the run continues without output")
 
 

@@ -35,10 +35,11 @@ class Reading:
     kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
 
 
+AS_FOUND = Reading()
 ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
 
 
-def expand(word: str, reading: Reading | None = None) -> list[str]:
+def expand(word: str, reading: Reading = AS_FOUND) -> list[str]:
     """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
 
     Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder, and
@@ -50,7 +51,9 @@ def expand(word: str, reading: Reading | None = None) -> list[str]:
     if series:
         return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
     if word and is_folder(word):
-        return _files(Path(word), reading or Reading())
+        from mecp_env.floorplans import plan_files
+
+        return [str(path) for path in plan_files(Path(word), reading.kind, images=reading.resolution_m is not None)]
     return [word]
 
 
@@ -62,7 +65,7 @@ def _series(word: str, preset: str, first: int, last: int) -> list[str]:
     return [f"{preset}:{seed}" for seed in range(first, last + 1)]
 
 
-def expand_all(words: Sequence[str], reading: Reading | None = None) -> list[str]:
+def expand_all(words: Sequence[str], reading: Reading = AS_FOUND) -> list[str]:
     """The single buildings of all words. Raises `ConfigError` for none."""
     if not words:
         raise ConfigError(NONE_GIVEN)
@@ -113,13 +116,7 @@ def counted(layout: Layout) -> str:
     return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
 
 
-def _files(folder: Path, reading: Reading) -> list[str]:
-    from mecp_env.floorplans import plan_files
-
-    return [str(path) for path in plan_files(folder, reading.kind, images=reading.resolution_m is not None)]
-
-
-def load(word: str, reading: Reading | None = None) -> Layout:
+def load(word: str, reading: Reading = AS_FOUND) -> Layout:
     """The checked layout of a single building. Raises `LayoutError`, or `ConfigError` for a wrong way of reading."""
     series = SERIES.fullmatch(word)
     if series:
@@ -132,7 +129,6 @@ def load(word: str, reading: Reading | None = None) -> Layout:
         raise _no_such(word)
     from mecp_env.floorplans import load_plan
 
-    reading = reading or Reading()
     return load_plan(word, kind=reading.kind, resolution_m=reading.resolution_m)
 
 

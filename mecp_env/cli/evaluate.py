@@ -89,10 +89,8 @@ class Evaluate(Command):
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
         evaluation.check_buildings(policies[0])
-        if self.json is not None and (self.json.suffix != ".json" or self.json.is_dir()):
+        if self.json is not None and check_writable(self.json, "--json").suffix != ".json":
             raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
-        if self.json is not None:
-            check_writable(self.json)
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print the page."""

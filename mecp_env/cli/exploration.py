@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mecp_env.cli.stopwatch import Stopwatch
+from mecp_env.core.array_types import Array
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.env import MecpEnv
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -21,8 +19,6 @@ from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.screen import Screen, ScreenConfig
 from mecp_env.wrappers import GoalActions
-
-Array = NDArray[np.float64]
 
 FILES = (  # what a run leaves behind
     *("map.png", "run.gif", "belief.yaml", "belief.pgm", "belief.svg"),

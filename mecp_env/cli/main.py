@@ -115,7 +115,7 @@ def parse(words: str, line: list[str]) -> Command:
     try:
         return TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:
-        raise ConfigError(re.sub(rf"(^|; ){words}\.", r"\1--", describe(error, words, Settings))) from None
+        raise ConfigError(re.sub(r"(^|; )option\.", r"\1--", describe(error, "option", Settings))) from None
 
 
 if __name__ == "__main__":

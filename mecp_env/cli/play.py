@@ -18,14 +18,13 @@ from mecp_env.cli.base import Command, OutFolder, Seed
 from mecp_env.cli.buildings import SERIES, expand, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.fields import Fields, configuration
+from mecp_env.core.array_types import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
 from mecp_env.render.keys import KeyHelp, key_strip
 from mecp_env.render.screen import Screen
 from mecp_env.render.view import summary
 from mecp_env.render.window import Window, require_display
-
-Image = NDArray[np.uint8]
 
 FORWARD, BACK = {pygame.K_UP, pygame.K_w}, {pygame.K_DOWN, pygame.K_s}
 LEFT, RIGHT = {pygame.K_LEFT, pygame.K_a}, {pygame.K_RIGHT, pygame.K_d}
@@ -197,7 +196,7 @@ class Game:
         except OSError as error:
             self.message = f"{path}: {error.strerror}; choose another place with --out"
 
-    def frame(self) -> Image:
+    def frame(self) -> Bytes:
         """World and belief, and below them the keys, uint8 (height, width, 3)."""
         self.changed = False
         both = self.screen.frame(self.view, hide_world=self.hidden)

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Self
 
 import tyro
 
-from mecp_env.cli.base import Command
+from mecp_env.cli.base import Command, check_folder
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, print_os_error
 from mecp_env.cli.fields import named_fields
 from mecp_env.config import merge
@@ -81,7 +81,7 @@ class Train(Command):
             raise ConfigError(f"algorithm: missing; one of {', '.join(ALGORITHMS)}")
         below |= {"algorithm": self.algorithm} if self.algorithm else {}
         config = TrainConfig.build(merge(below, named_fields(self.fields, line)))
-        return config, self.out or Path("runs") / f"{config.algorithm}-{config.seed}"
+        return config, check_folder(self.out or Path("runs") / f"{config.algorithm}-{config.seed}")
 
     def resumed(self, line: Sequence[str]) -> tuple[TrainConfig, Path]:
         """Configuration and folder of a run that continues; it may be made longer."""

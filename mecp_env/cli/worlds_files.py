@@ -101,7 +101,7 @@ class Convert(Command):
         pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
         spare_sources(pair if write is _write_map else [self.target], [source])
         layout = load(source, self.reading)
-        check_writable(self.target)
+        check_writable(self.target, "target")
         with tempfile.TemporaryDirectory() as folder:  # what fails leaves nothing
             write(layout, Path(folder) / self.target.name, self.map_resolution_m)
             self.target.parent.mkdir(parents=True, exist_ok=True)

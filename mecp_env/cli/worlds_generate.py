@@ -90,7 +90,7 @@ class Generate(Command):
         if self.sheet:
             from mecp_env.render.plan_figures import check_count, check_format
 
-            check_writable(check_format(self.sheet))
+            check_writable(check_format(self.sheet), "--sheet")
             check_count(self.count)
 
     def _seed(self, number: int) -> int:

@@ -18,7 +18,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mecp_env.learning import files
 from mecp_env.learning.checkpoints import TrainingState
-from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_validation_env, vectorise
 from mecp_env.learning.models import OptionBuffer, bootstrap_truncated
 from mecp_env.learning.run_folder import RunFolder
@@ -60,7 +59,7 @@ class StatisticsCallback(BaseCallback):
 
     def clock(self) -> dict[str, float]:
         """How far the run has come."""
-        return {name: float(getattr(self.state, name)) for name in CLOCK}
+        return self.state.model_dump(include=set(CLOCK))
 
     def _on_training_start(self) -> None:
         self._start_clock()
@@ -134,7 +133,7 @@ class EvaluationCallback(BaseCallback):
     def __init__(self, folder: RunFolder, log: RunLog, statistics: StatisticsCallback) -> None:
         super().__init__()
         self.folder, self.log, self.statistics = folder, log, statistics
-        self.validation = Validation(folder.config)
+        self.venv: VecEnv | None = None  # made when it is first needed
 
     def _on_step(self) -> bool:
         return True
@@ -157,24 +156,14 @@ class EvaluationCallback(BaseCallback):
         if not options.evaluate_buildings:
             return
         with self.statistics.paused():
-            figures = self.validation.run(self.model)
+            figures = self.figures()
             best = figures["auc"] > state.best_score
             self.log.add_evaluation(self.statistics.clock(), figures, best)
             if best:
                 state.best_score = figures["auc"]
                 self.folder.keep_policy(self.model, state, validation=figures)
 
-
-class Validation:
-    """The environments of an evaluation; they are made when they are first needed."""
-
-    def __init__(self, config: TrainConfig) -> None:
-        self.config = config
-        self.buildings = config.log.evaluate_buildings
-        self.workers = min(self.buildings, MOST_WORKERS, config.environments)
-        self.venv: VecEnv | None = None
-
-    def run(self, model: OnPolicyAlgorithm) -> dict[str, float]:
+    def figures(self) -> dict[str, float]:
         """The mean of each metric over the buildings, one episode in each, and their number `n`.
 
         The policy takes its most probable action; building and seed of each episode are always the same.
@@ -185,27 +174,29 @@ class Validation:
             if scope["done"]:
                 found.append(scope["info"]["figures"])
 
-        evaluate: Any = evaluate_maskable if isinstance(model, MaskablePPO) else evaluate_policy
-        evaluate(model, self._rewound(), self.buildings, callback=collect, warn=False)
+        evaluate: Any = evaluate_maskable if isinstance(self.model, MaskablePPO) else evaluate_policy
+        count = self.folder.config.log.evaluate_buildings
+        evaluate(self.model, self._rewound(), count, callback=collect, warn=False)
         return mean_of(found)
+
+    def _rewound(self) -> VecEnv:
+        config = self.folder.config
+        if self.venv is None:  # environment i runs as many episodes as `evaluate_policy` expects of it
+            buildings = config.log.evaluate_buildings
+            workers = min(buildings, MOST_WORKERS, config.environments)
+            parts = [range(workers - 1 - i, buildings, workers) for i in range(workers)]
+            makers = [partial(make_validation_env, config, i, part) for i, part in enumerate(parts)]
+            self.venv = vectorise(makers, config.workers)
+        elif config.buildings.layout is None:
+            self.venv.env_method("rewind")
+        if config.buildings.layout is not None:
+            self.venv.seed(0)
+        return self.venv
 
     def close(self) -> None:
         """End the workers."""
         if self.venv is not None:
             self.venv.close()
-        self.venv = None
-
-    def _rewound(self) -> VecEnv:
-        if self.venv is None:  # environment i runs as many episodes as `evaluate_policy` expects of it
-            last = self.workers - 1
-            parts = [range(last - i, self.buildings, self.workers) for i in range(self.workers)]
-            makers = [partial(make_validation_env, self.config, i, part) for i, part in enumerate(parts)]
-            self.venv = vectorise(makers, self.config.workers)
-        elif self.config.buildings.layout is None:
-            self.venv.env_method("rewind")
-        if self.config.buildings.layout is not None:
-            self.venv.seed(0)
-        return self.venv
 
 
 def mean_of(episodes: list[dict[str, float]]) -> dict[str, float]:

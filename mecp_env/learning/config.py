@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import tyro
 from pydantic import BeforeValidator, Field, field_validator, model_validator
@@ -17,8 +17,8 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.learning.building_fields import OPTION, Value, check_fields
 
-ALGORITHMS = ("ppo", "maskable_ppo", "recurrent_ppo")
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
+ALGORITHMS = get_args(Algorithm)
 MOST_CONFIG_BYTES = 1_000_000
 RENAMED = {  # field of an older run folder -> its name of today
     f"{name}_periods": f"{name}_steps"

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.policies.gain import Gain, Weights
 from mecp_env.policies.policy import VALID
 
@@ -50,14 +51,14 @@ def goal_masks(observation: Any) -> Any:
     return observation["goals"][..., VALID] > 0.5
 
 
-def pooled(grid: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def pooled(grid: Bytes) -> Bytes:
     """(...,n/4,n/4) uint8 means of blocks of 4 x 4 cells, each 0 or 255."""
     bits = (grid & 1).view(np.uint8)  # 255 -> 1
     rows = bits.reshape(*grid.shape[:-2], grid.shape[-2] // POOL, POOL, grid.shape[-1])
     tall = rows[..., 0, :] + rows[..., 1, :] + rows[..., 2, :] + rows[..., 3, :]
     both = tall.reshape(*tall.shape[:-1], -1, POOL)
     count = both[..., 0] + both[..., 1] + both[..., 2] + both[..., 3]
-    means: NDArray[np.uint8] = np.minimum(count.astype(np.uint16) * 16, 255).astype(np.uint8)
+    means: Bytes = np.minimum(count.astype(np.uint16) * 16, 255).astype(np.uint8)
     return means
 
 

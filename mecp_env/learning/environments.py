@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
-import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
@@ -18,7 +17,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import LayoutError
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.downsampled import DownsampledObservation, goal_masks
+from mecp_env.learning.downsampled import DownsampledObservation
 from mecp_env.learning.sb3_batch import SB3Batch
 from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
 from mecp_env.vector import BatchEnv
@@ -154,35 +153,21 @@ def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int
 
 
 class TimedVecEnv(VecEnvWrapper):
-    """Measures how long the learner waits for the environments, and returns the goal masks without asking them."""
+    """Measures how long the learner waits for the environments."""
 
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
         self.waited_s, self.periods = 0.0, 0
-        self.last: VecEnvObs = {}
 
     def reset(self) -> VecEnvObs:
-        self.last = self.venv.reset()
-        return self.last
+        return self.venv.reset()
 
-    def step_async(self, actions: np.ndarray) -> None:
+    def step_wait(self) -> VecEnvStepReturn:  # `step_async` only keeps the actions
         start = time.perf_counter()
-        self.venv.step_async(actions)
-        self.waited_s += time.perf_counter() - start
-
-    def step_wait(self) -> VecEnvStepReturn:
-        start = time.perf_counter()
-        self.last, rewards, dones, infos = self.venv.step_wait()
+        observations, rewards, dones, infos = self.venv.step_wait()
         self.waited_s += time.perf_counter() - start
         self.periods += sum(info["periods"] for info in infos)
-        return self.last, rewards, dones, infos
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """As of the environments; the masks are part of the observation."""
-        if method_name == "action_masks" and indices is None:
-            return list(goal_masks(self.last))
-        results: list[Any] = super().env_method(method_name, *args, indices=indices, **kwargs)
-        return results
+        return observations, rewards, dones, infos
 
 
 def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:

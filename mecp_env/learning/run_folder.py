@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -114,13 +114,5 @@ def provenance() -> dict[str, Any]:
         "commit": commit(),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "versions": {"mecp_env": mecp_env.__version__} | {name: installed_version(name) for name in PACKAGES},
+        "versions": {"mecp_env": mecp_env.__version__} | {name: version(name) for name in PACKAGES},
     }
-
-
-def installed_version(package: str) -> str:
-    """The version of a package."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"

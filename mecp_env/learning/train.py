@@ -64,7 +64,7 @@ class TrainingRun:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.evaluation.validation.close()
+        self.evaluation.close()
         self.venv.close()
 
     def resume(self) -> None:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.intervals import estimate, ratio, share
 from mecp_env.policies.rollout import EpisodeResult
 
-Array = NDArray[np.float64]
 Figures = dict[str, Any]
 
 MEANS = (

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mecp_env.core.array_types import Array
 
 BUDGET_M_PER_M2 = 0.5  # metres of an exploration per m2 of floor
 

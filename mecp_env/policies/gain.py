@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.policies.policy import KIND, PATH, Array, Mask, X, Y, choices
+from mecp_env.core.array_types import Array, Bytes
+from mecp_env.policies.policy import KIND, PATH, Mask, X, Y, choices
 
 CELLS, CELL_M = 96, 0.2  # of the observation's grid, the robot in the middle, its heading up
 FREE, OCCUPIED, UNKNOWN = 0, 2, 3  # layers of it
@@ -70,7 +71,7 @@ class Gain:
         best: Array = pairs.max(axis=1)
         return best
 
-    def expected_area(self, grid: NDArray[np.uint8], goals: Array) -> Array:
+    def expected_area(self, grid: Bytes, goals: Array) -> Array:
         """(k,) m^2 of unknown cells that a scan from each of the goals (k,9) would see."""
         area = unseen_area(grid, goals[:, [X, Y]], self.weights.sight_m)
         outside = np.abs(goals[:, [X, Y]]).max(axis=1) > 0.5 * CELLS * CELL_M - STEP_M
@@ -88,7 +89,7 @@ class Gain:
         return factors
 
 
-def unseen_area(grid: NDArray[np.uint8], places: Array, sight_m: float) -> Array:
+def unseen_area(grid: Bytes, places: Array, sight_m: float) -> Array:
     """(k,) m^2 of unknown cells of `grid` (8,96,96) visible from places (k,2) m, robot frame; none outside.
 
     The integral of r dr da over beams that end at the first wall.

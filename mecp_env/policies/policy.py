@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_] | None
+from mecp_env.core.array_types import Bools, Ints
+
+Mask = Bools | None
 
 X, Y, PATH, SIZE, KIND, ROOM, LEVEL, VISITS, VALID = range(9)  # columns of `goals`
 KINDS = ("open edge", "door candidate", "frontier", "door")
@@ -26,7 +26,7 @@ class Policy(Protocol):
         """An action of that mode; `mask` (32,) excludes rows of `goals`, None for other actions."""
 
 
-def choices(observation: dict[str, Any], mask: Mask = None) -> NDArray[np.int64]:
+def choices(observation: dict[str, Any], mask: Mask = None) -> Ints:
     """(k,) the rows of the observation's goals that may be selected."""
     valid = np.asarray(observation["goals"])[:, VALID] > 0.5
     return np.flatnonzero(valid if mask is None else valid & np.asarray(mask, np.bool_))

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import Env, Info, Setting, for_policy, make_rooms, run_policy
 from mecp_env.render.film import Film
 from mecp_env.render.screen import thumbnail
-
-Image = NDArray[np.uint8]
 
 PANEL = (320, 290)  # px
 ACROSS = 3  # panels in a row
@@ -38,7 +36,7 @@ class Recorder:
         self.info = info
         self.film.offer(info["period"], self.picture)
 
-    def picture(self, ended: str = "") -> Image:
+    def picture(self, ended: str = "") -> Bytes:
         """The belief, time, path length and coverage."""
         info, time_s = self.info, PERIOD_S * self.info["period"]
         words = f"{time_s:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
@@ -67,12 +65,12 @@ def record(policy: str, setting: Setting, trust: bool = False) -> Film:
     return recorder.film
 
 
-def at(film: Film, step: int) -> Image:
+def at(film: Film, step: int) -> Bytes:
     """The picture at a step; after the end the last one."""
     return film.frames[min(-(-step // film.every), len(film.frames) - 1)]
 
 
-def mosaic(pictures: list[Image]) -> Image:
+def mosaic(pictures: list[Bytes]) -> Bytes:
     """The pictures in rows of three; missing ones have the colour of their border."""
     across = min(ACROSS, len(pictures))
     rest = -len(pictures) % across

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.text import sanitised
 from mecp_env.render.palette import INK, RGB
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Place = Sequence[float] | Array
 
 FINER = 2  # pixels of the surface a pixel of the picture: smooth lines and text
@@ -70,7 +68,7 @@ class Brush:
         self.canvas.fill(background)
         self._fonts: dict[int, pygame.font.Font] = {}
 
-    def image(self) -> Image:
+    def image(self) -> Bytes:
         """The picture, uint8 (height, width, 3)."""
         small = pygame.transform.smoothscale(self.canvas, self.size)
         return np.ascontiguousarray(pygame.surfarray.array3d(small).transpose(1, 0, 2))
@@ -115,7 +113,7 @@ class Brush:
         at = (FINER * place[0], FINER * place[1])
         pygame.draw.circle(self.canvas, colour, at, FINER * radius, round(FINER * width))
 
-    def picture(self, pixels: Image, box: Box) -> None:
+    def picture(self, pixels: Bytes, box: Box) -> None:
         """A small picture (h,w,3), stretched over `box`."""
         surface = pygame.surfarray.make_surface(pixels.transpose(1, 0, 2))
         self.canvas.blit(pygame.transform.scale(surface, (FINER * box.width, FINER * box.height)), self._fine(box))

@@ -8,22 +8,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
-from mecp_env.core.se2 import to_map
+from mecp_env.core.array_types import Array
 from mecp_env.core.text import sanitised
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.view import SceneView, loops, signed_area, summary
 
-Array = NDArray[np.float64]
-
-ELLIPSE_MAGNIFIED = 5.0
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
 TRUTH_GREY = (0.72, 0.73, 0.75)
 TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
@@ -52,8 +47,8 @@ def map_figure(view: SceneView) -> Figure:
     _draw_rooms(axes, view)
     _draw_doors(axes, view)
     axes.plot(*view.path_world.T, color=unit(TRUE_PATH), linewidth=4.0, label="true path")
-    p_world = to_map(view.T_world_map, view.path_map)
-    axes.plot(*p_world.T, color=unit(palette.ESTIMATE), linewidth=1.1, label="estimated path")
+    estimated = view.to_world(view.path_map).T
+    axes.plot(*estimated, color=unit(palette.ESTIMATE), linewidth=1.1, label="estimated path")
     _draw_landmarks(axes, view)
     _name_rooms(axes, view)
     _draw_scale(axes, view.bounds)
@@ -78,39 +73,33 @@ def _draw_truth(axes: Axes, view: SceneView) -> None:
 
 
 def _draw_rooms(axes: Axes, view: SceneView) -> None:
-    known = shapes.polygon_rings(view.slam_output)
-    rings = [to_map(view.T_world_map, ring) for _, ring in known]
-    colours = [palette.room_colour(view.slam_output.graph.resolve(polygon.room)) for polygon, _ in known]
-    light = [unit(palette.mix(colour, palette.FREE, 0.75)) for colour in colours]  # many are no darker than one
-    edges = [(*unit(colour), 0.3) for colour in colours]
+    known = shapes.polygon_rings(view)
+    rings = [ring for ring, _ in known]
+    light = [unit(palette.mix(colour, palette.FREE, 0.75)) for _, colour in known]  # many are no darker than one
+    edges = [(*unit(colour), 0.3) for _, colour in known]
     axes.add_collection(PolyCollection(rings, facecolors=light, zorder=1.2))
     looks: dict[str, Any] = {"facecolors": "none", "edgecolors": edges, "linewidths": 0.7, "zorder": 1.5}
     axes.add_collection(PolyCollection(rings, label="polygons of a room", **looks))
 
 
 def _draw_doors(axes: Axes, view: SceneView) -> None:
-    graph, where = view.slam_output.graph, shapes.positions(view.slam_output.belief)
-    faces = [to_map(view.T_world_map, face) for door in graph.doors for face in shapes.door_faces(door, where)]
-    ends = [to_map(view.T_world_map, candidate.ends) for candidate in graph.candidates]
+    faces, candidates = shapes.door_lines(view)
     colour = unit(palette.DOOR)
     axes.add_collection(LineCollection(faces, colors=colour, linewidths=3.0, label="door"))
-    axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.5, linestyles=":"))
+    axes.add_collection(LineCollection(candidates, colors=colour, linewidths=1.5, linestyles=":"))
 
 
 def _draw_landmarks(axes: Axes, view: SceneView) -> None:
-    belief, colour = view.slam_output.belief, unit(palette.LANDMARK)
-    ellipses = [shapes.ellipse(*point, ELLIPSE_MAGNIFIED) for point in zip(belief.p_map, belief.covs, strict=True)]
-    rings = [to_map(view.T_world_map, ring) for ring in ellipses]
-    said = f"95 % ellipse x {ELLIPSE_MAGNIFIED:.0f}"
-    axes.plot(*to_map(view.T_world_map, belief.p_map).T, "+", color=colour, markersize=5, label="landmark")
-    axes.add_collection(
-        PolyCollection(rings, facecolors="none", edgecolors=colour, linewidths=0.8, zorder=2.0, label=said)
-    )
+    colour, said = unit(palette.LANDMARK), f"95 % ellipse x {shapes.ELLIPSE_MAGNIFIED:.0f}"
+    p_world = view.to_world(view.slam_output.belief.p_map)
+    axes.plot(*p_world.T, "+", color=colour, markersize=5, label="landmark")
+    looks: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 0.8, "zorder": 2.0}
+    axes.add_collection(PolyCollection(shapes.landmark_ellipses(view), label=said, **looks))
 
 
 def _name_rooms(axes: Axes, view: SceneView) -> None:
     for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
-        x, y = to_map(view.T_world_map, p_map[None])[0]
+        x, y = view.to_world(p_map[None])[0]
         colour = unit(palette.mix(palette.room_colour(room), palette.INK, 0.4))
         name = axes.text(x, y, f"room {room}", ha="center", va="center", color=colour, fontsize=11, fontweight="bold")
         name.set_path_effects([withStroke(linewidth=3.0, foreground="white")])

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.render import palette
-
-Frame = NDArray[np.uint8]
 
 COLOURS = 96
 SMALL = (palette.HIT, palette.LANDMARK, palette.GOAL, palette.DOOR, palette.ESTIMATE, palette.TRUTH, palette.INK)
@@ -24,9 +22,9 @@ class Film:
     def __init__(self, most_frames: int = 160, every: int = 2) -> None:
         self.most_frames = most_frames
         self.every = every  # steps between two frames
-        self.frames: list[Frame] = []
+        self.frames: list[Bytes] = []
 
-    def offer(self, step: int, draw: Callable[[], Frame]) -> None:
+    def offer(self, step: int, draw: Callable[[], Bytes]) -> None:
         """Take the picture of a step, if it is one of those that are kept; `draw` is called only then."""
         if step % self.every:
             return
@@ -45,7 +43,7 @@ class Film:
         plain[0].save(path, save_all=True, append_images=plain[1:], duration=times, loop=0, optimize=True)
 
 
-def _palette(frames: list[Frame]) -> Image.Image:
+def _palette(frames: list[Bytes]) -> Image.Image:
     """A picture with the colours of some frames spread over the film, and patches of what is small but must be seen."""
     count = min(len(frames), 5)
     some = [frames[i] for i in np.linspace(0, len(frames) - 1, count).astype(int)]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mecp_env.core.array_types import Array
+
 LINES = 2.3  # height of name and area, in heights of a letter
 LETTER = 0.62  # width of a letter, in its height
 Shape = tuple[Array, ...]  # rings (k,2): the outside, then the holes

@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.render import palette
-from mecp_env.render.brush import Box, Brush, Image
+from mecp_env.render.brush import Box, Brush
 
 HEIGHT, MARGIN, CAP = 62, 12, 22  # px: of the strip, at its sides, of a key
 KeyHelp = tuple[Sequence[str], str]  # labels of the keys, what they do
 
 
-def key_strip(width: int, keys: Sequence[KeyHelp], message: str) -> Image:
+def key_strip(width: int, keys: Sequence[KeyHelp], message: str) -> Bytes:
     """A strip (HEIGHT,width,3): keys with what they do, and below them a message."""
     brush = Brush((width, HEIGHT), palette.PAPER)
     brush.line(np.array([[MARGIN, 1.0], [width - MARGIN, 1.0]]), palette.UNSEEN)

@@ -5,19 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
 from mecp_env.render.view import SceneView, loops, signed_area
 from mecp_env.slam.messages import Cell, SemanticGrid
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
-ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
 
 
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
@@ -48,17 +43,21 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
     """Grid, polygons, doors, landmarks, goals, the estimated path and pose, laid over the place of the world."""
     camera = Camera.fit(view.bounds, box)
     brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
-    _draw_polygons(brush, view, camera)
-    _draw_doors(brush, view, camera)
-    brush.line(_pixels(view, camera, view.path_map), palette.ESTIMATE, 1.5)
-    _draw_landmarks(brush, view, camera)
+    _draw_map(brush, view, camera)
+    brush.line(camera.pixels(view.to_world(view.path_map)), palette.ESTIMATE, 1.5)
+    for ring in shapes.landmark_ellipses(view):
+        brush.ring(camera.pixels(ring), palette.LANDMARK)
+    for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
+        brush.dot(pixel, 2.2, palette.LANDMARK)
     _draw_goals(brush, view, camera)
     for room, p_map in shapes.room_labels(view.slam_output).items():
         colour = palette.mix(palette.room_colour(room), palette.INK, 0.4)
-        brush.text(f"room {room}", _pixels(view, camera, p_map[None])[0], 18, colour, align=0.5)
-    T_map_robot = view.slam_output.belief.T_map_robot
-    _draw_ellipse(brush, view, camera, T_map_robot[:2], view.slam_output.belief.pose_cov[:2, :2])
-    draw_robot(brush, compose(view.T_world_map, T_map_robot), view.robot_radius_m, camera, palette.ESTIMATE)
+        brush.text(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18, colour, align=0.5)
+    belief = view.slam_output.belief
+    ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.ELLIPSE_MAGNIFIED)
+    brush.ring(camera.pixels(view.to_world(ring)), palette.LANDMARK)
+    T_world_robot = compose(view.T_world_map, belief.T_map_robot)
+    draw_robot(brush, T_world_robot, view.robot_radius_m, camera, palette.ESTIMATE)
 
 
 def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Camera, colour: RGB) -> None:
@@ -70,7 +69,7 @@ def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Came
     brush.line(pixels, palette.FREE, 2.0)
 
 
-def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Image:
+def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Bytes:
     """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3)."""
     colours = _cell_colours(grid)
     across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
@@ -84,7 +83,7 @@ def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Bo
     return picture.reshape(box.height, box.width, 3)
 
 
-def _cell_colours(grid: SemanticGrid) -> Image:
+def _cell_colours(grid: SemanticGrid) -> Bytes:
     """(H,W,3) colour of every cell."""
     rooms = np.array([palette.mix(palette.FREE, palette.room_colour(i), 0.2) for i in range(len(palette.ROOMS))])
     colours = np.empty((*grid.label.shape, 3), np.uint8)
@@ -98,46 +97,20 @@ def _cell_colours(grid: SemanticGrid) -> Image:
     return colours
 
 
-def _pixels(view: SceneView, camera: Camera, p_map: Array) -> Array:
-    """Points (n,2) of the map as pixels."""
-    return camera.pixels(to_map(view.T_world_map, np.ascontiguousarray(p_map, dtype=np.float64)))
-
-
-def _draw_polygons(brush: Brush, view: SceneView, camera: Camera) -> None:
-    graph = view.slam_output.graph
-    areas = [
-        (_pixels(view, camera, ring), palette.room_colour(graph.resolve(polygon.room)))
-        for polygon, ring in shapes.polygon_rings(view.slam_output)
-    ]
+def _draw_map(brush: Brush, view: SceneView, camera: Camera) -> None:
+    """Polygons of the rooms, doors and door candidates."""
+    areas = [(camera.pixels(ring), colour) for ring, colour in shapes.polygon_rings(view)]
     brush.veil(areas, alpha=60)
     for pixels, colour in areas:
         brush.ring(pixels, palette.mix(colour, palette.FREE, 0.45))
-
-
-def _draw_doors(brush: Brush, view: SceneView, camera: Camera) -> None:
-    where = shapes.positions(view.slam_output.belief)
-    for door in view.slam_output.graph.doors:
-        for face in shapes.door_faces(door, where):
-            brush.line(_pixels(view, camera, face), palette.DOOR, 3.0)
-    for candidate in view.slam_output.graph.candidates:
-        start, end = _pixels(view, camera, candidate.ends)
+    faces, candidates = shapes.door_lines(view)
+    for face in faces:
+        brush.line(camera.pixels(face), palette.DOOR, 3.0)
+    for start, end in map(camera.pixels, candidates):
         brush.dashes(start, end, palette.DOOR)
 
 
-def _draw_landmarks(brush: Brush, view: SceneView, camera: Camera) -> None:
-    belief = view.slam_output.belief
-    for mean, cov in zip(belief.p_map, belief.covs, strict=True):
-        _draw_ellipse(brush, view, camera, mean, cov)
-    for pixel in _pixels(view, camera, belief.p_map):
-        brush.dot(pixel, 2.2, palette.LANDMARK)
-
-
-def _draw_ellipse(brush: Brush, view: SceneView, camera: Camera, mean: Array, cov: Array) -> None:
-    ring = shapes.ellipse(mean, cov, ELLIPSE_MAGNIFIED)
-    brush.ring(_pixels(view, camera, ring), palette.LANDMARK)
-
-
 def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
-    for index, pixel in enumerate(_pixels(view, camera, view.p_goals)):
+    for index, pixel in enumerate(camera.pixels(view.to_world(view.p_goals))):
         chosen = index == view.target
         brush.dot(pixel, 6.0 if chosen else 4.0, palette.GOAL, width=0.0 if chosen else 1.5)

@@ -16,16 +16,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.text import sanitised
 from mecp_env.render import palette
 from mecp_env.render.figures import boxes_for_missing_glyphs
 from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
 from mecp_env.render.palette import unit
-
-Array = NDArray[np.float64]
 
 FORMATS = (".png", ".svg")
 ALONE_IN, ON_SHEET_IN = (9.6, 7.6), (4.2, 3.5)  # width and height that a plan may have, inches

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.core.settings import Settings
 from mecp_env.render import palette
-from mecp_env.render.brush import Box, Brush, Image
-from mecp_env.render.panels import ELLIPSE_MAGNIFIED, draw_belief, draw_nothing, draw_world
+from mecp_env.render.brush import Box, Brush
+from mecp_env.render.panels import draw_belief, draw_nothing, draw_world
+from mecp_env.render.shapes import ELLIPSE_MAGNIFIED
 from mecp_env.render.view import SceneView, summary
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
@@ -39,7 +41,7 @@ class Screen:
     def __init__(self, config: ScreenConfig | None = None) -> None:
         self.config = config or ScreenConfig()
 
-    def frame(self, view: SceneView, hide_world: bool = False) -> Image:
+    def frame(self, view: SceneView, hide_world: bool = False) -> Bytes:
         """The picture of one moment, uint8 (height, width, 3); the world can be left out."""
         brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
         world, belief = self._panels()
@@ -75,7 +77,7 @@ class Screen:
             x += 18 + brush.text(name, (x + 18, y), 16, palette.FAINT) + 18
 
 
-def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str) -> Image:
+def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str) -> Bytes:
     """What the robot believes at one moment, uint8 (height, width, 3); `size` is width and height, px."""
     brush = Brush(size, palette.PAPER)
     box = Box(SMALL_MARGIN, SMALL_HEADER, size[0] - 2 * SMALL_MARGIN, size[1] - SMALL_HEADER - SMALL_MARGIN)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.slam.messages import Belief, Door, MapPolygon, SlamOutput
+from mecp_env.render.palette import RGB, room_colour
+from mecp_env.render.view import SceneView
+from mecp_env.slam.messages import Belief, SlamOutput
 
-Array = NDArray[np.float64]
-
+ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
 CHI2_95 = 5.991  # 2 degrees of freedom
 TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
 WIDE = (2.5, 1.0)  # a name is so many times as wide as high
@@ -34,7 +35,7 @@ def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:
     return np.stack([start - along, end + along, end + along + behind, start - along + behind], axis=1)
 
 
-def beam_ends(output: SlamOutput, T_world_robot: Array) -> tuple[Array, NDArray[np.bool_]]:
+def beam_ends(output: SlamOutput, T_world_robot: Array) -> tuple[Array, Bools]:
     """Ends of all beams (B,2) in the frame of the pose, m, and which of them hit something (B,)."""
     z = np.column_stack([output.beams.ranges, output.beams.bearings])
     return to_map(T_world_robot, polar_to_points(z)), output.beams.hit
@@ -45,18 +46,28 @@ def positions(belief: Belief) -> dict[int, Array]:
     return {int(name): mean for name, mean in zip(belief.ids, belief.p_map, strict=True)}
 
 
-def polygon_rings(output: SlamOutput) -> list[tuple[MapPolygon, Array]]:
-    """Known polygons of landmarks only, with their rings (k,2) m in the map frame, the largest first."""
-    where = positions(output.belief)
+def polygon_rings(view: SceneView) -> list[tuple[Array, RGB]]:
+    """Rings (k,2) m, world frame, of the known polygons of landmarks only, with their colours, the largest first."""
+    output, where = view.slam_output, positions(view.slam_output.belief)
     whole = [p for p in output.map_polygons if all(int(i) in where for i in p.ids)]
-    rings = [(p, np.array([where[int(i)] for i in p.ids])) for p in whole]
-    return sorted(rings, key=lambda pair: -float(np.ptp(pair[1], axis=0).prod()))
+    rings = [(np.array([where[int(i)] for i in p.ids]), room_colour(output.graph.resolve(p.room))) for p in whole]
+    rings.sort(key=lambda pair: -float(np.ptp(pair[0], axis=0).prod()))
+    return [(view.to_world(ring), colour) for ring, colour in rings]
 
 
-def door_faces(door: Door, where: dict[int, Array]) -> list[Array]:
-    """The faces of a door as lines (2,2) between jambs that are landmarks, map frame."""
-    faces = [door.jambs] if door.other_face is None else [door.jambs, door.other_face]
-    return [np.array([where[a], where[b]]) for a, b in faces if a in where and b in where]
+def door_lines(view: SceneView) -> tuple[list[Array], list[Array]]:
+    """Lines (2,2) m, world frame: faces of doors between jambs that are landmarks, and door candidates."""
+    graph, where = view.slam_output.graph, positions(view.slam_output.belief)
+    pairs = [pair for door in graph.doors for pair in (door.jambs, door.other_face) if pair is not None]
+    faces = [np.array([where[a], where[b]]) for a, b in pairs if a in where and b in where]
+    return [view.to_world(face) for face in faces], [view.to_world(one.ends) for one in graph.candidates]
+
+
+def landmark_ellipses(view: SceneView) -> list[Array]:
+    """Magnified 95 % ellipses (32,2) m, world frame, of the landmarks."""
+    belief = view.slam_output.belief
+    pairs = zip(belief.p_map, belief.covs, strict=True)
+    return [view.to_world(ellipse(mean, cov, ELLIPSE_MAGNIFIED)) for mean, cov in pairs]
 
 
 def room_labels(output: SlamOutput, path: Array | None = None) -> dict[int, Array]:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
-from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason, Segments, SlamOutput
+from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason, SlamOutput
 
-Array = NDArray[np.float64]
-
-MAGNIFIED = 5.0
 KINDS = {CornerKind.CROSSING: ("o", "crossing"), CornerKind.FREE_END: ("s", "free end"), CornerKind.JAMB: ("D", "jamb")}
 EDGES = {EdgeLabel.WALL: palette.SOLID, EdgeLabel.GAP: palette.DOOR, EdgeLabel.OPEN: palette.GOAL}
 DECISIONS = {
@@ -29,22 +28,23 @@ DECISIONS = {
 
 def stage_figures(output: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
     """Figures by name, in the order of the stages: scan, clusters, segments, corners, polygon, association."""
-    drawers: dict[str, Callable[[Axes], None]] = {
-        "scan": lambda axes: _draw_scan(axes, output),
-        "clusters": lambda axes: _draw_clusters(axes, output, clusters),
-        "segments": lambda axes: _draw_segments(axes, output),
-        "corners": lambda axes: _draw_corners(axes, output),
-        "polygon": lambda axes: _draw_polygon(axes, output),
-        "association": lambda axes: _draw_association(axes, output),
+    drawers: dict[str, Callable[[Axes, SlamOutput], None]] = {
+        "scan": _draw_scan,
+        "clusters": partial(_draw_clusters, clusters),
+        "segments": _draw_segments,
+        "corners": _draw_corners,
+        "polygon": _draw_polygon,
+        "association": _draw_association,
     }
-    return {name: _figure(draw, _hits(output)) for name, draw in drawers.items()}
+    return {name: _figure(draw, output) for name, draw in drawers.items()}
 
 
-def _figure(draw: Callable[[Axes], None], hits: Array) -> Figure:
+def _figure(draw: Callable[[Axes, SlamOutput], None], output: SlamOutput) -> Figure:
+    hits = _hits(output)
     low, high = np.percentile(hits, 3.0, axis=0) - 0.8, np.percentile(hits, 97.0, axis=0) + 0.8
     figure = Figure(figsize=(8.0, 8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.5), layout="constrained")
     axes = figure.add_subplot()
-    draw(axes)
+    draw(axes, output)
     axes.plot(0.0, 0.0, marker=(3, 0, -90), color=unit(palette.INK), markersize=14)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -74,7 +74,7 @@ def _draw_scan(axes: Axes, output: SlamOutput) -> None:
     axes.plot(*_hits(output).T, ".", color=unit(palette.HIT), markersize=2.5, label="merged beams")
 
 
-def _draw_clusters(axes: Axes, output: SlamOutput, clusters: Clusters) -> None:
+def _draw_clusters(clusters: Clusters, axes: Axes, output: SlamOutput) -> None:
     points = _points(output)
     for row, (first, last) in enumerate(zip(clusters.first, clusters.last, strict=True)):
         index = (clusters.roll + np.arange(first, last + 1)) % len(points)
@@ -83,16 +83,16 @@ def _draw_clusters(axes: Axes, output: SlamOutput, clusters: Clusters) -> None:
 
 
 def _draw_segments(axes: Axes, output: SlamOutput) -> None:
-    segments: Segments = output.segments
+    points = list(output.segments.points)
+    colours = [unit(palette.room_colour(row)) for row in range(len(points))]
     axes.plot(*_hits(output).T, ".", color=unit(palette.UNSEEN), markersize=3)
-    for row, ends in enumerate(segments.points):
-        axes.plot(*ends.T, color=unit(palette.room_colour(row)), linewidth=2)
-    axes.plot([], [], " ", label=f"{len(segments.points)} lines fitted")
+    axes.add_collection(LineCollection(points, colors=colours, linewidths=2.0))
+    axes.plot([], [], " ", label=f"{len(points)} lines fitted")
 
 
 def _draw_walls(axes: Axes, output: SlamOutput) -> None:
-    for ends in output.segments.points:
-        axes.plot(*ends.T, color=unit(palette.mix(palette.SOLID, palette.FREE, 0.6)), linewidth=1.5)
+    colour = unit(palette.mix(palette.SOLID, palette.FREE, 0.6))
+    axes.add_collection(LineCollection(list(output.segments.points), colors=colour, linewidths=1.5))
 
 
 def _draw_corners(axes: Axes, output: SlamOutput) -> None:
@@ -108,14 +108,21 @@ def _draw_corners(axes: Axes, output: SlamOutput) -> None:
         axes.plot(*points[jambs].T, color=unit(palette.DOOR), linewidth=3, label="_door")
     behind = points[corners.beyond >= 0]
     axes.plot(*behind.T, "x", color=unit(palette.DOOR), label="seen through a door")
-    axes.plot([], [], "-", color=unit(palette.LANDMARK), linewidth=0.7, label=f"95 %, {MAGNIFIED:.0f} times larger")
+    axes.plot(
+        [],
+        [],
+        "-",
+        color=unit(palette.LANDMARK),
+        linewidth=0.7,
+        label=f"95 %, {shapes.ELLIPSE_MAGNIFIED:.0f} times larger",
+    )
 
 
 def _ring(point: Array, z: Array, cov: Array) -> Array:
     """The 95 % ellipse of a corner given as range and bearing, in the plane."""
     along, across = point / z[0], np.array([-point[1], point[0]])
     J = np.column_stack([along, across])  # d point / d (range, bearing)
-    ring = shapes.ellipse(point, J @ cov @ J.T, MAGNIFIED)
+    ring = shapes.ellipse(point, J @ cov @ J.T, shapes.ELLIPSE_MAGNIFIED)
     return np.vstack([ring, ring[:1]])
 
 

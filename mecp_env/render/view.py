@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.se2 import to_map
 from mecp_env.slam.messages import SlamOutput
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # shown name, format, and the names of the metrics it is made of; left out where one of them is missing
 ITEMS = (
@@ -46,6 +44,10 @@ class SceneView:
         """(2,2) m, world frame: lower left and upper right corner of the building."""
         points = self.segments.reshape(-1, 2)
         return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    def to_world(self, p_map: Array) -> Array:
+        """Points (n,2) m of the map in the world frame."""
+        return to_map(self.T_world_map, np.ascontiguousarray(p_map, dtype=np.float64))
 
 
 def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:

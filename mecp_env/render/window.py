@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 
-import numpy as np
 import pygame
-from numpy.typing import NDArray
 
+from mecp_env.core.array_types import Bytes
 from mecp_env.core.errors import ConfigError
 
 UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; their windows are not visible
@@ -36,12 +35,12 @@ class Window:
         self.closed = False
         self._surface: pygame.Surface | None = None
 
-    def show(self, frame: NDArray[np.uint8]) -> None:
+    def show(self, frame: Bytes) -> None:
         """Draw a picture as `draw` does, and see whether the user closes the window."""
         self.draw(frame)
         self.events()
 
-    def draw(self, frame: NDArray[np.uint8]) -> None:
+    def draw(self, frame: Bytes) -> None:
         """Draw a picture (height, width, 3), opening the window before the first one.
 
         Raises `ConfigError` where no window can be opened.

@@ -279,7 +279,7 @@ def test_with_a_known_pose_there_is_no_pose_error() -> None:
         ({"max_steps": 0}, r"--max_steps: .*greater than or equal to 1 \(given: 0\)"),
         ({"jobs": 257}, r"--jobs: .*less than or equal to 256 \(given: 257\)"),
         ({"reference": "nerest"}, "reference: 'nerest'"),
-        ({"json": Path(__file__).parent}, "json: .*policies: expected the name of a file"),
+        ({"json": Path(__file__).parent}, "policies is a folder, not a file"),
         ({"json": Path(__file__) / "a.json"}, "test_evaluate.py is a file, not a folder"),
         ({"out": Path(__file__) / "out"}, "--out: .*/test_evaluate.py is a file, not a folder"),
         ({"json": Path("page.md")}, "json: page.md: expected"),

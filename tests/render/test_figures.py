@@ -32,6 +32,15 @@ def test_the_map_names_its_rooms_and_figures_and_is_written_twice_the_same(tmp_p
     assert np.asarray(Image.open(tmp_path / "a.png")).std() > 10.0
 
 
+def test_the_map_of_an_empty_belief_is_drawn(tmp_path: Path) -> None:
+    output = scene.output()
+    belief = replace(output.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
+    graph = replace(output.graph, doors=(), candidates=())
+    view = scene.view(slam_output=replace(output, belief=belief, map_polygons=(), graph=graph))
+    save(map_figure(view), tmp_path / "map.png", dpi=40)
+    assert (tmp_path / "map.png").exists()
+
+
 def test_one_picture_a_stage() -> None:
     edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [0, 0.5, 1.0, EdgeLabel.GAP], [1, 0.0, 1.0, EdgeLabel.OPEN]])
     output = replace(scene.output(), polygons=(Polygon(np.array([0, 1, 2]), edges),), corners=scene.corners())
