@@ -56,7 +56,7 @@ class LandmarkMap:
         """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now."""
         self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
         match, confirmed = track_corners(self.features, seen, room, self.config.tracks)
-        return replace(seen, match=match), confirmed
+        return Sighting(seen.corners, match, seen.through, seen.belief, seen.step), confirmed
 
     def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
         """Augment the filter with the tracks confirmed now, by this sighting alone; the sighting with that belief.
