@@ -56,10 +56,7 @@ class GeneratorSpec(Settings):
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
     turned_deg: Annotated[tuple[Turn, Turn], Single, Ordered] = (0.0, 0.0)  # the whole building against the axes
-    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single, Ordered] = (
-        0.12,
-        0.12,
-    )  # one for the whole building
+    wall_thickness_m: Annotated[tuple[Thickness, Thickness], Single, Ordered] = (0.12, 0.12)  # one for the building
     door_width_m: Annotated[tuple[Width, Width], Single, Ordered] = (0.9, 0.9)  # drawn for each door
     max_doors: int = Field(4, ge=1, le=20)  # of a room; corridors may have any number
     # pieces on 10 m^2 of rooms, none in corridors; in rooms of 3.2-5.5 m about 2 find room (boxes 1), over 6 m 3
