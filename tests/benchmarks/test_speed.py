@@ -52,7 +52,7 @@ def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -
     assert {gate.path for gate in speed.GATES} <= measured.keys()
 
 
-@pytest.mark.parametrize("where", explorers.EXPLORERS.values())
+@pytest.mark.parametrize("where", explorers.EXPLORERS)
 def test_an_explorer_is_found_by_its_name_and_summed_up(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(explorers, "MAX_STEPS", 40)
     episode = explorers.explore(("two_rooms", where, 1))
