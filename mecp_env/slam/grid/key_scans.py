@@ -184,12 +184,39 @@ def nearest_of_group(places: Array, group: Ints, wanted: int, x: float, y: float
     return best
 
 
-def surest_landmarks(matched: Ints, ids: Ints, covs: Array, most: int) -> Ints:
-    """The ids (k,) of at most so many of the landmarks `matched` (m,), the most certain first.
+@compiled
+def anchor_scans(
+    anchor: Ints, p_robot: Array, T_map_robot: Array, p_landmark: Array, matched: Ints, ids: Ints, covs: Array
+) -> None:
+    """Anchor the scans that have no anchors at the most certain of the landmarks `matched` (m,), two or more.
 
-    The belief's `ids` (N,) and covariances (N,2,2) rank them.
+    Of the scans: anchors (n,k) and where they are seen (n,k,2), which are written, and poses (n,3). `p_landmark` (F,2)
+    by id; the belief's `ids` (N,) and covariances (N,2,2) rank the landmarks.
     """
-    rows = np.flatnonzero(np.isin(ids, matched))
-    spread = covs[rows, 0, 0] + covs[rows, 1, 1]
-    surest: Ints = ids[rows[np.argsort(spread, kind="stable")[:most]]]
-    return surest
+    loose = False
+    for i in range(anchor.shape[0]):
+        loose = loose or anchor[i, 0] < 0
+    if not loose or matched.shape[0] < 2:
+        return
+    most, n = anchor.shape[1], 0
+    surest, spread = np.empty(most, np.int64), np.full(most, math.inf)
+    for row in range(ids.shape[0]):
+        known = False
+        for i in range(matched.shape[0]):
+            known = known or matched[i] == ids[row]
+        size = covs[row, 0, 0] + covs[row, 1, 1]
+        if not known or size >= spread[most - 1]:
+            continue
+        n = min(n + 1, most)
+        at = n - 1
+        while at > 0 and spread[at - 1] > size:
+            spread[at], surest[at] = spread[at - 1], surest[at - 1]
+            at -= 1
+        spread[at], surest[at] = size, ids[row]
+    for i in range(anchor.shape[0] if n > 1 else 0):
+        if anchor[i, 0] >= 0:
+            continue
+        c, s = math.cos(T_map_robot[i, 2]), math.sin(T_map_robot[i, 2])
+        for j in range(n):
+            dx, dy = p_landmark[surest[j], 0] - T_map_robot[i, 0], p_landmark[surest[j], 1] - T_map_robot[i, 1]
+            anchor[i, j], p_robot[i, j, 0], p_robot[i, j, 1] = surest[j], c * dx + s * dy, -s * dx + c * dy

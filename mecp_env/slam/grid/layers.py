@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
@@ -56,14 +55,9 @@ class ScanLayer:
         canvas.vote(self.outline[row], self.strips[row], self.T_map_robot[row], delta)
 
     def anchor_to(self, p_landmark: Array, matched_ids: Ints, belief: Belief) -> None:
-        """Anchor the scans without anchors at the most certain of the landmarks matched now, two or more."""
-        loose = [row for row, ids in enumerate(self.anchor[:, :1].tolist()) if ids == [NO_ID]]
-        if not loose or len(matched_ids) < 2:
-            return
-        surest = key_scans.surest_landmarks(matched_ids, belief.ids, belief.covs, self.config.anchors)
-        for row in loose if len(surest) > 1 else ():
-            self.anchor[row, : len(surest)] = surest
-            self.p_robot[row, : len(surest)] = to_robot(self.T_map_robot[row], p_landmark[surest])
+        """Anchor the scans without anchors at the most certain of the landmarks matched now."""
+        scans = self.anchor, self.p_robot, self.T_map_robot
+        key_scans.anchor_scans(*scans, p_landmark, matched_ids, belief.ids, belief.covs)
 
     def follow(self, canvas: Canvas, p_landmark: Array) -> None:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
