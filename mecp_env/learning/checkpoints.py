@@ -141,7 +141,7 @@ def restore(model: OnPolicyAlgorithm, parts: Parts, path: Path) -> TrainingState
 
 def check_moments(model: OnPolicyAlgorithm) -> None:
     """Raise `ValueError` for moments of the optimiser that have another shape than their parameter."""
-    for parameter, moments in model.policy.optimizer.state.items():
-        for name, moment in moments.items():
-            if moment.shape not in ((), parameter.shape):
-                raise ValueError(f"optimizer: {name} is {files.describe_tensor(moment)} for {tuple(parameter.shape)}")
+    state = model.policy.optimizer.state
+    for parameter, name, moment in [(p, name, moment) for p in state for name, moment in state[p].items()]:
+        if moment.shape not in ((), parameter.shape):
+            raise ValueError(f"optimizer: {name} is {files.describe_tensor(moment)} for {tuple(parameter.shape)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,15 @@ def read_tensors(path: Path, sha256: str, most_bytes: int) -> dict[str, Tensor]:
     except (safetensors.SafetensorError, ValueError, KeyError) as error:
         raise WeightError(f"{path}: not a safetensors file: {error}") from None
     return tensors
+
+
+def check_archive(archive: zipfile.ZipFile, most_bytes: int) -> None:
+    """Raise `ValueError` for an archive that unpacks to more bytes, or has a part with a wrong checksum."""
+    unpacked = sum(part.file_size for part in archive.infolist())
+    if unpacked > most_bytes:
+        raise ValueError(f"{unpacked} bytes unpacked, at most {most_bytes}")
+    if archive.testzip():
+        raise ValueError("wrong checksum")
 
 
 def tensor_bytes(tensors: dict[str, Tensor]) -> bytes:

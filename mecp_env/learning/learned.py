@@ -120,9 +120,7 @@ def algorithm_of(path: Path) -> str:
     """The algorithm of a model file, from the name of its policy's class; no code is loaded for that."""
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(part.file_size for part in archive.infolist())
-            if unpacked > MOST_UNPACKED:
-                raise ValueError(f"{unpacked} bytes unpacked, at most {MOST_UNPACKED}")
+            files.check_archive(archive, MOST_UNPACKED)
             kind = str(json.loads(archive.read("data"))["policy_class"]["__module__"])
     except Exception as error:  # damaged bytes may raise anything
         raise WeightError(f"{path}: not a model file of Stable-Baselines3: {error!r}") from None
