@@ -103,11 +103,7 @@ def read_checkpoint(path: Path) -> Parts:
     """The parts of a checkpoint: tensors and plain data, no code. Raises `WeightError`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            unpacked = sum(part.file_size for part in archive.infolist())
-            if unpacked > MOST_BYTES or archive.testzip():
-                raise ValueError(
-                    f"{unpacked} bytes, at most {MOST_BYTES}" if unpacked > MOST_BYTES else "wrong checksum"
-                )
+            files.check_archive(archive, MOST_BYTES)
         parts: Parts = load_from_zip_file(path, device="cpu", load_data=False)[1]
     except Exception as error:  # damaged bytes may raise anything
         raise WeightError(f"{path}: damaged, or not a checkpoint: {error!r:.300}") from None
