@@ -54,14 +54,14 @@ def cast(faces, bearings):
     return np.where((r > 0.0) & (t >= 0.0) & (t <= 1.0), r, np.inf).min(axis=-1)
 
 
-def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720):
+def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720, max_range_m=MAX_RANGE_M):
     """A burst at the origin among `faces`."""
     rng = np.random.default_rng(seed)
     bearings = nominal_bearings(sweeps, beams)
     ranges = cast(faces, bearings + rng.normal(0.0, 1.0, bearings.shape) * sensor.bearing_sigma_rad)
     ranges = ranges + rng.normal(0.0, 1.0, bearings.shape) * sensor.range_sigma_m
-    hit = ranges < MAX_RANGE_M
-    return Scan(np.where(hit, ranges, MAX_RANGE_M), bearings, hit, MAX_RANGE_M)
+    hit = ranges < max_range_m
+    return Scan(np.where(hit, ranges, max_range_m), bearings, hit, max_range_m)
 
 
 def blank_scan(sweeps=4, beams=720):

@@ -35,6 +35,7 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
         (beams.ranges, beams.bearings, beams.count, beams.hit, beams.raw_ranges, beams.raw_bearings),
         (segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last),
         segments.roll,
+        beams.max_range_m,
         config.record,
         config.gaps.record,
         sensor.record,
@@ -50,13 +51,15 @@ def find_corners(
     beams: tuple[Array, Array, Ints, Bools, Array, Array],
     segments: tuple[Array, Array, Array, Ints, Ints, Ints],
     roll: int,
+    max_range: float,
     config: Rows,
     gap_config: Rows,
     sensor: Rows,
 ) -> tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]:
     """z, kind, convex and normals of `Corners`, then its cov, beyond and sites, and the fields of `Doorways`.
 
-    `beams` are range, bearing, count, hit, raw range and raw bearing; `segments` the fields of `Segments` up to `last`.
+    `beams` are range, bearing, count, hit, raw range and raw bearing; `segments` the fields of `Segments` up to `last`,
+    `max_range` (m) is that of the laser.
     """
     limits, noise, (points, line, line_cov, cluster, first, last) = config[0], laser_noise(sensor), segments
     length = np.empty(line.shape[0])
@@ -64,7 +67,8 @@ def find_corners(
         length[k] = math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1])
     lines = Lines(line, line_cov, cluster, first, last, length)
     polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.roll(beams[3], -roll)
-    scan = RolledScan(polar, hit, beams[4], beams[5], roll)
+    step = (beams[1][-1] - beams[1][0]) / max(beams[1].shape[0] - 1, 1)
+    scan = RolledScan(polar, hit, beams[4], beams[5], roll, step, max_range)
     count, size, width = 0, line.shape[0], scan.polar.shape[1]
     ends = empty_corners(2 * size + 2)  # the corners at each end of each segment, of which several may be one corner
     for k in range(size):

@@ -82,17 +82,21 @@ def end_of(
 ) -> LineEnd:
     """The end of a segment on a side, with the beams that follow up to a jump (m).
 
-    A beam that may have hit the extension of the segment's line, as uncertain as that is, is no jump.
+    A beam that may have hit the extension of the segment's line, as uncertain as that is, is no jump. Where that line
+    leaves the laser's range, or the field of view ends, no end is in reach: the wall may go on unseen.
     """
     alpha, rho, cov = lines.line[segment, 0], lines.line[segment, 1], lines.cov[segment]
     position = lines.last[segment] if side > 0 else lines.first[segment]
     inner = min(limits.reach_beams, lines.last[segment] - lines.first[segment] - 2)
     end_range = rho / math.cos(scan.polar[1, position] - alpha)
-    previous, far = end_range, 0
+    previous, far, in_range = end_range, 0, scan.max_range - noise.outlier * noise.range_m
     for k in range(1, limits.reach_beams + limits.edge_beams + 1):
         q = (position + side * k) % scan.polar.shape[1]
         r, turn = scan.polar[0, q], scan.polar[1, q] - alpha
         behind, cosine = r - end_range > jump, math.cos(turn)
+        blind = abs(wrap_angle(scan.polar[1, q] - scan.polar[1, (q - side) % scan.polar.shape[1]])) > 2.0 * scan.step
+        if blind or not (scan.hit[q] or rho < cosine * in_range):
+            return LineEnd(alpha, rho, position, side, inner, k - 1 - far, False)
         if behind and cosine >= noise.least_cosine:
             expected = rho / cosine
             slant = expected * math.tan(turn)
@@ -156,7 +160,7 @@ def weighted_end(scan: RolledScan, end: LineEnd, limits: Record, noise: Noise) -
     Its beams are so near the wall's extension that no single one can be told apart; the mean and variance over all
     places of the corner (half a beam apart), weighted by their likelihood, can.
     """
-    step, zero = 2.0 * math.pi / scan.polar.shape[1], scan.polar[1, end.position]
+    step, zero = scan.step, scan.polar[1, end.position]
     table = beam_table(scan, end, limits, noise)
     costs, best = place_costs(table, end, (zero - end.alpha, step), noise)
     weight, first, second = 0.0, 0.0, 0.0

@@ -36,6 +36,8 @@ class RolledScan(NamedTuple):
     raw_ranges: Array  # (K*B,) m
     raw_bearings: Array  # (K*B,) rad
     roll: int
+    step: float  # rad, between two beams
+    max_range: float  # m
 
 
 class Lines(NamedTuple):
@@ -79,7 +81,7 @@ def add_intersection(
         alpha, rho = lines.line[pair[slot], 0], lines.line[pair[slot], 1]
         bearing = scan.polar[1, lines.last[before] if slot == 0 else lines.first[after]] - alpha
         along = y * math.cos(alpha) - x * math.sin(alpha)
-        spacing = rho * (2.0 * math.pi / scan.polar.shape[1]) / math.cos(bearing) ** 2
+        spacing = rho * scan.step / math.cos(bearing) ** 2
         gap = abs(along - rho * math.tan(bearing)) - limits.edge_beams * spacing
         far = gap if slot == 0 else max(far, gap)
         found.normals[slot] = wrap_angle(alpha + math.pi)

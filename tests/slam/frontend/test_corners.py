@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.frontend.corners import extract_corners
@@ -84,6 +85,32 @@ def test_an_end_that_something_nearer_hides_is_no_corner():
         _, points = corners_of(np.concatenate([wall, screen, FAR_ROOM]), PAPER, seed)
         at(points, 3.0, -2.0, within=0.2)
         assert not (np.hypot(points[:, 0] - 3.0, points[:, 1]) < 0.5).any()
+
+
+@pytest.mark.parametrize("distance", [0.8, 2.0, 3.5])
+def test_a_wall_that_leaves_the_range_has_no_end_there(distance):
+    wall = chain((distance, -20.0), (distance, 20.0))
+    for seed in range(20):
+        assert not len(front_end(take_scan(wall, PAPER, seed, max_range_m=4.0))[-1])
+
+
+def test_a_wall_that_ends_within_the_range_has_an_end_there_whatever_is_behind():
+    wall = chain((2.0, -20.0), (2.0, 1.0))
+    for seed in range(20):
+        corners = front_end(take_scan(wall, PAPER, seed, max_range_m=4.0))[-1]
+        at(polar_to_points(corners.z), 2.0, 1.0, within=0.2)
+        assert len(corners) == 1
+
+
+@pytest.mark.parametrize("field_of_view_deg", [180.0, 270.0])
+def test_a_wall_that_leaves_the_field_of_view_has_no_end_there(field_of_view_deg):
+    for seed in range(20):
+        scan = take_scan(ROOM, PAPER, seed)
+        seen = abs(scan.bearings[0]) < field_of_view_deg / 2.0 * DEG
+        part = Scan(scan.ranges[:, seen], scan.bearings[:, seen], scan.hit[:, seen], scan.max_range_m)
+        corners = front_end(part)[-1]
+        assert (corners.kind == CornerKind.CROSSING).all()
+        assert len(corners) == 2
 
 
 def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
