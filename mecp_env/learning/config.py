@@ -24,6 +24,7 @@ RENAMED = {  # field of an older run folder -> its name of today
     f"{name}_periods": f"{name}_steps"
     for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
 } | {
+    "closure_iterations": "update_iterations",
     "transients": "dynamic_objects",
     "most_sigma_m": "max_sigma_m",
     "longest_m": "wall_m",

@@ -163,8 +163,9 @@ class AssociationConfig(Settings):
     polygons_per_room: int = Field(32, ge=1, le=1000)
     ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
     rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
-    sharp_sigma_m: float = Field(0.15, gt=0.0, le=10.0)  # above: several first pairings are tried
-    sharp_sigma_deg: float = Field(3.0, gt=0.0, le=180.0)
+    sharp_sigma_m: float = Field(0.15, gt=0.0, le=10.0)  # of the predicted position; above, or
+    sharp_sigma_deg: float = Field(3.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes
+    iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
     most_seeds: int = Field(8, ge=1, le=64)
     most_pairs: int = Field(48, ge=4, le=256)
 
@@ -178,7 +179,7 @@ class FilterConfig(Settings):
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
-    closure_iterations: int = Field(5, ge=1, le=20)
+    update_iterations: int = Field(5, ge=1, le=20)  # of the update with a scan, at most; paper: 1
     closure_gap_steps: int = Field(10, ge=1, le=10_000)
     max_landmarks: int = Field(1024, ge=8, le=10_000)
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
@@ -260,6 +261,6 @@ class SlamConfig(Settings):
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
-            filter=FilterConfig(kind="ekf", closure_iterations=1, linearisation_sigma_m=0.0),  # standard EKF-SLAM
+            filter=FilterConfig(kind="ekf", update_iterations=1, linearisation_sigma_m=0.0),  # standard EKF-SLAM
             rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )

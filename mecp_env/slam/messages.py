@@ -251,7 +251,6 @@ class Match:
     nis: Array  # (n,) normalised innovation squared of the pairing, nan without one
     polygon: int  # index of the matched polygon of the scan, or -1
     known: int  # index of the MapPolygon matched (in the store at the time), or -1
-    closure: bool  # loop closure: a room not seen for a while was recognised, and the update is iterated
 
     def __post_init__(self) -> None:
         """Make the columns read-only: a stage that decides differently returns a new match."""
@@ -264,7 +263,7 @@ class Match:
         columns = self.ids.copy(), self.decision.copy(), self.reason.copy()
         for column, values in zip(columns, (ids, decision, reason), strict=True):
             column[corners] = values
-        return Match(*columns, self.nis, self.polygon, self.known, self.closure)
+        return Match(*columns, self.nis, self.polygon, self.known)
 
     def recognised(self) -> Ints:
         """The corners (c,) that are landmarks."""

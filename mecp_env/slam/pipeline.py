@@ -115,15 +115,15 @@ class SlamPipeline:
             check_match(associated, len(corners), len(view.features))
             oldest = self.step_count - self.config.filter.closure_gap_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
-            updated = self._update(corners, self.map.mark_closure(sure, oldest))
+            updated = self._update(corners, sure)
         return associated, updated
 
     def _update(self, corners: Corners, match: Match) -> Match:
-        """Update the filter with all recognised corners at once; a loop closure is iterated."""
+        """Update the filter with all recognised corners at once, iterated: a prediction may be far off."""
         recognised = match.recognised()
         if len(recognised):
             z, R = corners.measurements(recognised)
-            self.filter.update(z, R, match.ids[recognised], iterate=match.closure)
+            self.filter.update(z, R, match.ids[recognised], iterate=True)
         return match
 
     def _extend_map(self, seen: Sighting, polygons: tuple[Polygon, ...]) -> Sighting:

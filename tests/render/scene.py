@@ -107,7 +107,7 @@ def output() -> SlamOutput:
     right = MapPolygon(np.arange(6, 10), np.empty((0, 4)), room=1)
     none = np.full(4, -1)
     nothing = np.empty(0, np.int64)
-    match = Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1, False)
+    match = Match(none, none + 4, none + 1, np.full(4, np.nan), -1, -1)
     return SlamOutput(
         step=12,
         beams=beams,

@@ -34,7 +34,7 @@ def test_measurements_are_rows_and_blocks():
 
 def test_recognised_corners_are_those_with_a_landmark():
     decision = np.array([int(Decision.NEW), int(Decision.LANDMARK), int(Decision.IGNORED), int(Decision.LANDMARK)])
-    match = Match(np.arange(4), decision, np.zeros(4, np.int64), np.zeros(4), -1, -1, False)
+    match = Match(np.arange(4), decision, np.zeros(4, np.int64), np.zeros(4), -1, -1)
     assert match.recognised().tolist() == [1, 3]
 
 

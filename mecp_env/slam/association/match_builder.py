@@ -48,7 +48,7 @@ class MatchBuilder:
         """The match, as it is now."""
         rows = self.rows
         columns = rows["id"].copy(), rows["decision"].copy(), rows["reason"].copy(), rows["nis"].copy()
-        return Match(*columns, self.polygon, self.map_polygon, False)
+        return Match(*columns, self.polygon, self.map_polygon)
 
 
 @lru_cache(64)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from typing import Self
 
 import numpy as np
 
@@ -36,7 +38,7 @@ class LandmarkFilter:
         self.lateral_var = config.bumper_lateral_sigma_m**2
         self.heading_var = math.radians(config.bumper_heading_sigma_deg) ** 2
         self.merge_var = config.prior_sigma_m**2
-        self.closure_iterations = config.closure_iterations
+        self.update_iterations = config.update_iterations
         self.max_landmarks = config.max_landmarks
         self.dropped = 0
         self.slot_ids: Ints = np.empty(0, np.int64)  # (N,) id of the landmark in each slot
@@ -87,7 +89,7 @@ class LandmarkFilter:
         z, R, ids = _observations(z, R, ids)
         if len(ids) == 0:
             return
-        steps = self.closure_iterations if iterate else 1
+        steps = self.update_iterations if iterate else 1
         if not batch_update(self.state, self.slot_ids, ids, z, R, self.invariant, steps):
             self._refuse_unknown(ids)
             raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
@@ -169,6 +171,12 @@ class LandmarkFilter:
         p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
         world_belief(self.state, self.invariant, pose, pose_cov, p_map, covs)
         return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)
+
+    def copy(self) -> Self:
+        """An independent filter with the same state; later changes of one do not touch the other."""
+        other = copy.copy(self)
+        other.state = self.state[: 1 + self.size, : self.size].copy()  # the rest is capacity
+        return other
 
     def set_pose(self, T_map_robot: Array) -> None:
         """The pose (3,) x, y, heading is exactly this; landmarks keep mean and world covariance."""

@@ -12,13 +12,12 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
 from mecp_env.slam.landmark_map.pruning import find_pruned
-from mecp_env.slam.landmark_map.tracks import drop_tracks, room_unseen_since, track_corners
+from mecp_env.slam.landmark_map.tracks import drop_tracks, track_corners
 from mecp_env.slam.messages import (
     Belief,
     FeatureState,
     FeatureTable,
     MapView,
-    Match,
     MergedScan,
     Polygon,
     RoomGraph,
@@ -32,7 +31,7 @@ Resolve = Callable[[int], int]  # room -> the room that it became by merges
 
 @dataclass(slots=True, eq=False, init=False)
 class LandmarkMap:
-    """Tracks, landmarks and polygons. Each method but `view` and `mark_closure` is a stage that changes the map."""
+    """Tracks, landmarks and polygons. Each method but `view` is a stage that changes the map."""
 
     config: SlamConfig
     features: FeatureTable
@@ -46,11 +45,6 @@ class LandmarkMap:
     def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int) -> MapView:
         """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
         return MapView(step, predicted, self.features, self.polygons.groups, graph, through)
-
-    def mark_closure(self, match: Match, oldest: int) -> Match:
-        """The match as a loop closure where it recognises a room of which nothing was seen since the step `oldest`."""
-        closure = room_unseen_since(match.ids[match.recognised()], self.features.rows, oldest)
-        return match if match.closure == closure else replace(match, closure=closure)
 
     def track(self, seen: Sighting, room: int) -> tuple[Sighting, Ints]:
         """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now."""

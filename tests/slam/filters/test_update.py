@@ -103,8 +103,8 @@ def test_iterated_update_finds_the_most_likely_state(kind, heading_error):
     pair, z, R, _ = lost(kind, heading_error)
     mean, cov = pair.mean.copy(), pair.cov.copy()
     best = least_squares(cost_of(pair, mean, cov, z, R, kind), np.zeros(len(mean)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    config = FilterConfig(kind=kind, closure_iterations=20)
-    pair.filter.closure_iterations = config.closure_iterations
+    config = FilterConfig(kind=kind, update_iterations=20)
+    pair.filter.update_iterations = config.update_iterations
     pair.filter.update(z, R, pair.ids, iterate=True)
     wanted = exp_map(mean, best.x) if kind == "riekf" else mean + best.x
     np.testing.assert_allclose(wrap(pair.mean - wanted), 0.0, atol=2e-5)

@@ -104,7 +104,7 @@ def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not()
     beams, _, segments, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
     dynamic = STAGE.find(beams, segments, belief(), empty_room())
     n = len(corners)
-    new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1, False)
+    new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1)
     match = STAGE.reject(new, corners, beams, dynamic)
     points = np.column_stack([corners.z[:, 0] * np.cos(corners.z[:, 1]), corners.z[:, 0] * np.sin(corners.z[:, 1])])
     near = np.hypot(*(points - (1.5, 0.5)).T) < 0.5

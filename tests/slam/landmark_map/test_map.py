@@ -47,7 +47,7 @@ def corners_at(points, kind=0):
 def match_of(decisions, ids=None):
     n = len(decisions)
     ids = np.full(n, -1, np.int64) if ids is None else np.array(ids, np.int64)
-    return Match(ids, np.array(decisions, np.int64), np.zeros(n, np.int64), np.full(n, np.nan), -1, -1, False)
+    return Match(ids, np.array(decisions, np.int64), np.zeros(n, np.int64), np.full(n, np.nan), -1, -1)
 
 
 def graph_of(current=0, merged=None, in_doorway=False):

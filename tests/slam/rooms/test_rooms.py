@@ -53,7 +53,6 @@ def sighting(belief, ids, pairs=(), confirmable=True):
         np.zeros(n),
         -1,
         -1,
-        False,
     )
     return corners, match
 
