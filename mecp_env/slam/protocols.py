@@ -5,7 +5,7 @@ A filter takes and gives world coordinates and stable ids; how it stores them is
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, Self
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import MecpError
@@ -37,7 +37,7 @@ class Filter(Protocol):
         """Move the pose by the increments of one step."""
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
-        """Correct by a whole scan at once; `iterate` relinearises until it settles (loop closures)."""
+        """Correct by a whole scan at once; `iterate` relinearises until it settles."""
 
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
         """Take in new landmarks under ids never used before; those that find no room are counted in `dropped`."""
@@ -65,6 +65,9 @@ class Filter(Protocol):
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
+
+    def copy(self) -> Self:
+        """An independent filter with the same state: what association tries out does not touch the estimate."""
 
     def set_pose(self, T_map_robot: Array) -> None:
         """The pose is exactly this (estimator "truth"); the landmarks keep their covariance."""

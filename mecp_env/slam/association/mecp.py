@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+import sys
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,17 +13,24 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher
+from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher, PolygonTest
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 
 NONE = np.empty(0, np.int64)
+OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of another descriptor
 
 
 @dataclass(slots=True, eq=False)
 class MecpAssociator(Associator):
-    """Polygons first, globally; then everything else jointly, within the room where rooms are used."""
+    """Polygons first, globally; then everything else jointly, within the room where rooms are used.
+
+    Where the prediction is not sharp there are two passes: a polygon of the scan, recognised by an iterated joint test,
+    corrects a copy of the filter, and all corners are paired at the pose that this implies. Where no polygon is
+    recognised, the corners that fit best do the same. A sharp prediction needs one pass: to condition on the polygon is
+    linear then.
+    """
 
     config: AssociationConfig
     gate: float = field(init=False)  # NIS of a single pair
@@ -34,12 +42,31 @@ class MecpAssociator(Associator):
         """One decision per corner (III-B.2)."""
         builder, nis = MatchBuilder(len(corners)), np.empty((len(corners), 0))
         if len(view.belief.ids) and len(corners):
+            polygons = polygons if self.config.use_polygons else ()
+            if not self._is_sharp(view.belief):
+                belief = self._corrected(corners, polygons, view, belief)
+                view = replace(view, belief=belief.belief())
             table = pairing_table(corners, view, belief, self.config, self.gate)
-            nis, costs = table.nis, table.costs
-            matcher = PolygonMatcher(self.config, corners, view, belief, nis)
-            found = matcher.first_match(polygons) if self.config.use_polygons else None
-            self._pair(builder, corners, costs, found, view.belief, belief)
+            nis, test = table.nis, PolygonTest(2.0 * self.gate, self.gate, 1)
+            found = PolygonMatcher(self.config, corners, view, belief, nis, test).first_match(polygons)
+            self._pair(builder, corners, table.costs, found, view.belief, belief)
         return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
+
+    def _corrected(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Filter:
+        """A copy of the filter, updated with the polygon that is recognised, or with the corners that fit best."""
+        table = pairing_table(corners, view, belief, self.config, self.gate)
+        test = PolygonTest(OPEN, OPEN, self.config.iterations)
+        found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
+        if found is None:
+            builder = MatchBuilder(len(corners))
+            self._pair(builder, corners, table.costs, None, view.belief, belief)
+            anchors = np.flatnonzero(builder.rows["id"] >= 0)
+            ids = builder.rows["id"][anchors]
+        else:
+            anchors, ids = found.corners, found.ids
+        corrected = belief.copy()
+        corrected.update(*corners.measurements(anchors), ids, iterate=True)
+        return corrected
 
     def _pair(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,14 @@ class PolygonMatch:
     map_polygon: int  # index in the map's polygons
     corners: Ints  # (v,) corners whose landmarks the match fixes
     ids: Ints  # (v,) their landmark ids
+
+
+class PolygonTest(NamedTuple):
+    """How a polygon is tested: one linearisation where the prediction is sharp; else no gates but the joint one."""
+
+    vertex_gate: float  # NIS of a vertex alone; generous: the joint test decides
+    centre_gate: float  # NIS of the centre
+    iterations: int  # of the joint test
 
 
 def map_polygons_of(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
@@ -72,6 +81,7 @@ class PolygonMatcher:
     view: MapView
     belief: Filter
     nis: Array  # (n,N) of corners against landmarks
+    test: PolygonTest
 
     def first_match(self, polygons: tuple[Polygon, ...]) -> PolygonMatch | None:
         """The match of the first polygon that is recognised, or None."""
@@ -86,17 +96,16 @@ class PolygonMatcher:
         group = self.view.groups.get(len(polygon.corners))
         if group is None:
             return None
-        gate = chi2_gate(2, self.config.gate_probability)
-        ids, which = self._hypotheses(polygon, group, 2.0 * gate)  # generous: the joint test decides
+        ids, which = self._hypotheses(polygon, group, self.test.vertex_gate)
         if not len(ids):
             return None
         joint_gate = chi2_gate(2 * len(polygon.corners), self.config.gate_probability)
         z, R = self.corners.measurements(polygon.corners)
         accepted = []
         for hypothesis, c in zip(ids, which.tolist(), strict=True):
-            if self.belief.mean_of_gaussians_nis(z, R, hypothesis, paper_S=self.config.paper_S) > gate:
+            if self.belief.mean_of_gaussians_nis(z, R, hypothesis, paper_S=self.config.paper_S) > self.test.centre_gate:
                 continue
-            joint = self.belief.joint_nis(z, R, hypothesis)
+            joint = self.belief.joint_nis(z, R, hypothesis, self.test.iterations)
             if joint <= joint_gate:
                 accepted.append((joint, int(group.index[c]), hypothesis))
         return _agreed(accepted, polygon.corners, self.config.rival_gap)
