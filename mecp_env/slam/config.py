@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field
 
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import Settings
+from mecp_env.slam.messages import Belief
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -142,6 +143,9 @@ class TrackConfig(Settings):
 
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
+    end_sightings: int = Field(6, ge=1, le=20)  # of a line end in another room: it may be a pedestrian
+    few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough; a landmark that is
+    # not seen as often as the others before the window ends is removed again
     window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped
     gate_m: float = Field(0.1, ge=0.0, le=5.0)
     gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
@@ -163,11 +167,18 @@ class AssociationConfig(Settings):
     polygons_per_room: int = Field(32, ge=1, le=1000)
     ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
     rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
-    sharp_sigma_m: float = Field(0.15, gt=0.0, le=10.0)  # of the predicted position; above, or
-    sharp_sigma_deg: float = Field(3.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes
+    sharp_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of the predicted position; above, or
+    sharp_sigma_deg: float = Field(2.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes, and the
+    # update is iterated
     iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
     most_seeds: int = Field(8, ge=1, le=64)
     most_pairs: int = Field(48, ge=4, le=256)
+
+    def is_sharp(self, belief: Belief) -> bool:
+        """True while the pose is so well known that one linearisation is enough."""
+        x, y, heading = belief.pose_cov.diagonal().tolist()
+        known: bool = max(x, y) < self.sharp_sigma_m**2
+        return known and heading < math.radians(self.sharp_sigma_deg) ** 2
 
 
 class FilterConfig(Settings):
@@ -253,7 +264,9 @@ class SlamConfig(Settings):
             ),
             polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, widest_gap_m=1.2),  # III-A.2: exact
             dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
-            tracks=TrackConfig(sightings=1, jamb_sightings=1, merge_m=0.0, descriptor_deg=180.0),  # augmented at once
+            tracks=TrackConfig(
+                sightings=1, jamb_sightings=1, end_sightings=1, merge_m=0.0, descriptor_deg=180.0
+            ),  # augmented at once
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
                 use_descriptor=False,

@@ -20,6 +20,7 @@ from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
 
 UNKNOWN_ROOM = -1
+HERE = -2  # the room of what is not seen through a door
 NO_ID = -1
 
 
@@ -68,8 +69,6 @@ class Reason(IntEnum):
     TRACK = 4
     UNSEEN = 5
     AMBIGUOUS = 6
-    BEYOND_DOOR = 7
-    IN_DOORWAY = 8
     IDENTITY = 9
     DYNAMIC = 10
 
@@ -334,7 +333,7 @@ class RoomGraph:
     """Rooms and the doors between them."""
 
     current: int  # the room the robot believes to be in
-    in_doorway: bool  # the robot is in a door: no new landmarks now
+    in_doorway: bool  # the robot is in a door: what it sees may be in either room
     rooms: tuple[int, ...]  # ids of the rooms, merged ones left out
     doors: tuple[Door, ...]
     candidates: tuple[Candidate, ...]
@@ -345,6 +344,27 @@ class RoomGraph:
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""
         return resolved(room, self.merged)
+
+    def rooms_behind(self, through: Ints) -> Ints:
+        """(n,) the room, or UNKNOWN_ROOM, behind the door that each corner is seen `through` (n,); HERE without one."""
+        doors = through.tolist()
+        if max(doors, default=-1) < 0:
+            return np.full(len(doors), HERE)
+        behind = {
+            door.id: door.rooms[1] if door.rooms[0] == self.current else door.rooms[0]
+            for door in self.doors
+            if door.id in doors
+        }
+        return np.array([behind.get(door, HERE) for door in doors])
+
+    def rooms_of(self, beyond: Ints, through: Ints) -> Ints:
+        """(n,) the room of each corner, UNKNOWN_ROOM `beyond` (n,) a gap that is no door, and seen from a doorway."""
+        if self.in_doorway:
+            return np.full(len(beyond), UNKNOWN_ROOM)
+        if max(beyond.tolist(), default=-1) < 0 and max(through.tolist(), default=-1) < 0:
+            return np.full(len(beyond), self.current)
+        behind = self.rooms_behind(through)
+        return np.where(behind != HERE, behind, np.where(beyond >= 0, UNKNOWN_ROOM, self.current))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -113,22 +113,23 @@ class SlamPipeline:
         with self.divergence:
             associated = self.associator.associate(corners, polygons, view, self.filter)
             check_match(associated, len(corners), len(view.features))
+            config = self.config.association
             oldest = self.step_count - self.config.filter.closure_gap_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
-            updated = self._update(corners, sure)
+            updated = self._update(corners, sure, iterate=not config.is_sharp(view.belief))
         return associated, updated
 
-    def _update(self, corners: Corners, match: Match) -> Match:
-        """Update the filter with all recognised corners at once, iterated: a prediction may be far off."""
+    def _update(self, corners: Corners, match: Match, iterate: bool) -> Match:
+        """Update the filter with all recognised corners at once."""
         recognised = match.recognised()
         if len(recognised):
             z, R = corners.measurements(recognised)
-            self.filter.update(z, R, match.ids[recognised], iterate=True)
+            self.filter.update(z, R, match.ids[recognised], iterate=iterate)
         return match
 
     def _extend_map(self, seen: Sighting, polygons: tuple[Polygon, ...]) -> Sighting:
         """Tracks, landmarks, doors, rooms and polygons after this scan; the sighting with all its ids."""
-        seen, confirmed = self.map.track(seen, self.rooms.current)
+        seen, confirmed = self.map.track(seen, self.rooms.graph())
         self.associator.remember(seen.match)
         seen = self.map.initialise(seen, confirmed, self.filter)
         moved = self.rooms.update(seen, self.map.features, self.map.polygons.polygons)

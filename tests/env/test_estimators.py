@@ -25,7 +25,7 @@ def test_true_identities_make_no_wrong_pair():
     explore(env)
     summary = env.unwrapped.summary()
     assert summary["association_false"] == 0
-    assert summary["association_recall"] == 1.0
+    assert summary["association_recall"] > 0.98  # a corner that is off by more than its noise is left out
     assert summary["duplicates"] == 0
 
 

@@ -72,7 +72,7 @@ def test_no_stage_writes_to_a_message(made: list[tuple[Any, str]], keywords: dic
 
 def test_the_output_keeps_what_the_associator_decided() -> None:
     """The third scan at rest: corners that were new for the associator have a track in the final match."""
-    env = gym.make("mecp_env/Layout-v0", layout="two_rooms").unwrapped
+    env = gym.make("mecp_env/Layout-v0", layout="two_rooms", slam={"tracks": {"few_matches": 0}}).unwrapped
     env.reset(seed=3)
     associated, final = env.slam_output.associated, env.slam_output.match
     followed = final.decision == int(Decision.PROVISIONAL)

@@ -115,7 +115,7 @@ def test_every_decision_has_its_reason(steps):
         Decision.LANDMARK: {Reason.POLYGON, Reason.JOINT},
         Decision.PROVISIONAL: {Reason.TRACK},
         Decision.NEW: {Reason.UNSEEN},
-        Decision.IGNORED: {Reason.AMBIGUOUS, Reason.BEYOND_DOOR, Reason.IN_DOORWAY},
+        Decision.IGNORED: {Reason.AMBIGUOUS},
     }
     for _, output, _, _ in steps:
         for decision, reason in zip(output.match.decision, output.match.reason, strict=True):

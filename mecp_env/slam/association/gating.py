@@ -13,10 +13,9 @@ from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, MapView
+from mecp_env.slam.messages import HERE, UNKNOWN_ROOM, CornerKind, Corners, MapView
 from mecp_env.slam.protocols import Filter
 
-HERE = -2  # not seen through a door
 NOWHERE = np.empty(0, np.int64)
 FIXED = -1.0  # cost of a pair that a polygon match has fixed: below every NIS
 
@@ -48,24 +47,10 @@ def pairing_table(
         heading, tolerance = view.belief.T_map_robot[2], math.radians(config.descriptor_deg)
         mask_by_descriptor(nis, corners.convex, corners.normals, heading, ids, features, tolerance)
     home = UNKNOWN_ROOM if graph.in_doorway or not config.use_rooms else graph.current
-    behind = _rooms_behind(view) if config.use_rooms else NOWHERE
+    behind = graph.rooms_behind(view.through) if config.use_rooms else NOWHERE
     costs = np.empty(nis.shape)
     mask_by_room(nis, costs, home, corners.beyond, behind, ids, features, home_gate)
     return PairingTable(nis, costs)
-
-
-def _rooms_behind(view: MapView) -> Ints:
-    """(n,) the room behind the door that each corner is seen through, HERE without one; empty when there are none."""
-    through = view.through.tolist()
-    if max(through) < 0:
-        return NOWHERE
-    here = view.graph.current
-    behind = {
-        door.id: door.rooms[1] if door.rooms[0] == here else door.rooms[0]
-        for door in view.graph.doors
-        if door.id in through
-    }
-    return np.array([behind.get(door, HERE) for door in through])
 
 
 @compiled

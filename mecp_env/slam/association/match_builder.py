@@ -9,7 +9,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.messages import NO_ID, Corners, Decision, MapView, Match, Reason
+from mecp_env.slam.messages import NO_ID, Decision, Match, Reason
 
 ROW = np.dtype([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)], align=True)
 INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)  # copied, faster than filled
@@ -35,13 +35,13 @@ class MatchBuilder:
         for name, values in (("id", ids), ("decision", decision), ("reason", reason), ("nis", nis)):
             self.rows[name][corners] = values
 
-    def classify_unmatched(self, corners: Corners, view: MapView, nis: Array, ignore_gate: float) -> Self:
+    def classify_unmatched(self, nis: Array, ignore_gate: float) -> Self:
         """Decide which of the corners that are not paired may be new; the others are ignored.
 
         `nis` (n,N) is that of every corner against every landmark of the same descriptor. A corner neither clearly old
-        nor clearly new is ignored, so is one beyond a door, and every one while the robot is in a doorway.
+        nor clearly new is ignored.
         """
-        classify_unmatched(self.rows, nis, ignore_gate, view.graph.in_doorway, corners.beyond, view.through)
+        classify_unmatched(self.rows, nis, ignore_gate)
         return self
 
     def match(self) -> Match:
@@ -60,9 +60,7 @@ def ignored(n: int) -> Match:
 
 
 @compiled
-def classify_unmatched(
-    rows: Rows, nis: Array, ignore_gate: float, in_doorway: bool, beyond: Ints, through: Ints
-) -> None:
+def classify_unmatched(rows: Rows, nis: Array, ignore_gate: float) -> None:
     """The decision of each corner that is still new; in place. Shapes as in `MatchBuilder`."""
     for i in range(rows.shape[0]):
         if rows[i].decision != Decision.NEW:
@@ -72,7 +70,3 @@ def classify_unmatched(
             near |= nis[i, j] <= ignore_gate
         if near:
             rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.AMBIGUOUS
-        elif in_doorway:
-            rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.IN_DOORWAY
-        elif beyond[i] >= 0 or through[i] >= 0:
-            rows[i].decision, rows[i].reason = Decision.IGNORED, Reason.BEYOND_DOOR

@@ -43,14 +43,14 @@ class MecpAssociator(Associator):
         builder, nis = MatchBuilder(len(corners)), np.empty((len(corners), 0))
         if len(view.belief.ids) and len(corners):
             polygons = polygons if self.config.use_polygons else ()
-            if not self._is_sharp(view.belief):
+            if not self.config.is_sharp(view.belief):
                 belief = self._corrected(corners, polygons, view, belief)
                 view = replace(view, belief=belief.belief())
             table = pairing_table(corners, view, belief, self.config, self.gate)
             nis, test = table.nis, PolygonTest(2.0 * self.gate, self.gate, 1)
             found = PolygonMatcher(self.config, corners, view, belief, nis, test).first_match(polygons)
             self._pair(builder, corners, table.costs, found, view.belief, belief)
-        return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
+        return builder.classify_unmatched(nis, self.config.ignore_gate).match()
 
     def _corrected(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Filter:
         """A copy of the filter, updated with the polygon that is recognised, or with the corners that fit best."""
@@ -82,7 +82,7 @@ class MecpAssociator(Associator):
         if found is not None:
             fixed = found.corners, found.ids
             builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
-        elif not self._is_sharp(predicted):
+        elif not self.config.is_sharp(predicted):
             seeds = config.most_seeds
         pairs, cost = np.empty((2, costs.size), np.int64), np.empty(costs.size)
         count = possible_pairs(costs, predicted.ids, *fixed, self.gate, config.most_pairs, pairs, cost)
@@ -90,12 +90,6 @@ class MecpAssociator(Associator):
             corner, ids, cost = pairs[0, :count], pairs[1, :count], cost[:count]
             innovation = belief.innovation(*corners.measurements(corner), ids)
             accept(innovation, corner, ids, cost, seeds, self.gate, config.rival_gap, builder.rows)
-
-    def _is_sharp(self, belief: Belief) -> bool:
-        """True while the pose is so well known that a free choice is enough to start from."""
-        x, y, heading = belief.pose_cov.diagonal().tolist()
-        known: bool = max(x, y) < self.config.sharp_sigma_m**2
-        return known and heading < math.radians(self.config.sharp_sigma_deg) ** 2
 
 
 @compiled

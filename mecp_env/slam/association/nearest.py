@@ -25,7 +25,7 @@ class NearestAssociator(Associator):
         builder = MatchBuilder(len(corners))
         nis = belief.individual_nis(corners.z, corners.R, view.belief.ids)
         pair_nearest(builder, nis, view.belief.ids, chi2_gate(2, self.config.gate_probability))
-        return builder.classify_unmatched(corners, view, nis, self.config.ignore_gate).match()
+        return builder.classify_unmatched(nis, self.config.ignore_gate).match()
 
 
 def pair_nearest(builder: MatchBuilder, nis: Array, landmarks: Ints, gate: float) -> None:

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from mecp_env.core.array_types import Ints
+from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, MapView, Match, Polygon, Reason
@@ -48,13 +49,24 @@ class OracleAssociator(Associator):
         self.true_corner = self.correspondences(corners)
         for i, true_corner in enumerate(self.true_corner.tolist()):
             feature = self.feature_of.get(true_corner, NO_ID)
-            if true_corner < 0 or (corners.beyond[i] >= 0 and feature == NO_ID):
+            if true_corner < 0:
                 builder.assign(i, Decision.IGNORED, Reason.IDENTITY)
             elif feature != NO_ID and state[feature] != int(FeatureState.DEAD):
                 landmark = state[feature] == int(FeatureState.LANDMARK)
                 decision = Decision.LANDMARK if landmark else Decision.PROVISIONAL
                 builder.assign(i, decision, Reason.IDENTITY, feature)
-        return builder.match()
+        return self._without_outliers(builder, corners, belief).match()
+
+    def _without_outliers(self, builder: MatchBuilder, corners: Corners, belief: Filter) -> MatchBuilder:
+        """The same without pairs that are no measurement of their landmark: at the pose that all pairs imply."""
+        pairs = np.flatnonzero(builder.rows["decision"] == Decision.LANDMARK)
+        if len(pairs):
+            ids, implied = builder.rows["id"][pairs], belief.copy()
+            implied.update(*corners.measurements(pairs), ids, iterate=True)
+            nis = implied.individual_nis(corners.z[pairs], corners.R[pairs], ids).diagonal()
+            outside = pairs[nis > chi2_gate(2, self.config.gate_probability)]
+            builder.assign(outside, Decision.IGNORED, Reason.IDENTITY)
+        return builder
 
     def remember(self, match: Match) -> None:
         """Note which new feature was initialised from which true corner."""

@@ -51,6 +51,8 @@ def gauss_newton(
 def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, iterations: int) -> bool:
     """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
 
+    After several steps W is that of the new mean: there the invariant error keeps the unobservable directions, while
+    the Jacobian of a step at xi != 0 takes in information about the heading of the whole map that nobody measured.
     Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
     """
     n = 3 + 2 * slot_ids.shape[0]
@@ -58,6 +60,13 @@ def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
     if not find_rows(slot_ids, ids, slots):
         return False
     cost, W = gauss_newton(state, n, slots, z, R, invariant, iterations, xi)
+    if iterations > 1 and not math.isnan(cost):
+        before = state[0, :n].copy()
+        retract(state[0], n, xi, invariant)
+        xi[:] = 0.0
+        cost, W = gauss_newton(state, n, slots, z, R, invariant, 1, np.zeros(n))
+        if math.isnan(cost):
+            state[0, :n] = before
     return not math.isnan(cost) and apply_update(state, n, W, xi, invariant)
 
 

@@ -12,7 +12,7 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
 from mecp_env.slam.landmark_map.pruning import find_pruned
-from mecp_env.slam.landmark_map.tracks import drop_tracks, track_corners
+from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     Belief,
     FeatureState,
@@ -46,10 +46,10 @@ class LandmarkMap:
         """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
         return MapView(step, predicted, self.features, self.polygons.groups, graph, through)
 
-    def track(self, seen: Sighting, room: int) -> tuple[Sighting, Ints]:
+    def track(self, seen: Sighting, graph: RoomGraph) -> tuple[Sighting, Ints]:
         """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now."""
         self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
-        match, confirmed = track_corners(self.features, seen, room, self.config.tracks)
+        match, confirmed = track_corners(self.features, seen, graph, self.config.tracks)
         return Sighting(seen.corners, match, seen.through, seen.belief, seen.step), confirmed
 
     def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
@@ -89,9 +89,11 @@ class LandmarkMap:
     def prune(
         self, beams: MergedScan, segments: Segments, seen: Sighting, landmark_filter: Filter, resolve: Resolve
     ) -> tuple[Belief, Ints]:
-        """Remove the landmarks that the scans show not to be there; the belief after that, and their ids (m,)."""
+        """Remove landmarks that scans show not to be there or do not confirm; the belief then, and their ids (m,)."""
         belief = seen.belief
         gone = find_pruned(beams, segments, belief, self.features, seen.step, self.config.dynamic_objects)
+        unconfirmed = find_unconfirmed(self.features.rows, belief.ids, self.config.tracks.record, seen.step)
+        gone = np.union1d(gone, unconfirmed) if len(unconfirmed) else gone
         if len(gone):
             landmark_filter.remove(gone)
             self.features.rows["state"][gone] = int(FeatureState.DEAD)

@@ -12,6 +12,7 @@ from mecp_env.core.se2 import face_turn, polar_to_points, to_map
 from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.messages import (
     FEATURE,
+    UNKNOWN_ROOM,
     CornerKind,
     Corners,
     Decision,
@@ -19,34 +20,40 @@ from mecp_env.slam.messages import (
     FeatureTable,
     Match,
     Reason,
+    RoomGraph,
     Sighting,
 )
 
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
-JAMB, NEW, PROVISIONAL = int(CornerKind.JAMB), int(Decision.NEW), int(Decision.PROVISIONAL)
+JAMB, FREE_END = int(CornerKind.JAMB), int(CornerKind.FREE_END)
+NEW, PROVISIONAL = int(Decision.NEW), int(Decision.PROVISIONAL)
 
 
-def track_corners(features: FeatureTable, seen: Sighting, room: int, config: TrackConfig) -> tuple[Match, Ints]:
+def track_corners(features: FeatureTable, seen: Sighting, graph: RoomGraph, config: TrackConfig) -> tuple[Match, Ints]:
     """The match with an id for every corner that is kept, and the corners (c,) whose track is confirmed now.
 
-    Sightings are counted in `features`; new tracks start in `room`.
+    Sightings are counted in `features`. A room that is seen through its door is mapped from there: new tracks belong to
+    the room behind the door, or to an open one until they are seen from inside.
     """
     corners, match, T_map_robot = seen.corners, seen.match, seen.belief.T_map_robot
+    room = graph.rooms_of(corners.beyond, seen.through)
     if NEW in match.decision.tolist():
-        marks = corners.z, corners.cov, corners.convex, corners.normals
-        track = find_tracks(match.decision, *marks, T_map_robot, features.rows, config.record)
+        seen_as = corners.z, corners.cov, corners.convex, corners.normals
+        track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, config.record)
         match = _follow_and_start(features, corners, match, track, room)
-    faces, where = (corners.kind, corners.normals), (corners.z, T_map_robot)
-    return match, count_sightings(features.rows, match.ids, *faces, *where, config.record, seen.step)
+    marks = corners.kind, corners.normals, corners.z
+    return match, count_sightings(
+        features.rows, match.ids, marks, room, graph.current, T_map_robot, config.record, seen.step
+    )
 
 
-def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: int) -> Match:
-    """The match in which each NEW corner continues its `track` (n,), or starts a new one in `room` where that is -1."""
+def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: Ints) -> Match:
+    """The match in which each NEW corner continues its `track` (n,) or, at -1, starts one in its `room` (n,)."""
     new = match.decision == NEW
     started, follows = np.flatnonzero(new & (track < 0)), np.flatnonzero(new & (track >= 0))
     if len(started):
         rows = np.zeros(len(started), FEATURE)
-        rows["state"], rows["room"], rows["normals"] = TRACK, room, math.nan
+        rows["state"], rows["room"], rows["normals"] = TRACK, room[started], math.nan
         rows["kind"], rows["convex"] = corners.kind[started], corners.convex[started]
         match = match.assign(started, features.append(rows), NEW, match.reason[started])
     return match.assign(follows, track[follows], PROVISIONAL, int(Reason.TRACK)) if len(follows) else match
@@ -99,29 +106,55 @@ def find_tracks(
 
 @compiled
 def count_sightings(
-    rows: Rows, ids: Ints, kind: Ints, normals: Array, z: Array, T_map_robot: Array, config: Rows, step: int
+    rows: Rows,
+    ids: Ints,
+    marks: tuple[Ints, Array, Array],
+    room: Ints,
+    current: int,
+    T_map_robot: Array,
+    config: Rows,
+    step: int,
 ) -> Ints:
     """(c,) the corners whose track has now been seen often enough; `rows` note one sighting of each feature.
 
-    `ids` (n,) are the features of the corners z (n,2), < 0: none; `normals` (n,2) rad are in the robot frame.
+    `ids` (n,) are the features of the corners, < 0: none; `marks` are kind (n,), normals (n,2) rad and z (n,2) in the
+    robot frame. A feature of an open room belongs to that of its corner, `room` (n,); the robot is in `current`. One
+    sighting is enough while few landmarks are in view: without any the pose is lost.
     """
-    limits, count = config[0], 0
+    limits, (kind, normals, z), count, landmarks = config[0], marks, 0, 0
     p_map, confirmed = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
+    for i in range(ids.shape[0]):
+        landmarks += ids[i] >= 0 and rows[ids[i]].state == LANDMARK
     for i in range(ids.shape[0]):
         f = ids[i]
         if f < 0:
             continue
         rows[f].seen += 1
         rows[f].last_step = step
+        rows[f].room = room[i] if rows[f].room == UNKNOWN_ROOM else rows[f].room
         for k in range(2):
             rows[f].p_map[k] = p_map[i, k]
             if math.isnan(rows[f].normals[k]):
                 rows[f].normals[k] = normals[i, k] + T_map_robot[2]
         needed = limits.jamb_sightings if kind[i] == JAMB else limits.sightings
+        needed = limits.end_sightings if kind[i] == FREE_END and room[i] != current else needed
+        needed = 1 if landmarks < limits.few_matches else needed
         if rows[f].state == TRACK and rows[f].seen >= needed:
             confirmed[count] = i
             count += 1
     return confirmed[:count]
+
+
+@compiled
+def find_unconfirmed(rows: Rows, landmarks: Ints, config: Rows, step: int) -> Ints:
+    """(m,) those of the `landmarks` (N,) that one sighting made and that were not seen again as often as others are."""
+    limits, found, count = config[0], np.empty(landmarks.shape[0], np.int64), 0
+    for f in landmarks:
+        needed = limits.jamb_sightings if rows[f].kind == JAMB else limits.sightings
+        if rows[f].seen < needed and rows[f].last_step < step - limits.window_steps:
+            found[count] = f
+            count += 1
+    return found[:count]
 
 
 @compiled

@@ -108,7 +108,10 @@ def test_iterated_update_finds_the_most_likely_state(kind, heading_error):
     pair.filter.update(z, R, pair.ids, iterate=True)
     wanted = exp_map(mean, best.x) if kind == "riekf" else mean + best.x
     np.testing.assert_allclose(wrap(pair.mean - wanted), 0.0, atol=2e-5)
-    information = best.jac.T @ best.jac
+    residuals = cost_of(pair, wanted, cov, z, R, kind)  # the covariance is that of the error about the new mean
+    steps = 1e-6 * np.eye(len(mean))
+    jacobian = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in steps], axis=1)
+    information = jacobian.T @ jacobian
     np.testing.assert_allclose(pair.cov, np.linalg.inv(information), atol=1e-5)
 
 
@@ -193,3 +196,15 @@ def test_fusing_the_same_corner_seen_twice_is_as_good_as_one_landmark(kind):
         beliefs.append(estimate.belief())
     np.testing.assert_allclose(beliefs[0].p_map, beliefs[1].p_map, atol=2e-4)
     np.testing.assert_allclose(beliefs[0].covs, beliefs[1].covs, atol=2e-6)
+
+
+def test_a_copy_of_a_filter_is_independent(kind):
+    pair, z, R, _ = lost(kind, 0.1)
+    before = pair.filter.state.copy()
+    copy = pair.filter.copy()
+    copy.update(z, R, pair.ids)
+    copy.augment(np.array([[2.0, 0.1]]), np.eye(2) * 1e-4, np.array([99]))
+    np.testing.assert_array_equal(pair.filter.state, before)
+    assert not pair.filter.has(99)
+    pair.filter.update(z, R, pair.ids)
+    np.testing.assert_array_equal(pair.filter.mean[: pair.filter.size], copy.mean[: pair.filter.size])

@@ -1,5 +1,7 @@
 """The persistent map: tracks, polygons, duplicates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,14 @@ from mecp_env.slam.config import DynamicObjectsConfig, TrackConfig
 from mecp_env.slam.landmark_map.dynamic_objects import find_lone_closures
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
-from mecp_env.slam.landmark_map.tracks import drop_tracks, room_unseen_since, track_corners
+from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, room_unseen_since, track_corners
 from mecp_env.slam.messages import (
+    UNKNOWN_ROOM,
     Belief,
+    CornerKind,
     Corners,
     Decision,
+    Door,
     Doorways,
     FeatureState,
     FeatureTable,
@@ -54,12 +59,12 @@ def graph_of(current=0, merged=None, in_doorway=False):
     return RoomGraph(current, in_doorway, (0, 1), (), (), merged or {})
 
 
-def see(table, points, step, kind=0, config=None):
-    config = config or TrackConfig()
+def see(table, points, step, kind=0, config=None, graph=None):
+    config = config or TrackConfig(few_matches=0)
     drop_tracks(table, step, config)
     nowhere = np.full(len(points), -1, np.int64)
     seen = Sighting(corners_at(points, kind), match_of([Decision.NEW] * len(points)), nowhere, ORIGIN, step)
-    return track_corners(table, seen, 0, config)
+    return track_corners(table, seen, graph or graph_of(), config)
 
 
 def test_a_corner_becomes_a_landmark_in_its_third_scan():
@@ -246,3 +251,34 @@ def test_landmarks_apart_or_seen_side_by_side_are_two(offset, ids):
     table, belief = believed(offset)
     match = match_of([Decision.LANDMARK] * len(ids), ids)
     assert find_duplicate(table, belief, match, TrackConfig()) is None
+
+
+def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_seen_again_is_removed():
+    table, config = FeatureTable(), TrackConfig()
+    match, confirmed = see(table, [[2.0, 1.0], [2.0, -1.0]], 0, config=config)
+    assert confirmed.tolist() == [0, 1]
+    table.rows["state"][match.ids] = int(FeatureState.LANDMARK)
+    table.rows["seen"][0] = config.sightings
+    late = config.window_steps + 1
+    assert find_unconfirmed(table.rows, match.ids, config.record, config.window_steps).tolist() == []
+    assert find_unconfirmed(table.rows, match.ids, config.record, late).tolist() == [1]
+
+
+def test_a_line_end_in_another_room_needs_more_sightings_and_belongs_to_the_room_that_it_is_seen_from_inside():
+    config = TrackConfig(few_matches=0)
+    table, end = FeatureTable(), int(CornerKind.FREE_END)
+    from_doorway = [see(table, [[2.0, 1.0]], step, end, config, graph_of(in_doorway=True)) for step in range(6)]
+    assert [len(confirmed) for _, confirmed in from_doorway] == [0, 0, 0, 0, 0, 1]
+    assert table.rows["room"].tolist() == [UNKNOWN_ROOM]
+    see(table, [[2.0, 1.0]], 6, end, config, graph_of(current=1))
+    see(table, [[2.0, 1.0]], 7, end, config, graph_of(current=0))
+    assert table.rows["room"].tolist() == [1]
+
+
+def test_the_room_of_a_corner_is_that_behind_its_door_and_open_beyond_a_gap():
+    door = Door(7, (0, 1), None, (0, 3), 3)
+    other = Door(8, (2, 3), None, (0, UNKNOWN_ROOM), 3)
+    graph = RoomGraph(0, False, (0, 3), (door, other), (), {})
+    beyond, through = np.array([-1, 0, -1, -1]), np.array([-1, -1, 7, 8])
+    assert graph.rooms_of(beyond, through).tolist() == [0, UNKNOWN_ROOM, 3, UNKNOWN_ROOM]
+    assert replace(graph, in_doorway=True).rooms_of(beyond, through).tolist() == [UNKNOWN_ROOM] * 4
