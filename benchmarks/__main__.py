@@ -27,11 +27,12 @@ from benchmarks.common import (
 from benchmarks.trees import TreeError
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.work_units import WHOLE, Shard
+from mecp_env.render.figures import save as save_figure
 
 OPEN = ("association", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
-IN_UNITS = ("association", "explorers", "features", "filters", "worlds")  # of work, kept and divided
-NAMES = ("speed", "start", "features", "filters", "association", "explorers", "worlds", "vector")
+IN_UNITS = ("association", "explorers", "features", "filters", "loop", "noise", "worlds")  # of work, kept and divided
+NAMES = ("speed", "start", "features", "filters", "association", "loop", "noise", "explorers", "worlds", "vector")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,7 +59,10 @@ def main(arguments: list[str] | None = None) -> int:
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
     if given.json or not (given.quick or given.sets or given.modules or given.against):
-        save(content, page, given.json or RESULTS / f"{given.name}.json")
+        path = given.json or RESULTS / f"{given.name}.json"
+        save(content, page + (f"\n![{given.name}]({path.stem}.png)\n" if hasattr(module, "figure") else ""), path)
+        if hasattr(module, "figure"):
+            save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
     return 0
 
 
@@ -91,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME[:COUNT]",
-        help="of worlds and association: only these; written only with --json",
+        help="of association, loop, noise and worlds: only these; written only with --json",
     )
     made.add_argument(
         "--with",

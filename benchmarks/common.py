@@ -1,7 +1,8 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `GATES`, the figures that must not get worse, and `report(figures) -> str`, tables in Markdown.
+It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown, and
+`figure(figures)`, a figure of matplotlib that is saved as PNG beside them.
 """
 
 from __future__ import annotations
@@ -101,8 +102,11 @@ def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], o
     kept = KeptResults(options.folder, kind, {"--with": modules, **dependencies(Path(__file__).parent)})
     named = {" ".join(map(str, unit)): unit for unit in options.shard.part(units)}
     results, errors = dict[str, Any](), list[Exception]()
+    todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
+    first = len(named) - todo
     for name, result in run_kept(task, named, kept, options.jobs):
         results[name] = result
+        show_progress(len(results) - first, todo, time.monotonic() - begun)
         if isinstance(result, FailedUnit):
             errors.append(result.error)
             print(f"failed: {result}", file=sys.stderr)
@@ -111,6 +115,13 @@ def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], o
     if options.shard != WHOLE:
         raise ShardDone(f"{len(named)} units of shard {options.shard} are in {options.folder}")
     return [results[name] for name in named]
+
+
+def show_progress(done: int, todo: int, seconds: float) -> None:
+    """One line on stderr, written over the one before on a terminal: units done and time left."""
+    if done > 0:
+        left, end = seconds / done * (todo - done), "\r" if sys.stderr.isatty() and done < todo else "\n"
+        print(f"{done} of {todo} units, {left / 60.0:.1f} min left", end=end, file=sys.stderr, flush=True)
 
 
 def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[Any, list[Any]]:

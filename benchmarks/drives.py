@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,13 +17,19 @@ from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.association import OracleAssociator, make_associator
+from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.messages import Corners, MapView, Match, Polygon, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.protocols import Associator, Filter
+from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
 from mecp_env.wrappers import GoalActions
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +49,37 @@ class Replay:
 
     log: AssociationLog
     error_m: Array  # (n,) position error after each scan
+    error_rad: Array  # (n,) heading error
     nees: Array  # (n,) pose NEES, 3 expected
     duplicates: int
     diverged: bool
+    associate_ms: float  # median per scan
+    far: int  # corners beyond 93 % of the laser's range
+    phantoms: int  # those of them that do not exist
+
+
+@dataclass(slots=True, eq=False)
+class TimedAssociator(Associator):
+    """An associator, and how long it takes."""
+
+    timed: Associator
+    seconds: list[float] = field(default_factory=list)  # of each scan
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """The match of the associator."""
+        begun = time.perf_counter()
+        match = self.timed.associate(corners, polygons, view, belief)
+        self.seconds.append(time.perf_counter() - begun)
+        return match
+
+    def remember(self, match: Match) -> None:
+        """As the associator does."""
+        self.timed.remember(match)
+
+    @property
+    def median_ms(self) -> float:
+        """Milliseconds per scan."""
+        return 1e3 * float(np.median(self.seconds))
 
 
 class RecordingEnv(MecpEnv):
@@ -66,7 +102,7 @@ class RecordingEnv(MecpEnv):
         return odometry, scan
 
 
-def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:
+def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
     """A breadth-first exploration of `layout` with the estimated map, from a start given by the seed."""
     inner = RecordingEnv(layout=layout, start="random", **keywords)
     env = GoalActions(inner)
@@ -80,19 +116,33 @@ def record_drive(layout: str, seed: int, **keywords: Any) -> Drive:
     return inner.drive
 
 
-def replay(drive: Drive, slam: SlamConfig) -> Replay:
+def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], Associator] = make_associator) -> Replay:
     """Run an estimator on a drive; its decisions feed back into its filter (closed loop)."""
-    pipeline = SlamPipeline(slam)
+    associator = TimedAssociator(make(slam.association))
+    pipeline = SlamPipeline(slam, associator=associator)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])
-    errors, nees = [], []
+    errors, nees, far = [], [], np.zeros(2, np.int64)
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        if isinstance(associator.timed, OracleAssociator):
+            associator.timed.correspondences = drive.truth.correspondences(T_world_robot)
         output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        log.record(output, drive.truth.identify(output.corners, T_world_robot))
+        true = drive.truth.identify(output.corners, T_world_robot)
+        log.record(output, true)
+        far += far_corners(output, true)
         error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
-        errors.append(float(np.hypot(error[0], error[1])))
+        errors.append(error)
         nees.append(float(error @ np.linalg.solve(output.belief.pose_cov, error)))
         if output.diverged:
             break
-    return Replay(log, np.array(errors), np.array(nees), log.duplicates(output.belief.ids), output.diverged)
+    x, y, heading = np.array(errors).T
+    duplicates = log.duplicates(output.belief.ids)
+    scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, output.diverged
+    return Replay(*scores, associator.median_ms, *far.tolist())
+
+
+def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:
+    """How many corners of a scan are beyond 93 % of the laser's range, and how many of them are none in truth."""
+    beyond = output.corners.z[:, 0] > FAR_SHARE * output.beams.max_range_m
+    return int(beyond.sum()), int((beyond & (true < 0)).sum())

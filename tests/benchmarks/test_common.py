@@ -141,6 +141,15 @@ def test_a_run_continues_and_shards_add_up_to_it(tmp_path: Path) -> None:
     assert results == [cube(unit) for unit in UNITS]
 
 
+def test_progress_counts_what_is_left_of_this_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common.in_parallel(cube, float, UNITS[:2], Options(folder=tmp_path))
+    assert capsys.readouterr().err == "1 of 2 units, 0.0 min left\n2 of 2 units, 0.0 min left\n"
+    common.in_parallel(cube, float, UNITS, Options(folder=tmp_path))
+    assert [line.partition(",")[0] for line in capsys.readouterr().err.splitlines()] == [
+        f"{n} of 3 units" for n in (1, 2, 3)
+    ]
+
+
 def test_results_are_grouped_by_all_but_the_number_of_their_unit() -> None:
     units = [("a", 0), ("a", 1), ("b", 0)]
     assert common.grouped(units, [5, 6, 7]) == {"a": [5, 6], "b": [7]}

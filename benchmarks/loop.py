@@ -1,0 +1,252 @@
+"""One scan against a finished map, at a roughly known pose: what polygons, descriptors and passes are worth.
+
+The default estimator maps a drive that was recorded with the true pose as the driver. For each scan that is drawn, the
+filter gets the true pose with a random error of a given sigma in x, y and heading, this prior, and no correlation with
+the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs.
+The scans are among those that the map was made of. `mecp in one pass` pairs everything at the prediction, however wide
+that is.
+
+A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
+the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
+the test split, from number 500 on; the benchmark `worlds` uses those before. Times are medians of a drive.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
+from benchmarks.drives import Drive, record_drive
+from benchmarks.plots import Panel, line_panels
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from mecp_env.core.messages import Scan
+from mecp_env.core.se2 import compose, inverse
+from mecp_env.evaluation.metrics import AssociationLog
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.filters.core import LandmarkFilter
+from mecp_env.slam.filters.error_state import change_chart
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Polygon
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.protocols import Associator
+from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.schema import Layout
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
+VARIANTS: dict[str, Variant] = {
+    DEFAULT: Variant(),
+    "mecp without polygons": WITHOUT_POLYGONS,
+    "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
+    "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
+    "mecp in one pass": ONE_PASS,
+    "nearest": Variant({"association": {"method": "nearest"}}),
+    "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
+}
+SEEDS = {"paper": 20, "hard": 20, "twins": 20}  # drives
+SETS, MOST = tuple(SEEDS), 500
+HARD, FIRST_BUILDING, MAX_STEPS = "hard", 500, 10_000  # the buildings before are those of `worlds`
+SCANS, FIRST_SCAN = 20, 10  # per drive; the first one
+QUICK_DRIVES, QUICK_SCANS = 2, 4
+RIGHT_PAIRS = 3
+TITLES = {
+    "right": "Share of scans with at least three right pairs and none wrong:",
+    "wrong": "Share of pairs that are wrong:",
+    "polygon": "Share of scans with a polygon recognised:",
+    "ms": "Milliseconds of association per scan:",
+}
+
+
+def named(sigma: tuple[float, float]) -> str:
+    """A sigma of the pose as a key."""
+    return f"{sigma[0]:g} m {sigma[1]:g} deg"
+
+
+GATED = (("paper", DEFAULT), ("paper", "mecp without descriptor"), (HARD, DEFAULT))
+GATES = (
+    *(Gate(f"{layout}/{name}/{named(sigma)}/right", "share", 0.05) for layout, name in GATED for sigma in SIGMAS[3:]),
+    Gate(f"{HARD}/{DEFAULT}/{named(SIGMAS[4])}/wrong", "error", 1.5),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """The map of a drive: what an associator may look at, and which true corner each landmark is."""
+
+    pipeline: SlamPipeline
+    identity: Ints  # (F,) true corner of each feature, -1 for none
+    T_map_world: Array  # (3,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """The features of one scan, and what they are."""
+
+    corners: Corners
+    polygons: tuple[Polygon, ...]
+    true: Ints  # (n,) true corner of each corner, -1 for none
+    T_map_robot: Array  # (3,) true pose
+
+
+def run(options: Options) -> Figures:
+    """Results of every set, variant and sigma of the pose."""
+    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
+    scans = QUICK_SCANS if options.quick else SCANS
+    drives = [
+        (layout, scans, seed)
+        for layout in counts
+        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
+    ]
+    results = grouped(drives, in_parallel(compare, dict[str, dict[str, Figures]], drives, options))
+    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+
+
+def compare(task: tuple[str, int, int]) -> dict[str, dict[str, Figures]]:
+    """Counts of each variant and sigma on scans of the drive of one layout and seed."""
+    layout, count, seed = task
+    drive = record_drive(building(layout, seed), seed, estimator="truth", max_steps=MAX_STEPS)
+    finished, rng = finish(drive), np.random.default_rng(seed)
+    steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
+    looks = [look(drive, finished, int(step)) for step in steps]
+    errors = rng.normal(size=(len(SIGMAS), count, 3))
+    return {
+        name: {
+            named(sigma): count_scans(finished, associator_of(variant, drive.slam), looks, sigma, errors[k])
+            for k, sigma in enumerate(SIGMAS)
+        }
+        for name, variant in VARIANTS.items()
+    }
+
+
+def associator_of(variant: Variant, slam: SlamConfig) -> Associator:
+    """The associator of a variant, for the estimator of a drive."""
+    return variant.make(with_change(slam, variant.change).association)
+
+
+def building(layout: str, seed: int) -> str | Layout:
+    """The layout of a drive."""
+    if layout != HARD:
+        return layout
+    return generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + seed))
+
+
+def finish(drive: Drive) -> Finished:
+    """The map that the default estimator makes of a drive."""
+    pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
+    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        log.record(output, drive.truth.identify(output.corners, T_world_robot))
+    return Finished(pipeline, log.features[:, 0], inverse(drive.T_world_robot[0]))
+
+
+def look(drive: Drive, finished: Finished, step: int) -> Look:
+    """The features of a scan of the drive."""
+    corners, polygons = features(drive.scans[step], drive.slam)
+    T_world_robot = drive.T_world_robot[step]
+    T_map_robot = compose(finished.T_map_world, T_world_robot)
+    return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot)
+
+
+def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
+    """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
+    beams = merge_sweeps(scan, slam.sensor)
+    clusters = cluster_beams(beams, slam.clustering, slam.segments, slam.sensor)
+    segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
+    corners = extract_corners(beams, segments, slam.corners, slam.sensor)
+    corners = corners.with_floor(slam.filter.linearisation_sigma_m)
+    return corners, find_polygons(corners, beams, slam.polygon, beams_on_walls(clusters, beams))
+
+
+def place(belief: LandmarkFilter, T_map_robot: Array, sigma_m: float, sigma_rad: float) -> None:
+    """Give a filter a pose (3,) with these sigmas, independent of the map; in place."""
+    size, cov = belief.size, belief.cov
+    change_chart(belief.state, size, 1.0, belief.invariant)
+    belief.mean[:3] = T_map_robot[2], T_map_robot[0], T_map_robot[1]
+    cov[:3, :size] = cov[:size, :3] = 0.0
+    cov[:3, :3] = np.diag([sigma_rad**2, sigma_m**2, sigma_m**2])
+    change_chart(belief.state, size, -1.0, belief.invariant)
+
+
+def count_scans(
+    finished: Finished, associator: Associator, looks: list[Look], sigma: tuple[float, float], errors: Array
+) -> Figures:
+    """Counts of one associator on the scans, with `errors` (n,3) of the pose in units of sigma."""
+    pipeline, (sigma_m, sigma_rad) = finished.pipeline, (sigma[0], math.radians(sigma[1]))
+    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
+    mapped = finished.identity[pipeline.filter.ids]
+    counts = {"scans": len(looks), "right": 0, "possible": 0, "pairs": 0, "wrong": 0, "polygon": 0}
+    seconds = []
+    for seen, error in zip(looks, errors, strict=True):
+        belief: Any = pipeline.filter.copy()
+        place(belief, seen.T_map_robot + error * [sigma_m, sigma_m, sigma_rad], sigma_m, sigma_rad)
+        through = np.full(len(seen.corners), -1)
+        view: MapView = pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1)
+        begun = time.perf_counter()
+        match = associator.associate(seen.corners, seen.polygons, view, belief)
+        seconds.append(time.perf_counter() - begun)
+        paired = match.recognised()
+        claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
+        right = int(((claimed == true) & (true >= 0)).sum())
+        counts["right"] += right >= RIGHT_PAIRS and right == len(paired)
+        counts["possible"] += int((np.isin(seen.true, mapped) & (seen.true >= 0)).sum()) >= RIGHT_PAIRS
+        counts["pairs"] += len(paired)
+        counts["wrong"] += len(paired) - right
+        counts["polygon"] += match.polygon >= 0
+    return {**counts, "ms": 1e3 * float(np.median(seconds))}
+
+
+def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
+    """Results of all drives of a set, with 95 % intervals over drives."""
+    return {
+        name: {sigma: figures_of([drive[name][sigma] for drive in drives]) for sigma in drives[0][name]}
+        for name in drives[0]
+    }
+
+
+def figures_of(drives: list[Figures]) -> Figures:
+    """Results of one variant at one sigma."""
+    counts = {name: np.array([float(drive[name]) for drive in drives]) for name in drives[0]}
+    return {
+        "right": ratio(counts["right"], counts["scans"]),
+        "possible": ratio(counts["possible"], counts["scans"]),
+        "wrong": ratio(counts["wrong"], counts["pairs"]),
+        "polygon": ratio(counts["polygon"], counts["scans"]),
+        "ms": estimate(counts["ms"]),
+        "scans": int(counts["scans"].sum()),
+    }
+
+
+def report(figures: Figures) -> str:
+    """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for layout, variants in figures.items():
+        first = next(iter(variants[DEFAULT].values()))
+        parts.append(f"## {layout} ({first['right']['n']} drives, {first['scans']} scans per cell)")
+        parts.append(f"`possible`: {first['possible']['value']:.4g} of the scans.")
+        for name, title in TITLES.items():
+            rows = [[variant, *(cells[sigma][name] for sigma in cells)] for variant, cells in variants.items()]
+            parts.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
+    return "\n\n".join(parts)
+
+
+def figure(figures: Figures) -> Figure:
+    """Share of right scans by the sigma of the pose."""
+    ticks = [named(sigma).replace(" m ", " m\n") for sigma in SIGMAS]
+    panels = {
+        layout: Panel(ticks, {name: [cell["right"] for cell in cells.values()] for name, cells in variants.items()})
+        for layout, variants in figures.items()
+    }
+    return line_panels(panels, "share of right scans")

@@ -1,0 +1,171 @@
+"""Poorer sensors on recorded drives: odometry, range, field of view and number of beams, on the layout `paper`.
+
+Each drive is recorded with the true pose as the driver, and every variant gets the same data. Drives of `odometry` and
+`range` are recorded with that odometry and that laser. For `view` and `beams`, the scans of the drives with the default
+sensors are cut: beams outside the field of view are left out, or every n-th beam of the burst in order of bearing is
+kept, which gives the bearings of a laser with so many beams. `known` pairs by the true correspondences;
+`mecp in one pass` pairs everything at the prediction, however wide that is.
+
+`rmse_m` and `nees` (3 expected) are means over drives. A drive is lost when the pose is more than 1 m or 10 degrees off
+for 20 control steps in a row or at the end, or has diverged. `far` counts the corners beyond 93 % of the range, and
+`phantoms` is the share of them that do not exist. `associate_ms` are milliseconds of association per scan, the median
+of a drive; for `known` that is the work of the benchmark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
+from benchmarks.drives import Drive, Replay, record_drive, replay
+from benchmarks.plots import Panel, line_panels
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from mecp_env.core.messages import Scan
+from mecp_env.evaluation.lost import is_lost
+
+LAYOUT = "paper"
+VARIANTS: dict[str, Variant] = {
+    DEFAULT: Variant(),
+    "mecp without polygons": WITHOUT_POLYGONS,
+    "mecp in one pass": ONE_PASS,
+    "known": Variant({"association": {"method": "known"}, "tracks": {"merge_m": 0.0}}),
+}
+
+
+def narrowed(scan: Scan, degrees: float) -> Scan:
+    """The scan of a laser with a field of view of so many degrees, ahead."""
+    inside = np.abs(scan.bearings[0]) <= np.radians(degrees / 2.0)
+    ranges, bearings, hit = (np.ascontiguousarray(a[:, inside]) for a in (scan.ranges, scan.bearings, scan.hit))
+    return Scan(ranges, bearings, hit, scan.max_range_m)
+
+
+def thinned(scan: Scan, every: int) -> Scan:
+    """Every n-th beam of a burst in order of bearing, interleaved as before."""
+    rings = (a.T.ravel()[every - 1 :: every] for a in (scan.ranges, scan.bearings, scan.hit))
+    ranges, bearings, hit = (np.ascontiguousarray(ring.reshape(-1, len(scan.ranges)).T) for ring in rings)
+    return Scan(ranges, bearings, hit, scan.max_range_m)
+
+
+BASE = "odometry_x1"  # with a range of 30 m, a view of 360 degrees, and 720 beams
+RECORDED: dict[str, dict[str, Any]] = {  # cell -> the sensors of its drives
+    BASE: {},
+    **{f"odometry_x{scale}": {"odometry": {"scale": float(scale)}} for scale in (2, 4, 8)},
+    **{f"range_{metres}_m": {"laser": {"max_range_m": float(metres)}} for metres in (10, 6, 4)},
+}
+CUT: dict[str, Callable[[Scan], Scan]] = {  # cell -> what it leaves of the scans of the drives of BASE
+    **{f"view_{degrees}_deg": partial(narrowed, degrees=float(degrees)) for degrees in (270, 180)},
+    **{f"beams_{720 // every}": partial(thinned, every=every) for every in (2, 4, 8)},
+}
+CELLS = (*RECORDED, *CUT)
+AXES = {  # of the figure: sensor -> cells and their names
+    "odometry noise": {BASE: "x1", "odometry_x2": "x2", "odometry_x4": "x4", "odometry_x8": "x8"},
+    "range": {BASE: "30 m", "range_10_m": "10 m", "range_6_m": "6 m", "range_4_m": "4 m"},
+    "field of view": {BASE: "360 deg", "view_270_deg": "270 deg", "view_180_deg": "180 deg"},
+    "beams": {BASE: "720", "beams_360": "360", "beams_180": "180", "beams_90": "90"},
+}
+DRIVES = dict.fromkeys(CELLS, 20)
+SETS, MOST, QUICK_DRIVES = tuple(CELLS), 1000, 2
+
+GATES = tuple(
+    Gate(f"{cell}/{DEFAULT}/{figure}", kind, slack)  # type: ignore[arg-type]
+    for cell in ("odometry_x1", "odometry_x4", "odometry_x8", "range_4_m", "view_180_deg")
+    for figure, kind, slack in (("precision", "share", 0.003), ("recall", "share", 0.01), ("rmse_m", "error", 1.5))
+)
+
+
+def run(options: Options) -> Figures:
+    """Results of every cell and variant."""
+    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
+    drives = [
+        (cell, seed)
+        for cell in counts
+        for seed in range(min(QUICK_DRIVES, counts[cell]) if options.quick else counts[cell])
+    ]
+    drives.sort(key=lambda drive: (drive[1], source(drive[0])))  # the cells of one recording one after the other
+    results = grouped(drives, in_parallel(compare, dict[str, Figures], drives, options))
+    return {cell: {name: summarise([of[name] for of in results[cell]]) for name in VARIANTS} for cell in counts}
+
+
+def compare(task: tuple[str, int]) -> dict[str, Figures]:
+    """Counts of each variant on one drive of a cell."""
+    cell, seed = task
+    drive = recorded(source(cell), seed)
+    if cell in CUT:
+        scans = [CUT[cell](scan) for scan in drive.scans]
+        drive = Drive(drive.truth, drive.slam, drive.odometry, scans, drive.T_world_robot)
+    return {
+        name: counts(replay(drive, with_change(drive.slam, variant.change), variant.make))
+        for name, variant in VARIANTS.items()
+    }
+
+
+def source(cell: str) -> str:
+    """The cell whose drives a cell is measured on."""
+    return BASE if cell in CUT else cell
+
+
+@lru_cache(1)
+def recorded(cell: str, seed: int) -> Drive:
+    """A drive with the sensors of a cell."""
+    return record_drive(LAYOUT, seed, estimator="truth", **RECORDED[cell])
+
+
+def counts(outcome: Replay) -> Figures:
+    """Counts of one drive."""
+    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
+    return {
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
+        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
+        "nees": float(outcome.nees.mean()),
+        "duplicates": outcome.duplicates,
+        "far": outcome.far,
+        "phantoms": outcome.phantoms,
+        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
+        "associate_ms": outcome.associate_ms,
+    }
+
+
+def summarise(drives: list[Figures]) -> Figures:
+    """Results of all drives of a cell, each with its 95 % interval over drives."""
+    columns = {name: np.array([float(drive[name]) for drive in drives]) for name in drives[0]}
+    return {
+        "rmse_m": estimate(columns["rmse_m"]),
+        "nees": estimate(columns["nees"]),
+        "precision": ratio(columns["tp"], columns["tp"] + columns["fp"]),
+        "recall": ratio(columns["tp"], columns["tp"] + columns["fn"]),
+        "duplicates": estimate(columns["duplicates"]),
+        "lost": share(columns["lost"] > 0),
+        "phantoms": ratio(columns["phantoms"], columns["far"]),
+        "far": int(columns["far"].sum()),
+        "associate_ms": estimate(columns["associate_ms"]),
+    }
+
+
+def report(figures: Figures) -> str:
+    """One table per cell with one row per variant."""
+    columns = ["rmse_m", "nees", "precision", "recall", "duplicates", "lost", "associate_ms"]
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for cell, variants in figures.items():
+        header = [*columns, "far", "phantoms"] if cell.startswith("range") else columns
+        rows = [[name, *(row[column] for column in header)] for name, row in variants.items()]
+        parts.append(f"## {cell} ({variants[DEFAULT]['rmse_m']['n']} drives)\n\n{table(['variant', *header], rows)}")
+    return "\n\n".join(parts)
+
+
+def figure(figures: Figures) -> Figure:
+    """Pose RMSE of every variant by the sensors."""
+    panels = {
+        title: Panel(
+            [label for cell, label in cells.items() if cell in figures],
+            {name: [figures[cell][name]["rmse_m"] for cell in cells if cell in figures] for name in VARIANTS},
+        )
+        for title, cells in AXES.items()
+    }
+    return line_panels(panels, "pose RMSE, m", log=True)

@@ -1,0 +1,44 @@
+"""Variants of the estimator that are compared on the same data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mecp_env.config import merge
+from mecp_env.slam.association import MecpAssociator, make_associator
+from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.messages import Corners, MapView, Polygon
+from mecp_env.slam.protocols import Associator, Filter
+
+
+class OnePassAssociator(MecpAssociator):
+    """`mecp` without its first pass: polygons and corners are paired at the prediction, however wide that is.
+
+    `sharp_sigma_m` and `sharp_sigma_deg` at their upper bounds would leave out the choice among several seeds, too.
+    """
+
+    __slots__ = ()
+
+    def _corrected(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Filter:
+        """The filter as it is."""
+        return belief
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """What differs from the estimator of a drive."""
+
+    change: dict[str, Any] = field(default_factory=dict)  # fields of sections of the configuration
+    make: Callable[[AssociationConfig], Associator] = make_associator
+
+
+def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
+    """An estimator with other fields in some sections; all else is the same."""
+    return SlamConfig(**merge(slam.model_dump(), change))
+
+
+DEFAULT = "mecp"
+WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
+ONE_PASS = Variant(make=OnePassAssociator)

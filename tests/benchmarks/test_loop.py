@@ -1,0 +1,107 @@
+"""The benchmark `loop`: single scans against a finished map, with the prior that was asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks import loop
+from benchmarks.common import Figures, Options, flatten
+from benchmarks.drives import Drive, record_drive
+from mecp_env.slam.filters.core import LandmarkFilter
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return record_drive("paper", 0, estimator="truth", max_steps=200)
+
+
+@pytest.fixture(scope="module")
+def finished(drive: Drive) -> loop.Finished:
+    return loop.finish(drive)
+
+
+@pytest.fixture(scope="module")
+def figures() -> Figures:
+    counted = loop.compare(("two_rooms", 6, 0))
+    return {"two_rooms": loop.summarise([counted, counted])}
+
+
+def test_the_prior_is_as_asked_and_independent_of_the_map(finished: loop.Finished) -> None:
+    belief = finished.pipeline.filter.copy()
+    assert isinstance(belief, LandmarkFilter)
+    before, pose = belief.belief(), np.array([1.0, -2.0, 0.5])
+    loop.place(belief, pose, 0.6, 0.1)
+    after = belief.belief()
+    np.testing.assert_allclose(after.T_map_robot, pose)
+    np.testing.assert_allclose(after.pose_cov, np.diag([0.36, 0.36, 0.01]), atol=1e-12)
+    np.testing.assert_array_equal(after.p_map, before.p_map)
+    np.testing.assert_allclose(after.covs, before.covs, atol=1e-12)
+    _, cov = belief.marginal(after.ids[:5])
+    np.testing.assert_allclose(cov[:3, 3:], 0.0, atol=1e-12)
+    assert not np.array_equal(finished.pipeline.filter.belief().T_map_robot, pose)
+
+
+def test_a_good_prior_is_enough_and_no_variant_is_right_where_it_is_impossible(figures: Figures) -> None:
+    for variant, cells in figures["two_rooms"].items():
+        for cell in cells.values():
+            assert cell["scans"] == 12
+            assert cell["right"]["value"] <= cell["possible"]["value"]
+        if variant.startswith("mecp ") or variant == loop.DEFAULT:
+            assert cells["0.05 m 0.5 deg"]["right"]["value"] > 0.8
+    assert all(cell["polygon"]["value"] == 0.0 for cell in figures["two_rooms"]["mecp without polygons"].values())
+
+
+def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_one(
+    drive: Drive, finished: loop.Finished
+) -> None:
+    looks = [loop.look(drive, finished, step) for step in range(20, len(drive.scans), 10)]
+    errors = np.random.default_rng(0).normal(size=(len(looks), 3))
+
+    def right(variant: str, sigma: tuple[float, float]) -> int:
+        associator = loop.associator_of(loop.VARIANTS[variant], drive.slam)
+        return int(loop.count_scans(finished, associator, looks, sigma, errors)["right"])
+
+    assert right("mecp", (0.05, 0.5)) == right("mecp in one pass", (0.05, 0.5))
+    assert right("mecp", (1.5, 15.0)) > right("mecp in one pass", (1.5, 15.0))
+
+
+def test_a_pair_with_another_landmark_is_wrong(drive: Drive, finished: loop.Finished) -> None:
+    seen = loop.look(drive, finished, 100)
+    associator = loop.associator_of(loop.VARIANTS["mecp"], drive.slam)
+    sigma, exact = (0.05, 0.5), np.zeros((1, 3))
+    counts = loop.count_scans(finished, associator, [seen], sigma, exact)
+    assert (counts["right"], counts["wrong"]) == (1, 0)
+    assert counts["pairs"] >= loop.RIGHT_PAIRS
+    spurious = dataclasses.replace(seen, true=np.full_like(seen.true, -1))
+    none = loop.count_scans(finished, associator, [spurious], sigma, exact)
+    assert (none["right"], none["possible"], none["wrong"]) == (0, 0, counts["pairs"])
+
+
+def test_the_page_and_the_figure_have_every_set_and_variant(figures: Figures) -> None:
+    page = loop.report(figures)
+    assert "## two_rooms (2 drives, 12 scans per cell)" in page
+    assert all(f"| {variant} |" in page for variant in loop.VARIANTS)
+    assert "2 m 20 deg" in page
+    (axes,) = loop.figure(figures).axes
+    assert axes.get_title() == "two_rooms"
+    paths = flatten(dict.fromkeys(("paper", "hard"), figures["two_rooms"]))
+    assert all(gate.path in paths for gate in loop.GATES)
+
+
+def test_quick_runs_and_sets(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, int, int]] = []
+
+    def noted(task: object, kind: object, units: list[tuple[str, int, int]], options: object) -> list[Figures]:
+        asked[:] = units
+        cell = {"scans": 1, "right": 1, "possible": 1, "pairs": 3, "wrong": 0, "polygon": 0, "ms": math.nan}
+        return [{"mecp": {"s": cell}} for _ in units]
+
+    monkeypatch.setattr(loop, "in_parallel", noted)
+    assert set(loop.run(Options(quick=True))) == set(loop.SEEDS)
+    assert asked == [(layout, loop.QUICK_SCANS, seed) for layout in loop.SEEDS for seed in (0, 1)]
+    loop.run(Options(sets=("hard:3",)))
+    assert asked == [("hard", loop.SCANS, seed) for seed in range(3)]
