@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.common import Figures
 
@@ -31,9 +32,11 @@ def line_panels(panels: Mapping[str, Panel], y: str, log: bool = False) -> Figur
             bars = np.abs([value - low, high - value])
             axes.errorbar(at, value, bars, label=name, marker=MARKERS[k % len(MARKERS)], markersize=4, capsize=2)
         axes.set(title=title, xticks=range(len(ticks)), xticklabels=ticks, yscale="log" if log else "linear")
-        axes.grid(alpha=0.3, which="both")
+        if log:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.grid(alpha=0.3)
     all_axes[0].set_ylabel(y)
     figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
