@@ -24,7 +24,7 @@ from tests.floorplans.untrusted import MEGABYTES, SECONDS
 
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
-QUICK, MANY = 12, 200
+QUICK, MANY = 12, 120
 LETTERS = 600
 
 
