@@ -52,7 +52,7 @@ def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
     """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
 
     After several steps W is that of the new mean: there the invariant error keeps the unobservable directions, while
-    the Jacobian of a step at xi != 0 takes in information about the heading of the whole map that nobody measured.
+    the Jacobian of a step at xi != 0 takes in information about the heading of the whole map that was never measured.
     Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
     """
     n = 3 + 2 * slot_ids.shape[0]
