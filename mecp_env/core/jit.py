@@ -47,7 +47,7 @@ def variants() -> int:
 def with_plain_cache(function: F) -> F:
     """`function` compiled with numba's own cache, which overlooks a change in another file.
 
-    Each state of the package's source therefore has a folder of its own. Without a place to write: no cache.
+    Each state of the package's source therefore has its own folder. Without a place to write: no cache.
     """
     kept = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(Path(kept or Path.home() / ".cache") / f"mecp_env-{_state_of_source()}")

@@ -78,7 +78,7 @@ class FieldCheck:
 
 
 def is_object(value: Any) -> bool:
-    """True for an object of this package with fields of its own."""
+    """True for an object of this package with custom fields."""
     return type(value).__module__.split(".")[0] == PACKAGE and not isinstance(value, Enum | Settings)
 
 
@@ -100,7 +100,7 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def is_a(value: Any, cls: Any) -> bool:
-    """As `isinstance`; but True is no number, a whole number is a float, and a protocol is known by its names."""
+    """As `isinstance`; but True is not a number, a whole number is a float, and a protocol is known by its names."""
     if getattr(cls, "_is_protocol", False):
         return all(hasattr(value, name) for name in vars(cls) if not name.startswith("_"))
     if cls in SCALARS:

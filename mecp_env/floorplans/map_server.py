@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Hashable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -81,11 +83,25 @@ def image_of(path: Path) -> Path | None:
         return None
 
 
+class OnceLoader(yaml.SafeLoader):
+    """Plain data in which no field is given twice: YAML forbids it, and PyYAML would keep the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """The mapping of a node. Raises LayoutError."""
+        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for name, count in counts.items():
+            if count > 1:
+                raise LayoutError(f"{name:.80}: given {'twice' if count == 2 else f'{count} times'}")
+        return super().construct_mapping(node, deep)
+
+
 def _sheet(path: Path) -> Sheet:
     """The checked fields of a yaml file."""
     data = read_bytes(path, MAX_YAML_BYTES)
     try:
-        fields = yaml.safe_load(data.decode("utf-8"))
+        fields = yaml.load(data.decode("utf-8"), OnceLoader)
+    except LayoutError:
+        raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise LayoutError(f"no yaml: {' '.join(str(error).split()):.160}") from None
     if not isinstance(fields, dict):

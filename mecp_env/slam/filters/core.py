@@ -197,7 +197,7 @@ class LandmarkFilter:
         return slots
 
     def _refuse_unknown(self, ids: Ints) -> None:
-        """Raise `FilterError` when one of the ids is no landmark of this filter."""
+        """Raise `FilterError` when one of the ids is unknown to this filter."""
         self._slots(ids)
 
     def _finite(self, nis: float, name: str, ids: Ints) -> float:
