@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -30,8 +29,6 @@ from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.filters.core import LandmarkFilter
-from mecp_env.slam.filters.error_state import change_chart
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
@@ -170,16 +167,6 @@ def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]
     return corners, find_polygons(corners, beams, slam.polygon, beams_on_walls(clusters, beams))
 
 
-def place(belief: LandmarkFilter, T_map_robot: Array, sigma_m: float, sigma_rad: float) -> None:
-    """Give a filter a pose (3,) with these sigmas, independent of the map; in place."""
-    size, cov = belief.size, belief.cov
-    change_chart(belief.state, size, 1.0, belief.invariant)
-    belief.mean[:3] = T_map_robot[2], T_map_robot[0], T_map_robot[1]
-    cov[:3, :size] = cov[:size, :3] = 0.0
-    cov[:3, :3] = np.diag([sigma_rad**2, sigma_m**2, sigma_m**2])
-    change_chart(belief.state, size, -1.0, belief.invariant)
-
-
 def count_scans(
     finished: Finished, associator: Associator, looks: list[Look], sigma: tuple[float, float], errors: Array
 ) -> Figures:
@@ -190,8 +177,8 @@ def count_scans(
     counts = {"scans": len(looks), "right": 0, "possible": 0, "pairs": 0, "wrong": 0, "polygon": 0}
     seconds = []
     for seen, error in zip(looks, errors, strict=True):
-        belief: Any = pipeline.filter.copy()
-        place(belief, seen.T_map_robot + error * [sigma_m, sigma_m, sigma_rad], sigma_m, sigma_rad)
+        belief, sigmas = pipeline.filter.copy(), np.array([sigma_m, sigma_m, sigma_rad])
+        belief.set_pose(seen.T_map_robot + error * sigmas, np.diag(sigmas**2))
         through = np.full(len(seen.corners), -1)
         view: MapView = pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1)
         begun = time.perf_counter()

@@ -90,11 +90,15 @@ def test_the_python_of_the_readme_runs(capsys: Captured) -> None:
 def test_the_estimator_runs_alone_as_documented(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    record, run, configure = re.findall(r"```python\n(.*?)```", (ROOT / "docs/estimator.md").read_text(), re.DOTALL)
+    record, run, localise, configure = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs/estimator.md").read_text(), re.DOTALL
+    )
     monkeypatch.chdir(tmp_path)
     exec(record, {})
-    exec(run + configure, {})
-    assert "door      between rooms (0, 1) width 0.9" in capsys.readouterr().out
+    exec(run + localise + configure, {})
+    out = capsys.readouterr().out
+    assert "door      between rooms (0, 1) width 0.9" in out
+    assert "moved [0.73 0.94 2.48]" in out
     assert Path("map.yaml").exists()
 
 

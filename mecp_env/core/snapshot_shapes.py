@@ -24,6 +24,10 @@ from mecp_env.core.snapshot_check import is_object
 Shapes = Mapping[str, Mapping[str, str]]
 Sizes = dict[str, int]
 
+FAR = 500  # m; a position further away would need a grid that does not fit into memory
+NEAR = f"-{FAR}:{FAR}"
+LONG = 1_000_000  # m, rad: anything else that is measured
+
 TERM = re.compile(r"(?:(\d+)\+)?(-?\d*)([a-zA-Z]?)(?:\+(\d+))?")
 
 

@@ -13,17 +13,30 @@ if TYPE_CHECKING:
     from mecp_env.core.messages import Odometry, Scan
     from mecp_env.slam.checks import MatchError, SensorError
     from mecp_env.slam.config import SlamConfig
+    from mecp_env.slam.map_file import MapError, SlamMap
     from mecp_env.slam.messages import SlamOutput
     from mecp_env.slam.pipeline import SlamPipeline
 
-__all__ = ["MatchError", "Odometry", "Scan", "SensorError", "SlamConfig", "SlamOutput", "SlamPipeline"]
+__all__ = [
+    "MapError",
+    "MatchError",
+    "Odometry",
+    "Scan",
+    "SensorError",
+    "SlamConfig",
+    "SlamMap",
+    "SlamOutput",
+    "SlamPipeline",
+]
 
 MODULES = {
+    "MapError": "mecp_env.slam.map_file",
     "MatchError": "mecp_env.slam.checks",
     "Odometry": "mecp_env.core.messages",
     "Scan": "mecp_env.core.messages",
     "SensorError": "mecp_env.slam.checks",
     "SlamConfig": "mecp_env.slam.config",
+    "SlamMap": "mecp_env.slam.map_file",
     "SlamOutput": "mecp_env.slam.messages",
     "SlamPipeline": "mecp_env.slam.pipeline",
 }

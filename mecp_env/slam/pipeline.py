@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.messages import Odometry, Scan
@@ -19,6 +21,7 @@ from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
 from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
+from mecp_env.slam.map_file import MapStart, SlamMap, begin
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Sighting, SlamOutput
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
@@ -59,6 +62,25 @@ class SlamPipeline:
         self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
         self.grid = GridPainter(config.grid)
         self.step_count = 0
+
+    @classmethod
+    def from_map(
+        cls, saved: SlamMap | str | Path, start: MapStart = "saved", sigmas: Sequence[float] = (0.5, 0.5, 0.25)
+    ) -> Self:
+        """A pipeline in a saved map, or in that of a file: it localises there and goes on mapping.
+
+        `start`: "saved" continues to the bit as if it had never stopped; a pose x, y, heading (m, rad, map frame) is
+        where the robot is, with the `sigmas` of its three numbers, by default those of a click on a map. Raises
+        `MapError` and `ConfigError`.
+        """
+        saved = saved if isinstance(saved, SlamMap) else SlamMap.load(saved)
+        pipeline = saved.restore(cls)
+        begin(pipeline, start, sigmas)
+        return pipeline
+
+    def save_map(self, path: str | Path) -> None:
+        """Write everything that this pipeline knows into a file, whole or not at all. Raises `MapError`, `OSError`."""
+        SlamMap.of(self).save(path)
 
     def start(self, scan: Scan) -> SlamOutput:
         """The output for a scan taken at rest: the first ones belong to the start pose, before any motion.

@@ -69,8 +69,11 @@ class Filter(Protocol):
     def copy(self) -> Self:
         """An independent filter with the same state: what association tries out does not touch the estimate."""
 
-    def set_pose(self, T_map_robot: Array) -> None:
-        """The pose is exactly this (estimator "truth"); the landmarks keep their covariance."""
+    def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
+        """The pose is this, independent of the landmarks, which keep their covariance.
+
+        Without its covariance (3,3) it is exact (estimator "truth"); with one it was given from outside.
+        """
 
 
 class Associator(Protocol):

@@ -11,7 +11,6 @@ import pytest
 from benchmarks import loop
 from benchmarks.common import Figures, Options, flatten
 from benchmarks.drives import Drive, record_drive
-from mecp_env.slam.filters.core import LandmarkFilter
 
 
 @pytest.fixture(scope="module")
@@ -28,21 +27,6 @@ def finished(drive: Drive) -> loop.Finished:
 def figures() -> Figures:
     counted = loop.compare(("two_rooms", 6, 0))
     return {"two_rooms": loop.summarise([counted, counted])}
-
-
-def test_the_prior_is_as_asked_and_independent_of_the_map(finished: loop.Finished) -> None:
-    belief = finished.pipeline.filter.copy()
-    assert isinstance(belief, LandmarkFilter)
-    before, pose = belief.belief(), np.array([1.0, -2.0, 0.5])
-    loop.place(belief, pose, 0.6, 0.1)
-    after = belief.belief()
-    np.testing.assert_allclose(after.T_map_robot, pose)
-    np.testing.assert_allclose(after.pose_cov, np.diag([0.36, 0.36, 0.01]), atol=1e-12)
-    np.testing.assert_array_equal(after.p_map, before.p_map)
-    np.testing.assert_allclose(after.covs, before.covs, atol=1e-12)
-    _, cov = belief.marginal(after.ids[:5])
-    np.testing.assert_allclose(cov[:3, 3:], 0.0, atol=1e-12)
-    assert not np.array_equal(finished.pipeline.filter.belief().T_map_robot, pose)
 
 
 def test_a_good_prior_is_enough_and_no_variant_is_right_where_it_is_impossible(figures: Figures) -> None:

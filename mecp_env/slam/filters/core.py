@@ -23,6 +23,7 @@ from mecp_env.slam.protocols import FilterError
 
 FIRST_CAPACITY = 32  # landmarks; grows by doubling
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
+POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
 
 class LandmarkFilter:
@@ -178,15 +179,18 @@ class LandmarkFilter:
         other.state = self.state[: 1 + self.size, : self.size].copy()  # the rest is capacity
         return other
 
-    def set_pose(self, T_map_robot: Array) -> None:
-        """The pose (3,) x, y, heading is exactly this; landmarks keep mean and world covariance."""
-        x, y, heading = T_map_robot
+    def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
+        """The pose (3,) x, y, heading is this, with a covariance (3,3) or exactly, whatever it was before.
+
+        It is independent of the landmarks, which keep mean and world covariance.
+        """
+        pose_cov = np.eye(3) * PINNED_SIGMA**2 if pose_cov is None else pose_cov
         size, cov = self.size, self.cov
         change_chart(self.state, size, 1.0, self.invariant)
-        self.mean[:3] = heading, x, y
+        self.mean[:3] = T_map_robot[POSE_ORDER]
         cov[:3, :size] = 0.0
         cov[:size, :3] = 0.0
-        np.fill_diagonal(cov[:3, :3], PINNED_SIGMA**2)
+        cov[:3, :3] = pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)]
         change_chart(self.state, size, -1.0, self.invariant)
 
     def _slots(self, ids: Ints) -> Ints:

@@ -52,6 +52,13 @@ class LandmarkMap:
         match, confirmed = track_corners(self.features, seen, graph, self.config.tracks)
         return Sighting(seen.corners, match, seen.through, seen.belief, seen.step), confirmed
 
+    def forget_tracks(self, step: int, resolve: Resolve) -> None:
+        """Drop all tracks and the polygons that they were vertices of: the robot was put elsewhere after `step`."""
+        self.polygons.outdated |= drop_tracks(
+            self.features, step + 1 + self.config.tracks.window_steps, self.config.tracks
+        )
+        self.polygons.prune(self.features, resolve)
+
     def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
         """Augment the filter with the tracks confirmed now, by this sighting alone; the sighting with that belief.
 

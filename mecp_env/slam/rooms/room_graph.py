@@ -105,6 +105,11 @@ class RoomGraphEstimator:
         if len(pruned):
             forget_jambs(self.door_map, pruned)
 
+    def place(self, room: int) -> None:
+        """Be in a room that the robot was put into, and did not drive to."""
+        self._arrive(room)
+        self.in_doorway, self.newest = False, UNKNOWN_ROOM
+
     def _detect_missed_door(self, first: int, belief: Belief, features: FeatureTable) -> bool:
         """True when the robot has driven through a door that was only now confirmed (ids from `first` on).
 

@@ -168,6 +168,20 @@ def test_set_pose_pins_the_robot_and_keeps_the_map(pair):
     np.testing.assert_allclose(pinned_cov[:3, :3], 1e-12 * np.eye(3), atol=1e-14)
 
 
+def test_set_pose_with_a_covariance_is_independent_of_the_map(pair):
+    mean, cov = pair.filter.marginal(pair.ids)
+    T_map_robot, pose_cov = (
+        np.array([1.0, -2.0, 0.5]),
+        np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]]),
+    )
+    pair.filter.set_pose(T_map_robot, pose_cov)
+    placed, placed_cov = pair.filter.marginal(pair.ids)
+    np.testing.assert_array_equal(placed, [*T_map_robot, *mean[3:]])
+    np.testing.assert_allclose(placed_cov[:3, :3], pose_cov, atol=1e-12)
+    np.testing.assert_allclose(placed_cov[3:, 3:], cov[3:, 3:], atol=1e-12)
+    np.testing.assert_allclose(placed_cov[:3, 3:], 0.0, atol=1e-12)
+
+
 def test_with_the_true_pose_landmarks_average_their_measurements(kind):
     rng = np.random.default_rng(0)
     estimate = make_filter(FilterConfig(kind=kind))

@@ -1,0 +1,116 @@
+"""A snapshot in a file: a zip with the structure as JSON and the arrays as bytes, which any program can read.
+
+`state.json` holds the format, its version, the version of the package and the plain data of `snapshot.encode`, in which
+`{"@bytes": [type, shape, offset]}` stands for an array in `arrays.bin` (little-endian, the last index fastest).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib.format import dtype_to_descr
+
+from mecp_env.core.errors import MecpError
+from mecp_env.core.paths import read_bytes, write_atomic
+from mecp_env.core.snapshot import StateError
+
+STRUCTURE, ARRAYS = "state.json", "arrays.bin"
+MOST_BYTES = 4 * 2**30  # of a file, unpacked too: the covariance of 10,000 landmarks
+UNDATED = (1980, 1, 1, 0, 0, 0)  # equal states give equal files
+
+
+class FileKind(NamedTuple):
+    """What a file holds: the name and version of its format, and the version of the package that writes or reads it."""
+
+    format: str
+    version: int
+    package: str
+
+
+def save_snapshot(path: Path, kind: FileKind, data: Any) -> None:
+    """Write plain data of `snapshot.encode`, atomically. Raises `OSError`."""
+    arrays, buffer = io.BytesIO(), io.BytesIO()
+    content = kind._asdict() | {"state": _without_arrays(data, arrays)}
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, part in ((STRUCTURE, json.dumps(content).encode()), (ARRAYS, arrays.getvalue())):
+            member = zipfile.ZipInfo(name, UNDATED)
+            member.external_attr = 0o644 << 16  # rights of the file when it is unpacked
+            archive.writestr(member, part, zipfile.ZIP_DEFLATED)
+    write_atomic(path, buffer.getvalue())
+
+
+def load_snapshot(path: Path, kind: FileKind) -> Any:
+    """The plain data that `save_snapshot` wrote. Raises `StateError` that names the file, field and value."""
+    try:
+        return _unpacked(read_bytes(path, MOST_BYTES), kind)
+    except MecpError as error:
+        raise StateError(f"{path}: {error}") from None
+    except Exception as error:  # damaged bytes may raise anything
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise StateError(f"{path}: damaged ({reason:.120})") from None
+
+
+def _unpacked(data: bytes, kind: FileKind) -> Any:
+    """The plain data in a zip, whose checksums are compared on reading."""
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise StateError(f"no {kind.format}, or cut short")
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if STRUCTURE not in archive.namelist():
+            raise StateError(f"no {kind.format}: it holds {archive.namelist()!r:.80}")
+        size = sum(member.file_size for member in archive.infolist())
+        if size > MOST_BYTES:
+            raise StateError(f"it has {size} bytes unpacked, at most {MOST_BYTES}")
+        content = json.loads(archive.read(STRUCTURE))
+        _check_header(content, kind)
+        return _with_arrays(content["state"], archive.read(ARRAYS))
+
+
+def _check_header(content: Any, kind: FileKind) -> None:
+    """Raise `StateError` unless the file has this format and version."""
+    if not isinstance(content, dict) or content.get("format") != kind.format:
+        given = content.get("format") if isinstance(content, dict) else content
+        raise StateError(f"format: {given!r:.40}, expected {kind.format!r}")
+    if content.get("version") != kind.version:
+        found = f"{content.get('version')!r:.20} (of mecp_env {content.get('package')!s:.20})"
+        raise StateError(f"version: {found}, this mecp_env {kind.package} reads version {kind.version}")
+
+
+def _without_arrays(data: Any, arrays: io.BytesIO) -> Any:
+    """The data with a place in `arrays`, to which they are written, for each array."""
+    if isinstance(data, np.ndarray):
+        dtype, offset = data.dtype.newbyteorder("<"), arrays.tell()
+        arrays.write(data.astype(dtype).tobytes())
+        return {"@bytes": [dtype_to_descr(dtype), data.shape, offset]}
+    if isinstance(data, list):
+        return [_without_arrays(item, arrays) for item in data]
+    if isinstance(data, dict):
+        return {key: _without_arrays(item, arrays) for key, item in data.items()}
+    return data
+
+
+def _with_arrays(data: Any, arrays: bytes) -> Any:
+    """The data with the arrays in their places."""
+    if isinstance(data, list):
+        return [_with_arrays(item, arrays) for item in data]
+    if not isinstance(data, dict):
+        return data
+    if data.keys() == {"@bytes"}:
+        return _array(arrays, *data["@bytes"])
+    return {key: _with_arrays(item, arrays) for key, item in data.items()}
+
+
+def _array(arrays: bytes, descr: Any, shape: list[int], offset: int) -> np.ndarray[Any, Any]:
+    """The array of a type and shape from `offset` on, in the byte order of this machine."""
+    fields = descr if isinstance(descr, str) else [(name, kind, *map(tuple, inner)) for name, kind, *inner in descr]
+    dtype, count = np.dtype(fields), math.prod(shape)
+    if dtype.hasobject or min(shape, default=0) < 0 or offset < 0:
+        raise StateError(f"array: {descr!r:.40} {shape!r:.40} from {offset!r:.20} on")
+    if not count:
+        return np.empty(shape, dtype.newbyteorder("="))
+    return np.frombuffer(arrays, dtype, count, offset).reshape(shape).astype(dtype.newbyteorder("="))

@@ -1,0 +1,108 @@
+"""The shapes of the arrays of the estimator, per class, as `mecp_env.core.snapshot_shapes` reads them.
+
+Capital letters: F features, P polygons of the map.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mecp_env.core.snapshot import StateError
+from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes
+from mecp_env.slam.messages import FEATURE, FeatureState
+
+SHAPES: Shapes = {
+    "Belief": {
+        "T_map_robot": f"3 in {NEAR}",
+        "pose_cov": "3 3",
+        "ids": "n in 0:F",
+        "p_map": f"n 2 in {NEAR}",
+        "covs": "n 2 2",
+    },
+    "FeatureTable": {"rows": "F"},
+    "MapPolygon": {"ids": "k in 0:F", "intervals": "i 4", "room": " in -1:32768"},
+    "PolygonGroup": {"ids": "n k in 0:F", "index": "n in 0:P"},
+    "DoorMap": {"ids": "n", "jambs": "n 4 in -1:F"},
+    "Trail": {"places": f"n 4 in -{LONG}:{10**15}"},
+    "Canvas": {
+        "layers": "7 h w",
+        "grid.label": "h w",
+        "grid.polygon": "h w",
+        "grid.room": "h w",
+        "grid.origin": "2",
+        "lattice": f"2 in -{LONG}:{LONG}",
+        "mask": "h w+1 in 0:1",
+        "dirty": "4",
+    },
+    "SemanticGrid": {"label": "h w in 0:8", "polygon": "h w", "room": "h w in -1:32768", "origin": "2"},
+    "ScanLayer": {
+        "T_map_robot": f"n 3 in {NEAR}",
+        "room": "n in -1:32768",
+        "step": "n",
+        "anchor": "n k in -1:F",
+        "p_robot": f"n k 2 in {NEAR}",
+        "outline[]": f"n | m 2 in {NEAR}",
+        "strips[]": f"n | m 4 2 in {NEAR}",
+        "has_room": "n",
+    },
+    "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
+    "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "n 2 2"},
+    "GridPainter": {"p_landmark": "n 2"},
+    "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")
+    | dict.fromkeys(("raw_ranges", "raw_bearings"), "r"),
+    "Segments": {"points": "s 2 2", "line": "s 2", "cov": "s 2 2"} | dict.fromkeys(("cluster", "first", "last"), "s"),
+    "Corners": {
+        "z": "n 2",
+        "cov": "2n 2n",
+        "kind": "n",
+        "convex": "n",
+        "normals": "n 2",
+        "beyond": "n in -1:n",
+        "sites": "n",
+        "doorways.jambs": "d 2 in -1:n",
+    },
+    "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
+    "Candidate": {"ends": "2 2"},
+    "Polygon": {"corners": "k", "intervals": "i 4"},
+    "Match": {"ids": "n in -2:F", "decision": "n", "reason": "n", "nis": "n"},
+}
+
+
+def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
+    """The sizes that the capital letters stand for. Raises `StateError` unless map, polygons and filter agree."""
+    rows, polygons = pipeline.map.features.rows, pipeline.map.polygons
+    if rows.dtype != FEATURE or rows.ndim != 1:
+        raise StateError(f"{where}.map.features.rows: another kind of rows")
+    landmarks = np.flatnonzero(rows["state"] == FeatureState.LANDMARK)
+    if not np.isin(landmarks, pipeline.filter.slot_ids).all():
+        raise StateError(f"{where}.map.features.rows: a landmark that is not in the filter")
+    if any(group.ids.shape[1:] != (k,) for k, group in polygons.groups.items()):
+        raise StateError(f"{where}.map.polygons.groups: polygons of another number of vertices")
+    if any(len(polygon.ids) < 3 for polygon in (*polygons.polygons, *pipeline.grid.polygons.waiting)):
+        raise StateError(f"{where}.map.polygons.polygons: one of fewer than three vertices")
+    check_filter(pipeline.filter, len(rows), f"{where}.filter")
+    check_grid(pipeline.grid, f"{where}.grid")
+    return {"F": len(rows), "P": len(polygons.polygons)}
+
+
+def check_grid(grid: Any, where: str) -> None:
+    """Raise `StateError` unless painted polygons have a place per vertex, and painted doors, where known, are near."""
+    if any(np.shape(painted.ring) != (len(ids), 2) for ids, painted in grid.polygons.painted.items()):
+        raise StateError(f"{where}.polygons.painted: a ring of another number of vertices")
+    if not np.nanmax(np.abs(grid.doors.quads), initial=0.0) < FAR:
+        raise StateError(f"{where}.doors.quads: expected places nearer than {FAR} m")
+
+
+def check_filter(filter_: Any, features: int, where: str) -> None:
+    """Raise `StateError` unless the filter has a slot per landmark and a row and column per number."""
+    ids, state = filter_.slot_ids, filter_.state
+    slots = ((len(state) if state.ndim else 0) - 4) // 2
+    if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
+        raise StateError(f"{where}: state {state.shape} for slot_ids {ids.shape}")
+    if len(set(ids.tolist()) & set(range(features))) < len(ids):
+        raise StateError(f"{where}.slot_ids: expected different ids of features")
+    used = 3 + 2 * len(ids)
+    if not (np.abs(state[0, :used]).max() < FAR and np.isfinite(state[1 : 1 + used, :used]).all()):
+        raise StateError(f"{where}.state: not finite, or too far away")

@@ -1,0 +1,151 @@
+"""Snapshots in files: every value to the last bit, readable without the package, one error for whatever is wrong."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.core.snapshot import StateError, decode, encode
+from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
+from mecp_env.slam.messages import FEATURE
+from tests.env.helpers import drive, make, same
+
+KIND = FileKind("mecp_env test", 3, "0.1.0")
+VALUES = [
+    None,
+    -0.0,
+    float("nan"),
+    float("inf"),
+    2**70,
+    1.0,
+    1,
+    "\u00e4\U0001f600\x00",
+    np.float64(0.1),
+    np.bool_(True),
+    np.arange(6.0).reshape(2, 3),
+    np.array(3.5),
+    np.empty((0, 2)),
+    np.zeros((7, 0, 0), np.int16),
+    np.zeros(3, FEATURE),
+    np.array([True, False]),
+    np.array(["a", "bc"]),
+    np.random.default_rng(3),
+    {(1, 2): [np.int64(2**62)]},
+]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "kept.zip"
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: f"{value!r:.30}")
+def test_values_come_back_to_the_last_bit(value: Any, path: Path) -> None:
+    save_snapshot(path, KIND, encode(value))
+    again = decode(load_snapshot(path, KIND))
+    assert same(encode(again), encode(value))
+    assert type(again) is type(value)
+
+
+def test_a_big_endian_array_is_the_same_numbers(path: Path) -> None:
+    save_snapshot(path, KIND, encode(np.array([1.5, -2.0], ">f8")))
+    assert same(decode(load_snapshot(path, KIND)), np.array([1.5, -2.0]))
+
+
+def test_the_state_of_an_environment_fits_into_such_a_file(path: Path) -> None:
+    env = make(crowd={"people": 2}).unwrapped
+    env.reset(seed=1)
+    drive(env, 5)
+    state = env.get_state()
+    save_snapshot(path, KIND, state)
+    assert same(load_snapshot(path, KIND), state)
+
+
+def test_a_reader_needs_json_and_bytes_only(path: Path) -> None:
+    save_snapshot(path, KIND, encode([1, np.array([[1.5, 2.5]])]))
+    with zipfile.ZipFile(path) as archive:
+        content, arrays = json.loads(archive.read("state.json")), archive.read("arrays.bin")
+    assert content == {
+        "format": "mecp_env test",
+        "version": 3,
+        "package": "0.1.0",
+        "state": {"@list": [1, {"@array": [{"@bytes": ["<f8", [1, 2], 0]}, True]}]},
+    }
+    assert np.frombuffer(arrays, "<f8").tolist() == [1.5, 2.5]
+
+
+def test_equal_states_give_equal_files_and_a_failed_save_leaves_the_old_one(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_snapshot(path, KIND, encode([1.0]))
+    before = path.read_bytes()
+    save_snapshot(path, KIND, encode([1.0]))
+    assert path.read_bytes() == before
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device.*kept\.zip"):
+        save_snapshot(path, KIND, encode([2.0]))
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def packed(**members: bytes) -> bytes:
+    """A zip with these members; `_` stands for the dot in their names."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, part in members.items():
+            archive.writestr(name.replace("_", "."), part)
+    return buffer.getvalue()
+
+
+def with_content(**fields: Any) -> bytes:
+    """A file with a header of this kind, and other fields."""
+    return packed(state_json=json.dumps({**KIND._asdict(), "state": None, **fields}).encode(), arrays_bin=b"12345678")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "no mecp_env test, or cut short"),
+        (b"P5 3 3 255 ", "no mecp_env test, or cut short"),
+        (packed(), r"no mecp_env test: it holds \[\]"),
+        (packed(data_npy=b""), r"no mecp_env test: it holds \['data\.npy'\]"),
+        (packed(state_json=b"{"), "damaged .JSONDecodeError"),
+        (packed(state_json=b"[]"), r"format: \[\], expected 'mecp_env test'"),
+        (with_content(format="mecp_env map"), "format: 'mecp_env map', expected 'mecp_env test'"),
+        (with_content(version=4, package="9.0"), r"version: 4 \(of mecp_env 9\.0\), this mecp_env 0\.1\.0 reads .* 3"),
+        (with_content(version=2), r"version: 2 \(of mecp_env 0\.1\.0\), this mecp_env 0\.1\.0 reads version 3"),
+        (with_content(state={"@bytes": ["<f8", [2], 0]}), "damaged .ValueError: buffer is smaller"),
+        (with_content(state={"@bytes": ["<f8", [-1], 0]}), r"array: '<f8' \[-1\] from 0 on"),
+        (with_content(state={"@bytes": ["|O", [1], 0]}), r"array: '\|O' \[1\] from 0 on"),
+        (with_content(state={"@bytes": ["<f8", [1], -8]}), r"array: '<f8' \[1\] from -8 on"),
+        (with_content(state={"@bytes": 3}), "damaged .TypeError"),
+    ],
+)
+def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, message: str, path: Path) -> None:
+    path.write_bytes(data)
+    with pytest.raises(StateError, match=rf"kept\.zip: {message}"):
+        load_snapshot(path, KIND)
+    assert path.read_bytes() == data
+
+
+def test_a_file_that_unpacks_to_too_much_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_snapshot(path, KIND, encode(np.zeros(100_000)))
+    monkeypatch.setattr("mecp_env.core.snapshot_file.MOST_BYTES", 10_000)
+    with pytest.raises(StateError, match=r"kept\.zip: it has \d+ bytes unpacked, at most 10000"):
+        load_snapshot(path, KIND)
+
+
+def test_a_missing_file_is_named(path: Path) -> None:
+    with pytest.raises(StateError, match=r"kept\.zip: no such file"):
+        load_snapshot(path, KIND)

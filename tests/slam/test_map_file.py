@@ -1,0 +1,279 @@
+"""Maps on disk: a loaded map goes on to the bit, a robot can be put into it, and whatever is wrong gives one error."""
+
+from __future__ import annotations
+
+import copy
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.se2 import compose, inverse
+from mecp_env.core.snapshot import encode
+from mecp_env.core.snapshot_file import FileKind, save_snapshot
+from mecp_env.evaluation.ground_truth import true_correspondences
+from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
+from mecp_env.slam.association import Associator, MecpAssociator
+from mecp_env.slam.association.oracle import NoCorrespondences
+from mecp_env.slam.config import METHODS
+from mecp_env.slam.filters import RightInvariantEkf, make_filter
+from mecp_env.slam.filters.oracle import OraclePoseFilter
+from mecp_env.slam.map_file import FILE
+from mecp_env.slam.messages import FeatureState
+from mecp_env.slam.protocols import FilterError
+from tests.env.helpers import same
+from tests.env.test_state_fuzz import mutate
+from tests.slam.drives import Drive, scripted_drive
+
+MUTATED, CHANGED = 600, 60  # files with changed bytes, and maps with changed fields, in the fuzz tests
+CONFIGS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "paper": SlamConfig.paper().model_dump(),
+    "ekf": {"filter": {"kind": "ekf"}, "grid": {"resolution_m": 0.2}},
+    "nearest": {"association": {"method": "nearest"}, "dynamic_objects": {"margin_m": 0.0}},
+}
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return scripted_drive()
+
+
+@pytest.fixture(scope="module")
+def saved(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of the whole drive, which ends in the first room."""
+    path = tmp_path_factory.mktemp("maps") / "two_rooms.zip"
+    pipeline = SlamPipeline()
+    run(pipeline, drive, 0, len(drive.scans))
+    pipeline.save_map(path)
+    return path
+
+
+def run(pipeline: SlamPipeline, drive: Drive, first: int, last: int) -> list[Any]:
+    """The outputs on a part of the drive."""
+    steps = zip(drive.odometry[first:last], drive.scans[first:last], strict=True)
+    return [pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan) for odometry, scan in steps]
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_loaded_map_goes_on_to_the_bit(name: str, drive: Drive, tmp_path: Path) -> None:
+    """Also where it was saved with tracks that wait, in a doorway, in the second room: every part of the way."""
+    pipeline, last = SlamPipeline(CONFIGS[name]), len(drive.scans)
+    for first, end in pairwise((0, 2, 16, 29, 48)):
+        run(pipeline, drive, first, end)
+        pipeline.save_map(tmp_path / "map.zip")
+        other = SlamPipeline.from_map(tmp_path / "map.zip")
+        assert same(encode(other), encode(pipeline))
+        assert other.config == SlamConfig.parse(CONFIGS[name])
+    assert same(run(pipeline, drive, end, last), run(other, drive, end, last))
+    assert same(encode(other), encode(pipeline))
+
+
+def test_two_pipelines_of_one_map_share_nothing(drive: Drive, saved: Path) -> None:
+    slam_map = SlamMap.load(saved)
+    first, second = SlamPipeline.from_map(slam_map), SlamPipeline.from_map(slam_map)
+    before = encode(second)
+    run(first, drive, 3, 8)
+    assert same(encode(second), before)
+    assert same(encode(SlamPipeline.from_map(slam_map)), before)
+
+
+def test_a_map_is_empty_before_the_first_scan_and_can_be_saved_then(tmp_path: Path) -> None:
+    SlamPipeline().save_map(tmp_path / "new" / "map.zip")
+    assert same(encode(SlamPipeline.from_map(tmp_path / "new" / "map.zip")), encode(SlamPipeline()))
+
+
+@pytest.mark.parametrize("place", [10, 35, 60])
+@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(place: int, kind: str, drive: Drive) -> None:
+    """At another place of the drive than where it ended, in either room, with half a metre of error."""
+    pipeline = SlamPipeline({"filter": {"kind": kind}})
+    run(pipeline, drive, 0, len(drive.scans))
+    landmarks = pipeline.filter.belief().ids
+    start = compose(inverse(drive.T_world_robot[0]), drive.T_world_robot[place - 1])
+    put = SlamPipeline.from_map(SlamMap.of(pipeline), start + np.array([0.4, -0.3, 0.2]))
+    assert not (put.map.features.rows["state"] == FeatureState.TRACK).any()
+    outputs = run(put, drive, place, place + 15)
+    errors = [output.belief.T_map_robot - true for output, true in zip(outputs, truth(drive, place), strict=False)]
+    assert np.abs(errors)[:, :2].max() < 0.05
+    assert set(landmarks.tolist()) <= set(outputs[-1].belief.ids.tolist())
+    assert len(outputs[-1].belief.ids) <= len(landmarks) + 1
+    assert outputs[0].graph.current == (0 if drive.T_world_robot[place][0] < 5.0 else 1)
+    assert outputs[-1].step == len(drive.scans) + 15
+
+
+def truth(drive: Drive, first: int) -> list[Any]:
+    """The true poses from a step on, in the map frame."""
+    return [compose(inverse(drive.T_world_robot[0]), pose) for pose in drive.T_world_robot[first:]]
+
+
+def test_the_sigmas_of_the_start_are_those_of_the_belief(saved: Path) -> None:
+    put = SlamPipeline.from_map(saved, (1.0, -0.5, 3.0), sigmas=(0.1, 0.2, 0.3))
+    belief = put.filter.belief()
+    np.testing.assert_allclose(belief.T_map_robot, [1.0, -0.5, 3.0])
+    np.testing.assert_allclose(belief.pose_cov, np.diag([0.01, 0.04, 0.09]), atol=1e-12)
+
+
+def test_a_diverged_map_gets_another_chance_with_a_pose(drive: Drive) -> None:
+    pipeline = SlamPipeline()
+    run(pipeline, drive, 0, 5)
+    with pipeline.divergence:
+        raise FilterError("lost")
+    assert SlamPipeline.from_map(SlamMap.of(pipeline)).divergence.found
+    assert not SlamPipeline.from_map(SlamMap.of(pipeline), (0.0, 0.0, 0.0)).divergence.found
+
+
+@pytest.mark.parametrize(
+    ("start", "sigmas", "message"),
+    [
+        ("here", (1, 1, 1), "start: 'here', expected"),
+        ((1.0, 2.0), (1, 1, 1), r"start: \(1\.0, 2\.0\), expected x, y in m"),
+        ((1.0, math.nan, 0.0), (1, 1, 1), "start: "),
+        ((1e6, 0.0, 0.0), (1, 1, 1), "start: .* above -500 and below 500"),
+        (None, (1, 1, 1), "start: None"),
+        (("a", "b", "c"), (1, 1, 1), "start: "),
+        ((0.0, 0.0, 0.0), (1, 1, 0), r"sigmas: \(1, 1, 0\), .* above 0"),
+        ((0.0, 0.0, 0.0), 0.1, "sigmas: 0.1"),
+    ],
+)
+def test_a_start_that_is_none_is_named(start: Any, sigmas: Any, message: str, saved: Path) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SlamPipeline.from_map(saved, start, sigmas=sigmas)
+
+
+def test_ground_truth_stays_out_of_a_map(drive: Drive) -> None:
+    known = SlamPipeline({"association": {"method": "known"}})
+    known.associator.correspondences = true_correspondences(drive.T_world_robot[0], drive.outline)
+    run(known, drive, 0, 3)
+    assert isinstance(SlamPipeline.from_map(SlamMap.of(known)).associator.correspondences, NoCorrespondences)
+    assert not isinstance(known.associator.correspondences, NoCorrespondences)
+    placed = SlamPipeline(filter=OraclePoseFilter(make_filter(SlamConfig().filter)))
+    run(placed, drive, 0, 5)
+    assert type(SlamPipeline.from_map(SlamMap.of(placed)).filter) is RightInvariantEkf
+
+
+class Other(Associator):
+    """An associator that no configuration names."""
+
+    def __init__(self, inner: Any) -> None:
+        self.associate = inner.associate
+
+
+class OtherFilter(RightInvariantEkf):
+    """A filter that no configuration names."""
+
+
+def test_a_map_holds_the_parts_that_its_configuration_names(drive: Drive) -> None:
+    config = SlamConfig()
+    injected = SlamPipeline(associator=Other(MecpAssociator(config.association)))
+    run(injected, drive, 0, 5)
+    assert type(SlamPipeline.from_map(SlamMap.of(injected)).associator) is MecpAssociator
+    with pytest.raises(MapError, match="filter: OtherFilter was injected"):
+        SlamMap.of(SlamPipeline(filter=OtherFilter(config.filter)))
+
+
+def changed(slam_map: SlamMap, path: str, value: Any) -> Any:
+    """The data of a map with another value of a field of the pipeline; `...` leaves it out."""
+    state = copy.deepcopy(slam_map.state)
+    *parents, name = path.split(".")
+    fields = state["@object"][1]
+    for parent in parents:
+        fields = fields[parent]["@object"][1]
+    fields[name] = value
+    if value is ...:
+        del fields[name]
+    return state
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("grid", ..., "map: missing or unknown grid"),
+        ("speed", 3, "state: damaged .AttributeError"),
+        ("step_count", "x", "map.step_count: expected int, given 'x'"),
+        ("step_count", True, "map.step_count: expected int"),
+        ("rooms.in_doorway", "yes", "map.rooms.in_doorway: expected bool, given 'yes'"),
+        ("filter.slot_ids", {"@array": [np.arange(3), True]}, "map.map.features.rows: a landmark that is not in"),
+        ("map.features.rows", {"@array": [np.zeros(3), True]}, "map.map.features.rows: expected ndarray"),
+        ("config", {"@settings": ["mecp_env.slam.config:SlamConfig", {"speed": 1}]}, "SlamConfig.speed: no such field"),
+        ("config", {"@settings": ["mecp_env.slam.config:GridConfig", {}]}, "SlamConfig"),
+        ("grid", {"@object": ["os:system", {}]}, "state: 'os:system' is not a class of mecp_env"),
+    ],
+)
+def test_a_damaged_map_names_the_file_and_the_field(
+    path: str, value: Any, message: str, saved: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "other.zip"
+    SlamMap(changed(SlamMap.load(saved), path, value)).save(file)
+    with pytest.raises(MapError, match=rf"other\.zip: .*{message}"):
+        SlamPipeline.from_map(file)
+
+
+def test_a_foreign_an_old_and_a_later_file_are_refused(saved: Path, tmp_path: Path) -> None:
+    file, state = tmp_path / "other.zip", SlamMap.load(saved).state
+    for kind in (FileKind("mecp_env state", 1, "0.1.0"), FILE._replace(version=0), FILE._replace(version=9)):
+        save_snapshot(file, kind, state)
+        with pytest.raises(MapError, match=r"other\.zip: (format: 'mecp_env state'|version: [09] \(of mecp_env 0)"):
+            SlamMap.load(file)
+    with pytest.raises(MapError, match=r"nowhere\.zip: no such file"):
+        SlamPipeline.from_map(tmp_path / "nowhere.zip")
+    save_snapshot(file, FILE, encode([1]))
+    with pytest.raises(MapError, match=r"other\.zip: "):
+        SlamPipeline.from_map(file)
+
+
+def test_a_map_whose_associator_is_not_registered_here_says_so(saved: Path, tmp_path: Path) -> None:
+    METHODS.add("of_another_process")
+    made = SlamConfig(association={"method": "of_another_process"})
+    METHODS.others.remove("of_another_process")
+    file = tmp_path / "other.zip"
+    SlamMap(changed(SlamMap.load(saved), "config", encode(made))).save(file)
+    with pytest.raises(MapError, match=r"other\.zip: .*association\.method: .*'of_another_process'"):
+        SlamPipeline.from_map(file)
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """The file cut short, with a few other bytes, or with a piece twice or left out."""
+    how, at = rng.integers(4), sorted(rng.integers(0, len(data), 2).tolist())
+    if how == 0:
+        return data[: at[0]]
+    if how == 1:
+        return data[: at[1]] + data[at[0] :]
+    if how == 2:
+        return data[: at[0]] + rng.bytes(int(rng.integers(1, 9))) + data[at[1] :]
+    changed_bytes = bytearray(data)
+    span = 200 if rng.random() < 0.5 else len(data)  # near the ends are the structures of a zip
+    for k in rng.integers(-min(span, len(data)), min(span, len(data)), int(rng.integers(1, 4))).tolist():
+        changed_bytes[k] = int(rng.integers(256))
+    return bytes(changed_bytes)
+
+
+def test_mutated_files_end_in_one_error_or_load_an_equal_map(saved: Path, tmp_path: Path) -> None:
+    data, whole, file = saved.read_bytes(), SlamMap.load(saved).state, tmp_path / "mutated.zip"
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(MUTATED):
+        file.write_bytes(mutated(data, rng))
+        try:
+            assert same(SlamMap.load(file).state, whole)
+        except MapError as error:
+            refused += str(error).startswith(f"{file}: ")
+    assert 0.8 * MUTATED < refused < MUTATED
+
+
+def test_maps_with_changed_fields_end_in_one_error_or_run(drive: Drive, saved: Path) -> None:
+    """As those of environments in `tests.env.test_state_fuzz`, by the same changes."""
+    whole, refused = SlamMap.load(saved).state, 0
+    for seed in range(CHANGED):
+        state = copy.deepcopy(whole)
+        mutate(dict.fromkeys(("simulation", "moving", "episode"), state), np.random.default_rng(seed))
+        try:
+            pipeline = SlamPipeline.from_map(SlamMap(state))
+        except MapError:
+            refused += 1
+            continue
+        run(pipeline, drive, 3, 6)
+    assert 0.3 * CHANGED < refused < CHANGED
