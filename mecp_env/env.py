@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
@@ -229,6 +230,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._true_world.restore(building, moving, body, episode)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
+
+    def save_map(self, path: str | Path) -> None:
+        """Write the estimator's map into a file that `mecp_env.slam.SlamPipeline.from_map` reads (docs/estimator.md).
+
+        Raises `ResetNeeded` before the first `reset`, `MapError` and `OSError`.
+        """
+        self._started().pipeline.save_map(path)
 
     def view(self) -> SceneView:
         """The current state as plain data for rendering: ground truth and estimate."""

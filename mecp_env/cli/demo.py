@@ -28,12 +28,14 @@ class Demo(Command):
     seed: Seed = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
+    save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.buildings import one, resolve, spare_sources, stem
         from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
+        from mecp_env.cli.map_option import check_map, save_map
         from mecp_env.cli.progress import ExplorationBar, print_result
         from mecp_env.cli.stopwatch import timed_stages
         from mecp_env.core import warm_up
@@ -43,6 +45,7 @@ class Demo(Command):
         folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
         config = configuration(resolve(self.layout), self.config, line)
+        check_map(self.save_map, one(self.layout), config.estimator)
         if self.render == "human":
             require_display()
         warm_up.prepare()
@@ -52,5 +55,6 @@ class Demo(Command):
         if not run.estimated:
             return INTERRUPTED
         print_result(run.keep(folder, watch), folder)
+        save_map(run.env, self.save_map)
         run.env.close()
         return INTERRUPTED if run.ended == "interrupted" else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
@@ -11,6 +12,7 @@ import tyro
 from mecp_env.cli.base import Command, Seed, Steps
 from mecp_env.cli.buildings import resolve
 from mecp_env.cli.exit_codes import echo
+from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
@@ -28,6 +30,7 @@ class Explore(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env explore gain --layout office",
         "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
+        "mecp-env explore nearest --layout office --save-map office.zip",
         "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
     )
     choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator), "--start": get_args(Start)}
@@ -38,6 +41,7 @@ class Explore(Command):
     steps: Steps = 3000  # control steps of 0.4 s, at most
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     start: Start = "layout"  # random: anywhere in free space
+    save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
     def run(self, line: Sequence[str]) -> int:
@@ -48,6 +52,7 @@ class Explore(Command):
         from mecp_env.policies.rollout import for_policy, masks, options_of
 
         building, options = self._building()
+        check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
         fields = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start, **options_of(policy)}
         env = for_policy(gym.make(**building, **fields), policy, lambda observation, info: None)
@@ -61,6 +66,7 @@ class Explore(Command):
                 echo(drive_line(before, int(action), info))
         echo("", end_line(terminated, info), "")
         echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
+        save_map(env.unwrapped, self.save_map)
         env.close()
         return 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +12,8 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.registry import EXPLORERS
+from mecp_env.slam import SlamPipeline
+from mecp_env.world.layout import LIBRARY
 
 Captured = pytest.CaptureFixture[str]
 
@@ -54,6 +57,37 @@ def test_wrong_input_ends_with_2_and_one_line(options: str, message: str, capsys
     assert message in err
     assert err.startswith("mecp-env: ")
     assert err.count("\n") == 1
+
+
+def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "new" / "two_rooms.zip"
+    line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(path)]
+    assert cli.main(line) == 0
+    assert f"map: {path}" in capsys.readouterr().out
+    loaded = SlamPipeline.from_map(path)
+    assert loaded.step_count == 13  # three scans at rest
+    assert len(loaded.filter.ids) >= 4
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--save-map .", "--save-map: . is a folder, not a file"),
+        ("--save-map plan.json/map.zip", "plan.json is a file, not a folder"),
+        ("--save-map plan.json", "plan.json is what the building is read from"),
+        ("--save-map map.zip --estimator known", "map.zip: a map of the estimator 'known' localises with ground truth"),
+    ],
+)
+def test_a_map_is_refused_before_the_exploration(
+    options: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plan = (LIBRARY / "two_rooms.json").read_bytes()
+    Path("plan.json").write_bytes(plan)
+    assert cli.main(["explore", "nearest", "--layout", "plan.json", *options.split()]) == 2
+    assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+    assert Path("plan.json").read_bytes() == plan
 
 
 def test_an_unknown_policy_gets_a_suggestion(capsys: Captured) -> None:

@@ -24,6 +24,7 @@ from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
 from mecp_env.floorplans import load_plan
+from mecp_env.slam import SlamPipeline
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
 
@@ -56,12 +57,19 @@ FIGURES = {
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of a demo on the small layout."""
     folder = tmp_path_factory.mktemp("demo") / "run"
-    assert cli.main(["demo", "--layout", "two_rooms", "--seed", "3", "--out", str(folder)]) == 0
+    line = ["demo", "--layout", "two_rooms", "--seed", "3", "--out", str(folder)]
+    assert cli.main([*line, "--save-map", str(folder.parent / "map.zip")]) == 0
     return folder
 
 
 def test_the_demo_leaves_its_nine_files(kept: Path) -> None:
     assert {path.name for path in kept.iterdir()} == FILES
+
+
+def test_the_map_of_a_demo_continues_where_it_ended(kept: Path) -> None:
+    pipeline = SlamPipeline.from_map(kept.parent / "map.zip")
+    x, y = np.loadtxt(kept / "trajectory.tum")[-1, 1:3]
+    assert pipeline.filter.belief().T_map_robot[:2] == pytest.approx([x, y], abs=1e-6)
 
 
 def test_the_believed_map_can_be_read_and_is_small(kept: Path) -> None:

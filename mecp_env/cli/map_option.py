@@ -1,0 +1,27 @@
+"""The option `--save-map`: the map that the robot made, in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mecp_env.cli.base import check_writable
+from mecp_env.cli.buildings import spare_sources
+from mecp_env.cli.exit_codes import echo
+from mecp_env.core.errors import ConfigError
+
+
+def check_map(path: Path | None, layout: str, estimator: str) -> None:
+    """Raise `ConfigError` where the map of a run cannot be written or would be of no use; None: no map is wanted."""
+    if path is None:
+        return
+    spare_sources([check_writable(path, "--save-map")], [layout])
+    if estimator == "known":
+        raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
+
+
+def save_map(env: Any, path: Path | None) -> None:
+    """Write the map of the estimator of a `MecpEnv`, if it is wanted, and print where it is."""
+    if path is not None:
+        env.save_map(path)
+        echo(f"map: {path}")
