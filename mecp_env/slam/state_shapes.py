@@ -76,13 +76,14 @@ def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
     if rows.dtype != FEATURE or rows.ndim != 1:
         raise StateError(f"{where}.map.features.rows: another kind of rows")
     landmarks = np.flatnonzero(rows["state"] == FeatureState.LANDMARK)
-    if not np.isin(landmarks, pipeline.filter.slot_ids).all():
+    if not np.isin(landmarks, pipeline.filter.ids).all():
         raise StateError(f"{where}.map.features.rows: a landmark that is not in the filter")
     if any(group.ids.shape[1:] != (k,) for k, group in polygons.groups.items()):
         raise StateError(f"{where}.map.polygons.groups: polygons of another number of vertices")
     if any(len(polygon.ids) < 3 for polygon in (*polygons.polygons, *pipeline.grid.polygons.waiting)):
         raise StateError(f"{where}.map.polygons.polygons: one of fewer than three vertices")
-    check_filter(pipeline.filter, len(rows), f"{where}.filter")
+    if hasattr(pipeline.filter, "slot_ids"):  # else a custom filter, which stores what it likes
+        check_filter(pipeline.filter, len(rows), f"{where}.filter")
     check_grid(pipeline.grid, f"{where}.grid")
     return {"F": len(rows), "P": len(polygons.polygons)}
 

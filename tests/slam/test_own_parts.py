@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +23,7 @@ from mecp_env.slam.association import register_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import scripted_drive
 
 PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
 OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "one_shot"}}
@@ -58,6 +60,37 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     other.set_state(state)
     first, second = (e.step(np.array([0.3, -0.2]))[0] for e in (env, other))
     assert all(np.array_equal(first[key], second[key]) for key in first)
+
+
+class Boxed:
+    """A filter that keeps another one inside, as a custom filter may."""
+
+    def __init__(self, config: config.FilterConfig) -> None:
+        self.inner = RightInvariantEkf(config)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("inner", "slot_ids"):  # absent while a copy is made; unknown to states
+            raise AttributeError(name)
+        return getattr(self.inner, name)
+
+    @property
+    def ids(self) -> Any:
+        return self.inner.ids
+
+
+def test_a_map_holds_them(own: dict[str, ModuleType], tmp_path: Path) -> None:
+    register_filter("boxed", Boxed)
+    drive = scripted_drive()
+    pipeline = SlamPipeline({**OWN, "filter": {"kind": "boxed"}})
+    pipeline.start(drive.scans[0])
+    for k in range(3, 20):
+        pipeline.step(drive.odometry[k], drive.scans[k])
+    pipeline.save_map(tmp_path / "map.zip")
+    other = SlamPipeline.from_map(tmp_path / "map.zip")
+    assert type(other.associator) is own["global_nearest"].GlobalNearest
+    assert type(other.filter) is Boxed
+    first, second = (one.step(drive.odometry[20], drive.scans[20]).belief for one in (pipeline, other))
+    assert np.array_equal(first.p_map, second.p_map)
 
 
 def test_each_pipeline_makes_its_own(own: dict[str, ModuleType]) -> None:
