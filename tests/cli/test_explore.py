@@ -62,7 +62,8 @@ def test_wrong_input_ends_with_2_and_one_line(options: str, message: str, capsys
 def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "new" / "two_rooms.zip"
     line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(path)]
-    assert cli.main(line) == 0
+    for _ in range(2):  # a map replaces a map
+        assert cli.main(line) == 0
     assert f"map: {path}" in capsys.readouterr().out
     loaded = SlamPipeline.from_map(path)
     assert loaded.step_count == 13  # three scans at rest
@@ -75,6 +76,7 @@ def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: C
         ("--save-map .", "--save-map: . is a folder, not a file"),
         ("--save-map plan.json/map.zip", "plan.json is a file, not a folder"),
         ("--save-map plan.json", "plan.json is what the building is read from"),
+        ("--save-map notes.txt", "notes.txt: no mecp_env map, or cut short; name another file"),
         ("--save-map map.zip --estimator known", "map.zip: a map of the estimator 'known' localises with ground truth"),
     ],
 )
@@ -84,9 +86,11 @@ def test_a_map_is_refused_before_the_exploration(
     monkeypatch.chdir(tmp_path)
     plan = (LIBRARY / "two_rooms.json").read_bytes()
     Path("plan.json").write_bytes(plan)
+    Path("notes.txt").write_text("mine")
     assert cli.main(["explore", "nearest", "--layout", "plan.json", *options.split()]) == 2
     assert message in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "plan.json"]
+    assert Path("notes.txt").read_text() == "mine"
     assert Path("plan.json").read_bytes() == plan
 
 
