@@ -72,26 +72,33 @@ SHAPES: Shapes = {
 
 def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
     """The sizes that the capital letters stand for. Raises `StateError` unless map, polygons and filter agree."""
-    rows, polygons = pipeline.map.features.rows, pipeline.map.polygons
+    rows = pipeline.map.features.rows
     if rows.dtype != FEATURE or rows.ndim != 1:
         raise StateError(f"{where}.map.features.rows: another kind of rows")
     landmarks = np.flatnonzero(rows["state"] == FeatureState.LANDMARK)
     if not np.isin(landmarks, pipeline.filter.ids).all():
         raise StateError(f"{where}.map.features.rows: a landmark that is not in the filter")
-    if any(group.ids.shape[1:] != (k,) for k, group in polygons.groups.items()):
-        raise StateError(f"{where}.map.polygons.groups: polygons of another number of vertices")
-    if any(len(polygon.ids) < 3 for polygon in (*polygons.polygons, *pipeline.grid.polygons.waiting)):
-        raise StateError(f"{where}.map.polygons.polygons: one of fewer than three vertices")
+    check_polygons(pipeline.map.polygons, f"{where}.map.polygons")
     if hasattr(pipeline.filter, "slot_ids"):  # else a custom filter, which stores what it likes
         check_filter(pipeline.filter, len(rows), f"{where}.filter")
     check_grid(pipeline.grid, f"{where}.grid")
-    return {"F": len(rows), "P": len(polygons.polygons)}
+    return {"F": len(rows), "P": len(pipeline.map.polygons.polygons)}
+
+
+def check_polygons(store: Any, where: str) -> None:
+    """Raise `StateError` unless polygons have vertices, and are grouped by their number."""
+    if any(group.ids.shape[1:] != (k,) for k, group in store.groups.items()):
+        raise StateError(f"{where}.groups: polygons of another number of vertices")
+    if any(len(polygon.ids) < 3 for polygon in store.polygons):
+        raise StateError(f"{where}.polygons: one of fewer than three vertices")
 
 
 def check_grid(grid: Any, where: str) -> None:
     """Raise `StateError` unless painted polygons have a place per vertex, and painted doors, where known, are near."""
     if any(np.shape(painted.ring) != (len(ids), 2) for ids, painted in grid.polygons.painted.items()):
         raise StateError(f"{where}.polygons.painted: a ring of another number of vertices")
+    if any(len(polygon.ids) < 3 for polygon in grid.polygons.waiting):
+        raise StateError(f"{where}.polygons.waiting: one of fewer than three vertices")
     if not np.nanmax(np.abs(grid.doors.quads), initial=0.0) < FAR:
         raise StateError(f"{where}.doors.quads: expected places nearer than {FAR} m")
 
