@@ -96,9 +96,11 @@ def seen_through(
 def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float, row: Ints) -> None:
     """Write the row (n,) of the door through which each point of `p_map` (n,2) is seen from `p_robot` (2,), or -1.
 
-    `doors` (D,5): middle x, y, unit normal x, y, half width. A point counts when the line of sight crosses the gap and
-    ends more than `margin` behind the middle of the wall.
+    `doors` (D,5): middle x, y, unit normal x, y, half width. A point counts when the line of sight crosses the gap, or
+    the wall less than `margin` beside it (nothing is seen through a wall: the pose is that uncertain), and ends more
+    than `margin` behind the middle of the wall.
     """
+    aside = np.full(p_map.shape[0], margin)
     for i in range(p_map.shape[0]):
         row[i] = -1
     for d in range(doors.shape[0]):
@@ -112,8 +114,8 @@ def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float, row:
                 continue
             t1 = (p_map[i, 0] - mx) * ny - (p_map[i, 1] - my) * nx
             t = t0 + (t1 - t0) * s0 / (s0 - s1)
-            if abs(t) < half:
-                row[i] = d
+            if abs(t) < half + aside[i]:
+                row[i], aside[i] = d, max(abs(t) - half, 0.0)
 
 
 @compiled

@@ -17,6 +17,7 @@ from mecp_env.slam.messages import (
     Corners,
     Decision,
     Door,
+    FeatureState,
     FeatureTable,
     MapPolygon,
     RoomGraph,
@@ -36,6 +37,8 @@ from mecp_env.slam.rooms.doors import (
     seen_through,
 )
 from mecp_env.slam.rooms.trail import Trail
+
+LANDMARK = int(FeatureState.LANDMARK)
 
 
 @dataclass(slots=True, eq=False)
@@ -90,10 +93,10 @@ class RoomGraphEstimator:
             record_doorways(self.door_map, seen, features, self.current, self.config)
         if self._detect_missed_door(before, seen.belief, features):
             return True
-        self._follow(seen.belief)
+        merged = self._follow(features, seen.belief)
         self._follow_candidates(features, seen.belief)
         polygon_room = self.resolve(known[seen.match.known].room) if seen.match.known >= 0 else UNKNOWN_ROOM
-        return self._recognise(seen, features, polygon_room)
+        return self._recognise(seen, features, polygon_room) or merged
 
     def rename(self, merged: tuple[tuple[int, int], ...]) -> None:
         """Landmarks were merged: doors now name the ids kept, the first of each pair."""
@@ -137,29 +140,49 @@ class RoomGraphEstimator:
         self.trail = Trail()
         self.current = room
 
-    def _follow(self, belief: Belief) -> None:
-        """Change the room when the path crosses a door or a candidate, with hysteresis."""
+    def _follow(self, features: FeatureTable, belief: Belief) -> bool:
+        """Change the room when the path crosses a door, with hysteresis; true when rooms merged."""
         self.in_doorway = False
         if not self.door_map.doors:
-            return
-        door_map, hysteresis = self.door_map, self.config.hysteresis_m
-        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, door_map.jambs, hysteresis)
-        for row, ahead, aside, half in near.tolist():
-            d = int(row)
-            self.in_doorway |= abs(ahead) < self.config.doorway_m and abs(aside) < half
-            door = door_map.doors[d]
-            if self.current == door.rooms[0] and ahead < -hysteresis:
-                self._enter(d, door.rooms[1])
-            elif self.current == door.rooms[1] and ahead > hysteresis:
-                self._enter(d, door.rooms[0])
+            return False
+        config, jambs = self.config, self.door_map.jambs
+        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, jambs, config.hysteresis_m).tolist()
+        for _, ahead, aside, half in near:
+            self.in_doorway |= abs(ahead) < config.doorway_m and abs(aside) < half
+        for row, ahead, _, _ in near:
+            d, side = int(row), 0 if ahead > 0.0 else 1
+            if abs(ahead) > config.hysteresis_m and self._has_crossed(self.door_map.doors[d], side, belief):
+                return self._enter(d, side, features, belief)
+        return False
 
-    def _enter(self, d: int, room: int) -> None:
-        self.newest = UNKNOWN_ROOM
-        if room == UNKNOWN_ROOM:
-            room = self._open()
-            door = self.door_map.doors[d]
-            self.door_map.doors[d] = replace(door, rooms=(door.rooms[0], room))
-        self._arrive(room)
+    def _has_crossed(self, door: Door, side: int, belief: Belief) -> bool:
+        """True when the robot, now on the side of `door.rooms[side]`, came through the door.
+
+        Nobody knew of a door of other rooms that it leads here: then the path decides.
+        """
+        if self.current in door.rooms:
+            return door.rooms[1 - side] == self.current
+        return self.trail.passed(belief.p_map[belief.rows(np.array(door.jambs))]) is not None
+
+    def _enter(self, d: int, side: int, features: FeatureTable, belief: Belief) -> bool:
+        """Be in the room on that side of a door; true when the room left turns out to be another one."""
+        self.newest, left = UNKNOWN_ROOM, self.current
+        door, signs = self.door_map.doors[d], {self.resolve(room) for room, _, _ in self.other_room_signs}
+        rooms = [left if room == UNKNOWN_ROOM and i != side else room for i, room in enumerate(door.rooms)]
+        rooms[side] = self._open() if rooms[side] == UNKNOWN_ROOM else rooms[side]
+        self.door_map.doors[d] = replace(door, rooms=(rooms[0], rooms[1]))
+        self._arrive(rooms[side])
+        others = signs - rooms_next_door(self.door_map, left, 0) - {left}
+        if len(others) != 1 or not self._is_bare(left, features):
+            return False
+        self._merge(left, others.pop(), features, belief)
+        return True
+
+    def _is_bare(self, room: int, features: FeatureTable) -> bool:
+        """True when too few landmarks are of this room alone to make it one."""
+        rows = features.rows
+        own = (rows["room"] == room) & (rows["state"] == LANDMARK) & (rows["kind"] != int(CornerKind.JAMB))
+        return int(own.sum()) < self.config.recognise_corners
 
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
@@ -241,10 +264,10 @@ class RoomGraphEstimator:
         return False
 
     def _become(self, other: int, features: FeatureTable, belief: Belief) -> bool:
-        """The robot is in `other`: the current room is that room if it is new, else the robot has left it unnoticed."""
+        """The robot is in `other`: the current room is that room if it is new or bare, else it was left unnoticed."""
         old = self.current
         self._arrive(other)
-        if old != self.newest:
+        if old != self.newest and not self._is_bare(old, features):
             return False
         self._merge(old, other, features, belief)
         return True
