@@ -3,8 +3,9 @@
 Each drive is recorded with the true pose as the driver, and every variant gets the same data. Drives of `odometry` and
 `range` are recorded with that odometry and that laser. For `view` and `beams`, the scans of the drives with the default
 sensors are cut: beams outside the field of view are left out, or every n-th beam of the burst in order of bearing is
-kept, which gives the bearings of a laser with so many beams. `known` pairs by the true correspondences;
-`mecp in one pass` pairs everything at the prediction, however wide that is.
+kept. That gives the scans of a laser with that field of view or number of beams, but on the same drives; a robot that
+sees less drives elsewhere. `known` pairs by the true correspondences; `mecp in one pass` pairs everything at the
+prediction, however wide that is.
 
 `rmse_m` and `nees` (3 expected) are means over drives. A drive is lost when the pose is more than 1 m or 10 degrees off
 for 20 control steps in a row or at the end, or has diverged. `far` counts the corners beyond 93 % of the range, and

@@ -41,6 +41,7 @@ BEAMS = EdgeBeams(
     np.full(720, 9.0),
     (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi,
     np.ones(720, np.bool_),
+    math.pi / 360.0,
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -10,6 +11,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.laser_view import LaserView
 from mecp_env.core.settings import Settings, guess, number
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.config import SlamConfig
@@ -108,7 +110,7 @@ class EnvConfig(Settings):
     def estimator_config(self) -> SlamConfig:
         """`slam` for the estimator: the sensor follows the laser unless set, "known" merges no landmarks."""
         laser = self.laser
-        sensor = {"range_sigma_m": laser.range_sigma_m, "bearing_sigma_deg": laser.bearing_sigma_deg}
+        sensor = {name: getattr(laser, name) for name in FOLLOWING["slam", "sensor"]}
         slam = self.slam.model_copy(update={"sensor": following(self.slam.sensor, sensor)})
         if self.estimator != "known":
             return slam
@@ -133,6 +135,8 @@ class EnvConfig(Settings):
         """Refuse what ends every exploration before it begins."""
         slam, paths = self.slam, self.planning_config.paths
         at_most("slam.grid.resolution_m", slam.grid.resolution_m, 2.0 * paths.radius_m, "the robot's width")
+        out, bound = math.hypot(self.laser.x_m, self.laser.y_m), ON_ROBOT * self.robot.radius_m
+        at_most("laser: hypot(x_m, y_m)", out, bound, f"{ON_ROBOT} robot.radius_m")
         width = 2.0 * (paths.radius_m + paths.margin_m)
         at_most("2 (planning.paths.radius_m + margin_m)", width, slam.corners.door_width_m[1], "the widest door")
         least = 4 * slam.segments.min_beams
@@ -157,11 +161,12 @@ def at_most(field: str, value: float, bound: float, what: str) -> None:
         raise ValueError(f"{field}: {value:g} m, at most {bound:g} m, {what}")
 
 
+ON_ROBOT = 0.9  # of the robot's radius: how far out a laser may sit, so that no wall comes up to it
 S = TypeVar("S", bound=Settings)
 
 # fields that follow from another section unless they are set
 FOLLOWING = {
-    ("slam", "sensor"): ("range_sigma_m", "bearing_sigma_deg"),
+    ("slam", "sensor"): ("range_sigma_m", "bearing_sigma_deg", *LaserView.model_fields),
     ("planning", "paths"): ("radius_m",),
     ("planning", "control"): ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "period_s"),
 }

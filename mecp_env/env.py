@@ -101,7 +101,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig` as
     a keyword that overrides it (`layout`, `estimator`, `actions`, `max_steps`, `start`, `robot`, `laser`, `odometry`,
     `crowd`, `clutter`, `slam`, `planning`, `goal_steps`, `observation`, `reward`, `end`). `crowd={"people": 4}` adds
-    pedestrians, `clutter` adds boxes to push and closed doors. `layout` is a layout name, a path, a dict or a `Layout`;
+    pedestrians, `clutter` adds boxes to push and closed doors, `laser={"field_of_view_deg": 180, "x_m": 0.15}` is a
+    laser on the robot's front. `layout` is a layout name, a path, a dict or a `Layout`;
     `PaperMap-v0` has a fixed one, and `Rooms-v0` generates one at every reset from `difficulty`, `split` and the fields
     of `GeneratorSpec`. `EnvConfig.paper()` follows the paper literally. `estimator="known"` uses the true
     correspondences, `"truth"` the true pose. Unknown names, and values with which nothing can be explored, raise
@@ -398,12 +399,14 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return done, cut
 
     def _nothing_left(self, episode: EpisodeState) -> bool:
-        """True when no goal is left: at once, or for several steps with pedestrians, who may hide a door or block a
-        path.
+        """True when no goal is left in what is mapped: at once, or for several steps with pedestrians, who may hide a
+        door or block a path, or a blind side, where a path may be. No polygon surrounds a laser that has one.
         """
-        empty = not len(episode.goals) and len(episode.slam_output.map_polygons) > 0
+        output = episode.slam_output
+        mapped = len(output.map_polygons) > 0 or (output.beams.blind and len(output.belief.ids) > 0)
+        empty = not len(episode.goals) and mapped
         episode.quiet = episode.quiet + 1 if empty else 0
-        if not self.config.crowd.people:
+        if not (self.config.crowd.people or output.beams.blind):
             return empty
         if empty:
             episode.pipeline.grid.look_again()

@@ -133,7 +133,7 @@ class TrueWorld:
     def _enter(self, outline: Outline) -> None:
         """Be among these walls."""
         self.outline = outline
-        self.truth = GroundTruth(outline, self._config.laser.max_range_m)
+        self.truth = GroundTruth(outline, self._config.laser.max_range_m, self._config.laser)
         self.laser = Laser(outline, self._config.laser)
         self.simulation = Simulation(outline, self._config.robot)
         self.movers, self._obstacles = no_movers(self._config.robot), NO_OBSTACLES

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -10,6 +11,8 @@ import numpy as np
 import shapely
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.laser_view import LaserView
+from mecp_env.core.se2 import compose
 from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig
@@ -40,7 +43,7 @@ NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty(
 class TrueCorrespondences:
     """True correspondences of the corners of a scan from a true pose; plain data."""
 
-    T_world_robot: Array  # (3,)
+    T_world_laser: Array  # (3,)
     p_world: Array  # (C,2) m, true corners: those of boxes come after those of the building
     segments: Array  # (S,2,2) m, world: faces that may hide them
 
@@ -50,18 +53,18 @@ class TrueCorrespondences:
         The nearest true corner that is visible from the pose and within 0.3 m, one to one.
         """
         return metric_arrays.identify_corners(
-            corners.z, self.T_world_robot, self.p_world, self.segments, IDENTITY_GATE_M
+            corners.z, self.T_world_laser, self.p_world, self.segments, IDENTITY_GATE_M
         )
 
 
 def true_correspondences(
-    T_world_robot: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
+    T_world_laser: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
 ) -> TrueCorrespondences:
-    """The correspondences of a scan taken at a pose (3,) in the building, with what moves in it."""
+    """The correspondences of a scan taken by a laser at a pose (3,) in the building, with what moves in it."""
     true, segments = outline.corners.p_world, outline.segments
     if len(obstacles.faces):
         true, segments = np.concatenate([true, obstacles.corners]), np.concatenate([segments, obstacles.faces])
-    return TrueCorrespondences(T_world_robot, true, segments)
+    return TrueCorrespondences(T_world_laser, true, segments)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +73,17 @@ class GroundTruth:
 
     outline: Outline
     max_range_m: float
+    view: LaserView = field(default_factory=LaserView)  # of the robot's laser
 
     @cached_property
     def laser(self) -> Laser:
         """A laser without noise."""
         return Laser(self.outline, LaserConfig(preset="ideal", sweeps=1, beams=BEAMS, max_range_m=self.max_range_m))
+
+    @property
+    def sees_all_around(self) -> bool:
+        """True when what is visible does not depend on the heading."""
+        return self.view.field_of_view_deg == 360.0
 
     @cached_property
     def corner(self) -> Array:
@@ -123,13 +132,17 @@ class GroundTruth:
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
-        level = np.array([T_world_robot[0], T_world_robot[1], 0.0])
-        scan = self.laser.scan(level, NO_NOISE)
-        return metric_arrays.sweep(scan.ranges[0], DIRECTIONS, level, self.corner, self.free, seen)
+        x, y, heading = compose(T_world_robot, self.view.T_robot_laser).tolist()
+        level = np.array([x, y, 0.0])
+        ranges = self.laser.scan(level, NO_NOISE).ranges[0]
+        if not self.sees_all_around:
+            ahead = np.cos(BEARINGS - heading) >= math.cos(0.5 * self.view.field_of_view_rad)
+            ranges = np.where(ahead, ranges, 0.0)
+        return metric_arrays.sweep(ranges, DIRECTIONS, level, self.corner, self.free, seen)
 
     def correspondences(self, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> TrueCorrespondences:
-        """Which true corner each corner of a scan is, for a scan taken at a pose (3,)."""
-        return true_correspondences(T_world_robot, self.outline, obstacles)
+        """Which true corner each corner of a scan is, for a scan taken at a robot's pose (3,)."""
+        return true_correspondences(compose(T_world_robot, self.view.T_robot_laser), self.outline, obstacles)
 
     def identify(self, corners: Corners, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""

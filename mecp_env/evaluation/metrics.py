@@ -148,7 +148,7 @@ class EpisodeMetrics:
     def _sweep(self, truth: GroundTruth, T_world_robot: Array) -> None:
         self.new_cells = 0
         x, y, _ = T_world_robot.tolist()
-        if math.dist(self.swept_from.tolist(), (x, y)) >= SWEEP_STEP_M:
+        if not truth.sees_all_around or math.dist(self.swept_from.tolist(), (x, y)) >= SWEEP_STEP_M:
             self.swept_from = np.array([x, y])
             self.new_cells = int(truth.sweep(T_world_robot, self.seen))
             self.seen_cells += self.new_cells

@@ -8,21 +8,29 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Rows
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig
 from mecp_env.slam.messages import MergedScan
 
 SHARES = (1.0, 0.75, 0.5, 0.3, 0.15)  # shares of the desired speed, fastest first
+CENTRED = np.zeros(3)  # T_robot_laser of a laser at the robot's centre
 BENDS = (0.0, 0.6, -0.6, 1.5, -1.5)  # 1/m, added to the desired curvature where the path is blocked
 
 
 def follow(
-    path: Array, T_map_robot: Array, beams: MergedScan, control: ControlConfig, body: PathsConfig
+    path: Array,
+    T_map_robot: Array,
+    beams: MergedScan,
+    control: ControlConfig,
+    body: PathsConfig,
+    T_robot_laser: Array = CENTRED,
 ) -> tuple[float, float]:
     """Speed (m/s) and turn rate (rad/s) of the next step along a path (n,2) m, map frame.
 
     (0, w) turns in place; (0, 0) means that every arc is blocked.
     """
-    v, w = follow_path(path, T_map_robot, (beams.ranges, beams.bearings, beams.hit), control.record, body.record)
+    scan = beams.ranges, beams.bearings, beams.hit, T_robot_laser
+    v, w = follow_path(path, T_map_robot, scan, control.record, body.record)
     return v, w
 
 
@@ -32,6 +40,7 @@ def coast(
     beams: MergedScan,
     control: ControlConfig,
     body: PathsConfig,
+    T_robot_laser: Array = CENTRED,
 ) -> tuple[float, float]:
     """The command, or, where the way to a stop would bend into something seen, braking on the arc driven before.
 
@@ -40,7 +49,7 @@ def coast(
     v, w = before
     if command[0] > 0.0 or v <= 0.05:
         return command
-    safe = can_stop(seen_points(beams, control), v, command[1] / v, 0.0, control.record, body.record)
+    safe = can_stop(seen_points(beams, control, T_robot_laser), v, command[1] / v, 0.0, control.record, body.record)
     return command if safe else (0.0, 0.5 * w)
 
 
@@ -48,11 +57,11 @@ def coast(
 def follow_path(
     path: Array,
     T_map_robot: Array,
-    beams: tuple[Array, Array, Bools],
+    scan: tuple[Array, Array, Bools, Array],
     control_record: Rows,
     body_record: Rows,
 ) -> tuple[float, float]:
-    """See `follow`; `beams`: ranges (m), bearings and hit (B,)."""
+    """See `follow`; `scan`: ranges (m), bearings and hit (B,), and the pose of the laser (3,)."""
     control, top_turn = control_record[0], control_record[0].turn_rad_s
     x, y, left = look_ahead(path, T_map_robot, control.lookahead_m)
     bearing = math.atan2(y, x)
@@ -61,7 +70,7 @@ def follow_path(
     speed = min(control.speed_m_s, math.sqrt(control.acceleration_m_s2 * left), max(left, 0.05) / control.period_s)
     curvature = 2.0 * y / max(x * x + y * y, 0.01)
     speed = min(speed * math.cos(bearing), 0.8 * top_turn / max(abs(curvature), 1e-6))
-    p_robot = near_points(beams[0], beams[1], beams[2], control.near_m)
+    p_robot = near_points(scan[0], scan[1], scan[2], control.near_m, scan[3])
     return safe_command(speed, curvature, p_robot, control_record, body_record)
 
 
@@ -81,14 +90,14 @@ def safe_command(
     return 0.0, 0.0
 
 
-def seen_points(beams: MergedScan, control: ControlConfig) -> Array:
+def seen_points(beams: MergedScan, control: ControlConfig, T_robot_laser: Array = CENTRED) -> Array:
     """Hits (n,2) m, robot frame, within `near_m`; each the median of five neighbouring beams, against noise."""
-    return near_points(beams.ranges, beams.bearings, beams.hit, control.near_m)
+    return near_points(beams.ranges, beams.bearings, beams.hit, control.near_m, T_robot_laser)
 
 
 @compiled
-def near_points(ranges: Array, bearings: Array, hit: Bools, reach: float) -> Array:
-    """Hits (n,2) m, robot frame, nearer than `reach`, each range the median of five neighbours."""
+def near_points(ranges: Array, bearings: Array, hit: Bools, reach: float, T_robot_laser: Array) -> Array:
+    """Hits (n,2) m, robot frame, nearer to the laser than `reach`, each range the median of five neighbours."""
     count, n = ranges.shape[0], 0
     points = np.empty((count, 2))
     five = np.empty(5)
@@ -104,7 +113,7 @@ def near_points(ranges: Array, bearings: Array, hit: Bools, reach: float) -> Arr
         points[n, 0] = five[2] * math.cos(bearings[i])
         points[n, 1] = five[2] * math.sin(bearings[i])
         n += 1
-    return points[:n].copy()
+    return to_map(T_robot_laser, points[:n])
 
 
 @compiled

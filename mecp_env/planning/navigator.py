@@ -124,8 +124,9 @@ class Navigator:
             self.best_left_m, self.best_step = left, self.steps
         if self.steps - self.best_step >= config.navigator.stuck_steps:
             return self._recover(output)
-        command = follow(self.path, output.belief.T_map_robot, output.beams, config.control, config.paths)
-        self.command = coast(command, self.command, output.beams, config.control, config.paths)
+        control, body, laser = config.control, config.paths, output.T_robot_laser
+        command = follow(self.path, output.belief.T_map_robot, output.beams, control, body, laser)
+        self.command = coast(command, self.command, output.beams, control, body, laser)
         return self.command
 
     def _recover(self, output: SlamOutput) -> tuple[float, float]:
@@ -143,7 +144,7 @@ class Navigator:
         self.backing -= 1
         side = 1.0 if self.recoveries % 2 else -1.0
         control, body = self.config.control, self.config.paths
-        back_m_s, points = self.config.navigator.back_m_s, seen_points(output.beams, control)
+        back_m_s, points = self.config.navigator.back_m_s, seen_points(output.beams, control, output.T_robot_laser)
         safe = can_stop(points, -back_m_s, side, control.period_s, control.record, body.record)
         return (-back_m_s, -side * back_m_s) if safe else (0.0, side * control.turn_rad_s / 2)
 

@@ -23,7 +23,7 @@ def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
     for ring in loops(view.segments):
         brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
     ends, hit = shapes.beam_ends(view.slam_output, view.T_world_robot)
-    brush.veil([(camera.pixels(ends), palette.BEAM)], alpha=50)
+    brush.veil([(camera.pixels(shapes.beam_fan(view.slam_output, view.T_world_robot)), palette.BEAM)], alpha=50)
     brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
     for pixel in camera.pixels(ends[hit]):
         brush.dot(pixel, 1.3, palette.HIT)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mecp_env.core.array_types import Array, Bools
-from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.core.se2 import compose, polar_to_points, to_map
 from mecp_env.render.palette import RGB, room_colour
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import Belief, SlamOutput
@@ -38,7 +38,14 @@ def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:
 def beam_ends(output: SlamOutput, T_world_robot: Array) -> tuple[Array, Bools]:
     """Ends of all beams (B,2) in the frame of the pose, m, and which of them hit something (B,)."""
     z = np.column_stack([output.beams.ranges, output.beams.bearings])
-    return to_map(T_world_robot, polar_to_points(z)), output.beams.hit
+    return to_map(compose(T_world_robot, output.T_robot_laser), polar_to_points(z)), output.beams.hit
+
+
+def beam_fan(output: SlamOutput, T_world_robot: Array) -> Array:
+    """Outline (n,2) m of what the beams cover, in the frame of the pose: with the laser, where it has a blind side."""
+    ends, _ = beam_ends(output, T_world_robot)
+    laser = compose(T_world_robot, output.T_robot_laser)[:2]
+    return np.vstack([ends, laser]) if output.beams.blind else ends
 
 
 def positions(belief: Belief) -> dict[int, Array]:

@@ -150,7 +150,7 @@ def _draw_intervals(axes: Axes, ring: Array, intervals: Array) -> None:
 def _draw_association(axes: Axes, output: SlamOutput) -> None:
     _draw_walls(axes, output)
     belief, match = output.belief, output.match
-    known = to_robot(belief.T_map_robot, np.ascontiguousarray(belief.p_map))
+    known = to_robot(output.T_map_laser, np.ascontiguousarray(belief.p_map))
     axes.plot(*known.T, "+", color=unit(palette.LANDMARK), markersize=9, label="landmark of the map")
     points = polar_to_points(output.corners.z)
     for decision, colour in DECISIONS.items():

@@ -40,8 +40,8 @@ class MatchError(MecpError):
     """The match of an associator has columns of the wrong length or type, or an id that does not exist."""
 
 
-def check_scan(scan: Scan) -> None:
-    """Raise `SensorError` unless the scan is K sweeps of B beams, finite, within range and in order of bearing.
+def check_scan(scan: Scan, field_of_view_rad: float = 2.0 * math.pi) -> None:
+    """Raise `SensorError` unless the scan is K sweeps of B beams, finite, within range and view, in order of bearing.
 
     Ranges and bearings are arrays of float64, hits of bool: the reader of a log converts other types.
     """
@@ -57,6 +57,16 @@ def check_scan(scan: Scan) -> None:
         raise SensorError(f"scan.ranges: {low:g} to {high:g} m is not within 0 to max_range_m = {scan.max_range_m:g} m")
     if fault == Fault.OUT_OF_ORDER:
         raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
+    if field_of_view_rad < 2.0 * math.pi:
+        _check_view(scan.bearings, 0.5 * field_of_view_rad)
+
+
+def _check_view(bearings: Array, most: float) -> None:
+    """Raise `SensorError` for bearings (K,B) farther than `most` (rad) from straight ahead."""
+    widest = float(max(-bearings[:, 0].min(), bearings[:, -1].max()))
+    if widest > most and not math.isclose(widest, most):
+        given, bound = math.degrees(widest), math.degrees(most)
+        raise SensorError(f"scan.bearings: up to {given:g} deg, at most {bound:g}, half of sensor.field_of_view_deg")
 
 
 def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:

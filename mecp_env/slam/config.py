@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field
 
+from mecp_env.core.laser_view import LaserView
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import Settings
 from mecp_env.slam.messages import Belief
@@ -25,7 +26,7 @@ METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associato
 KINDS = Names("riekf", "ekf")  # `register_filter` does
 
 
-class SensorModel(Settings):
+class SensorModel(LaserView):
     """What the estimator believes of its laser (IV: sigma_r = 0.05 m, sigma_theta = 0.3 deg)."""
 
     range_sigma_m: float = Field(0.05, ge=0.0, le=1.0)

@@ -20,6 +20,7 @@ from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.core.snapshot_shapes import FAR, check_shapes
 from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.filters.mounting import mount
 from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 from mecp_env.slam.state_shapes import SHAPES, check_pipeline
@@ -107,6 +108,7 @@ def begin(pipeline: Any, start: MapStart, sigmas: Sequence[float]) -> None:
     T_map_robot = _numbers(start, "start", -FAR, "x, y in m and heading in rad")
     pose_cov = np.diag(_numbers(sigmas, "sigmas", 0.0, "sigmas of x, y in m and heading in rad") ** 2)
     place(pipeline, T_map_robot, pose_cov)
+    mount(pipeline.filter, pipeline.config.sensor)
 
 
 def place(pipeline: Any, T_map_robot: Array, pose_cov: Array) -> None:

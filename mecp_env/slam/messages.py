@@ -2,12 +2,14 @@
 
 Lengths in metres, angles in radians counter-clockwise in (-pi, pi], float64. Frames are in the names: `p_robot` is a
 point in the robot's frame, `p_map` one in the map frame (the robot's pose at reset), `T_map_robot` the pose (3,) x, y,
-heading of the robot in the map. Messages are immutable, their arrays included: a stage that decides differently returns
-a new one. Only `FeatureTable`, the memory of the map, is written to.
+heading of the robot in the map. A scan is seen from the laser: between the stages "robot" is where the laser is, and
+only `SlamOutput.belief` has the pose of the robot's centre (filters/mounting.py). Messages are immutable, their arrays
+included: a stage that decides differently returns a new one. Only `FeatureTable`, the memory of the map, is written to.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.arrays import find_equal, find_rows
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
+from mecp_env.core.se2 import compose
 
 UNKNOWN_ROOM = -1
 HERE = -2  # the room of what is not seen through a door
@@ -93,6 +96,16 @@ class MergedScan:
     max_range_m: float
     raw_ranges: Array  # (K*B,) m, all raw beams in order of bearing
     raw_bearings: Array  # (K*B,) rad, ascending
+
+    @property
+    def step(self) -> float:
+        """The spacing of the bearings, rad."""
+        return float(self.bearings[-1] - self.bearings[0]) / max(len(self.bearings) - 1, 1)
+
+    @property
+    def blind(self) -> bool:
+        """True when the field of view has ends: the first beam does not follow the last."""
+        return float(self.bearings[0] - self.bearings[-1]) + 2.0 * math.pi > 2.0 * self.step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -407,3 +420,11 @@ class SlamOutput:
     map_polygons: tuple[MapPolygon, ...]
     grid: SemanticGrid
     diverged: bool
+    T_robot_laser: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) mounting pose of the laser, in whose frame beams, segments and corners are; `belief` is of the robot."""
+
+    @property
+    def T_map_laser(self) -> Array:
+        """(3,) the estimated pose of the laser."""
+        T_map_laser: Array = compose(self.belief.T_map_robot, self.T_robot_laser)
+        return T_map_laser

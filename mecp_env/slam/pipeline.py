@@ -14,6 +14,7 @@ from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.divergence import Divergence
+from mecp_env.slam.filters.mounting import mount, predict_mounted, robot_belief
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
@@ -55,6 +56,7 @@ class SlamPipeline:
     ) -> None:
         self.config = config = SlamConfig.parse(config)
         self.filter = filter or make_filter(config.filter)
+        mount(self.filter, config.sensor)
         self.associator = associator or make_associator(config.association)
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
@@ -88,16 +90,16 @@ class SlamPipeline:
         Raises `SensorError` for an invalid scan, and `MatchError` for an invalid match of a custom associator. The
         estimator is unchanged after a `SensorError`.
         """
-        check_scan(scan)
+        check_scan(scan, self.config.sensor.field_of_view_rad)
         self.step_count += 1
         return self._observe(scan)
 
     def step(self, odometry: Odometry, scan: Scan) -> SlamOutput:
         """The output of one control step: the motion, then the scan at its end. Raises as `start` does."""
         check_odometry(odometry)
-        check_scan(scan)
+        check_scan(scan, self.config.sensor.field_of_view_rad)
         self.step_count += 1
-        self.filter.predict(odometry)
+        predict_mounted(self.filter, odometry, self.config.sensor)
         return self._observe(scan)
 
     def visible_landmarks(self, p_map: Array) -> Ints:
@@ -125,8 +127,9 @@ class SlamPipeline:
         painted = self.dynamic_objects.without(beams, segments, dynamic)
         grid = self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, graph)
         return SlamOutput(
-            *(self.step_count, beams, segments, corners, polygons, associated, seen.match, belief, graph),
-            *(tuple(self.map.polygons.polygons), grid, self.divergence.found),
+            *(self.step_count, beams, segments, corners, polygons, associated, seen.match),
+            *(robot_belief(belief, config.sensor), graph, tuple(self.map.polygons.polygons), grid),
+            *(self.divergence.found, config.sensor.T_robot_laser),
         )
 
     def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView) -> tuple[Match, Match]:

@@ -75,6 +75,9 @@ class Filter(Protocol):
         Without its covariance (3,3) it is exact (estimator "truth"); with one it was given from outside.
         """
 
+    def shift_pose(self, T_old_new: Array) -> None:
+        """The pose becomes that of a frame at T_old_new (3,) in the present one (a laser off the robot's centre)."""
+
 
 class Associator(Protocol):
     """Decides for each corner of a scan which landmark it is, if any. Derive from this class to get the defaults."""

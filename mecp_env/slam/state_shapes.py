@@ -50,6 +50,7 @@ SHAPES: Shapes = {
     "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
     "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "n 2 2"},
     "GridPainter": {"p_landmark": "n 2"},
+    "SlamOutput": {"T_robot_laser": f"3 in {NEAR}"},
     "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")
     | dict.fromkeys(("raw_ranges", "raw_bearings"), "r"),
     "Segments": {"points": "s 2 2", "line": "s 2", "cov": "s 2 2"} | dict.fromkeys(("cluster", "first", "last"), "s"),

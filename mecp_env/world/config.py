@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from mecp_env.core.laser_view import LaserView
 from mecp_env.core.settings import Settings
 
 
@@ -55,12 +56,12 @@ class RobotConfig(Settings):
         return self
 
 
-class LaserConfig(Settings):
-    """A laser scanner with full field of view that takes a burst of sweeps at the end of a step (IV, III-A.1)."""
+class LaserConfig(LaserView):
+    """A laser scanner that takes a burst of sweeps at the end of a step (IV, III-A.1)."""
 
     preset: Literal["paper", "lms200", "ideal"] = "paper"
     sweeps: int = Field(4, ge=1, le=8)
-    beams: int = Field(720, ge=8, le=7200)  # paper: 720, one beam per 0.5 deg
+    beams: int = Field(720, ge=8, le=7200)  # over the field of view; paper: 720, one per 0.5 deg
     max_range_m: float = Field(30.0, gt=0.0, le=1000.0)
 
     @property

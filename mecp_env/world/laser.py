@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Scan
+from mecp_env.core.se2 import compose
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.outline import Outline
 
@@ -28,37 +29,40 @@ MIN_RANGE_M = 1e-3
 class Laser:
     """A laser in the world of `outline`: K sweeps of B beams with interleaved bearings, all at one pose.
 
-    Beam i of sweep k has the nominal bearing -pi + (i K + k + 1) 2 pi / (K B): the bearings of each sweep ascend in
-    (-pi, pi], and `bearings.T.ravel()` is the whole burst in order.
+    Beam i of sweep k has the nominal bearing -V / 2 + (i K + k + 1) V / (K B) for a field of view V: the bearings of
+    each sweep ascend in (-pi, pi], and `bearings.T.ravel()` is the whole burst in order.
     """
 
     def __init__(self, outline: Outline, config: LaserConfig) -> None:
         self.config = config
         self._segments = np.ascontiguousarray(outline.segments)
         rays = config.sweeps * config.beams
-        ring = -math.pi + 2.0 * math.pi / rays * np.arange(1, rays + 1)
-        ring[-1] = math.pi
+        view = config.field_of_view_rad
+        ring = -0.5 * view + view / rays * np.arange(1, rays + 1)
+        ring[-1] = 0.5 * view
         self._table = np.stack([np.cos(ring), np.sin(ring)])
         self._bearings = np.ascontiguousarray(ring.reshape(config.beams, config.sweeps).T)  # shared by all scans
         self._normals = _normal_quantiles()
         self._noiseless = config.range_sigma_m == 0.0 and config.bearing_sigma_rad == 0.0
         self._whole_words = sys.byteorder == "little" and rays % 2 == 0  # the draws fill words of 64 bits
-        self._optics = np.array(
-            [config.bearing_sigma_rad, config.range_sigma_m, config.max_range_m, float(config.sweeps)]
-        )
+        noise = config.bearing_sigma_rad, config.range_sigma_m
+        self._optics = np.array([*noise, config.max_range_m, float(config.sweeps), view])
+        self._T_robot_laser = config.T_robot_laser
 
     def scan(self, T_world_robot: Array, rng: np.random.Generator, faces: Array | None = None) -> Scan:
-        """A burst taken at the true pose (3,), noise from `rng`; beside the walls it sees the faces (m,2,2)."""
+        """A burst taken at the robot's true pose (3,), noise from `rng`; beside walls it sees the faces (m,2,2)."""
         draws, segments = self._draw(rng), self._segments
         if faces is not None and len(faces):
             segments = np.concatenate([segments, faces])
-        ranges, hit = _burst(segments, T_world_robot, self._table, draws, self._normals, self._optics)
+        T_world_laser = compose(T_world_robot, self._T_robot_laser)
+        ranges, hit = _burst(segments, T_world_laser, self._table, draws, self._normals, self._optics)
         return Scan(ranges, self._bearings, hit, self.config.max_range_m)
 
     def visible(self, p_world: Array, T_world_robot: Array) -> Bools:
-        """Which points (n,2) have a free line of sight to the robot at (3,): noise and range do not matter."""
+        """Which points (n,2) have a free line of sight to the laser of the robot at (3,), all around, at any range."""
         points = np.ascontiguousarray(p_world, dtype=np.float64).reshape(-1, 2)
-        return line_of_sight(self._segments, float(T_world_robot[0]), float(T_world_robot[1]), points)
+        x, y, _ = compose(T_world_robot, self._T_robot_laser).tolist()
+        return line_of_sight(self._segments, x, y, points)
 
     def _draw(self, rng: np.random.Generator) -> Draws:
         """Quantiles (2,N) of the noise of bearings and ranges in the order of the ring; none drawn without noise."""
@@ -80,11 +84,11 @@ def _normal_quantiles() -> Normals:
 
 @compiled
 def _burst(
-    segments: Array, T_world_robot: Array, table: Array, draws: Draws, normals: Normals, optics: Array
+    segments: Array, T_world_laser: Array, table: Array, draws: Draws, normals: Normals, optics: Array
 ) -> tuple[Array, Bools]:
     """Ranges and hits (K,B) of a burst with the noise drawn (2,N) along the nominal directions (2,N).
 
-    `optics` (4,) holds the sigmas of bearings and ranges, the largest range and K.
+    `optics` (5,) holds the sigmas of bearings and ranges, the largest range, K and the field of view.
     """
     bearing_sigma, range_sigma, max_range, sweeps = optics[0], optics[1], optics[2], int(optics[3])
     directions = table
@@ -99,8 +103,7 @@ def _burst(
             s = e * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0)))
             directions[0, i] = c * table[0, i] - s * table[1, i]
             directions[1, i] = s * table[0, i] + c * table[1, i]
-    spacing = 2.0 * math.pi / table.shape[1]
-    inverse = _cast(segments, T_world_robot, directions, spacing, CUT_SIGMAS * bearing_sigma)
+    inverse = _cast(segments, T_world_laser, directions, optics[4], CUT_SIGMAS * bearing_sigma)
     beams = table.shape[1] // sweeps
     ranges, hit = np.full((sweeps, beams), max_range), np.zeros((sweeps, beams), np.bool_)
     for k in range(sweeps):
@@ -115,42 +118,43 @@ def _burst(
 
 
 @compiled
-def _cast(segments: Array, T_world_robot: Array, directions: Array, spacing: float, margin: float) -> Array:
+def _cast(segments: Array, T_world_laser: Array, directions: Array, view: float, margin: float) -> Array:
     """Inverse range (N,) along each ray, 0 where no face is met.
 
-    Ray i is nominally at the bearing -pi + (i + 1) spacing and may be off by `margin`. A face is looked at only by the
-    rays between its ends, widened by the margin; faces seen from behind are left out. On the face from a to b the
-    inverse range along d is linear in d, (u x d) / (a x b) with u = b - a negated, so the nearest face is a maximum.
+    Ray i is nominally at the bearing -view / 2 + (i + 1) view / N and may be off by `margin`. A face is looked at only
+    by the rays between its ends, widened by the margin; faces seen from behind are left out. On the face from a to b
+    the inverse range along d is linear in d, (u x d) / (a x b) with u = b - a negated: the nearest face is a maximum.
     """
-    c, s = math.cos(T_world_robot[2]), math.sin(T_world_robot[2])
+    c, s = math.cos(T_world_laser[2]), math.sin(T_world_laser[2])
     n = directions.shape[1]
     inverse, face = np.zeros(n), np.empty(6)
-    slack = margin + 1e-9
+    slack, spacing = margin + 1e-9, view / n
     for k in range(segments.shape[0]):
-        x, y = segments[k, 0, 0] - T_world_robot[0], segments[k, 0, 1] - T_world_robot[1]
+        x, y = segments[k, 0, 0] - T_world_laser[0], segments[k, 0, 1] - T_world_laser[1]
         face[0], face[1] = c * x + s * y, c * y - s * x
-        x, y = segments[k, 1, 0] - T_world_robot[0], segments[k, 1, 1] - T_world_robot[1]
+        x, y = segments[k, 1, 0] - T_world_laser[0], segments[k, 1, 1] - T_world_laser[1]
         face[2], face[3] = c * x + s * y, c * y - s * x
         area = face[0] * face[3] - face[1] * face[2]
         if area < 1e-12:
             continue
         face[4], face[5] = (face[3] - face[1]) / area, (face[0] - face[2]) / area
-        start = math.atan2(face[1], face[0]) + math.pi
+        start = math.atan2(face[1], face[0]) + 0.5 * view  # from the right end of the view
         end = start + math.atan2(area, face[0] * face[2] + face[1] * face[3])
-        outer = math.ceil((start - slack) / spacing) - 1
-        inner = math.ceil((start + slack) / spacing) - 1
-        last_inner = math.floor((end - slack) / spacing) - 1
-        last_outer = math.floor((end + slack) / spacing) - 1
-        if last_inner < inner:
-            _meet_end(inverse, directions, face, outer, last_outer)
-        else:
-            _meet_end(inverse, directions, face, outer, inner - 1)
-            begin = inner % n  # the rays inner..last_inner surely meet the face
-            stop = begin + min(last_inner - inner + 1, n)
-            _look(inverse[begin : min(stop, n)], directions[0, begin:], directions[1, begin:], face[4], face[5])
-            if stop > n:
-                _look(inverse[: stop - n], directions[0], directions[1], face[4], face[5])
-            _meet_end(inverse, directions, face, last_inner + 1, last_outer)
+        if start - slack + 2.0 * math.pi <= view:
+            start, end = start + 2.0 * math.pi, end + 2.0 * math.pi
+        while end + slack >= spacing:  # once, and again where the face goes on behind the robot into the view
+            outer = max(math.ceil((start - slack) / spacing) - 1, 0)
+            inner = max(math.ceil((start + slack) / spacing) - 1, 0)
+            last_inner = min(math.floor((end - slack) / spacing) - 1, n - 1)
+            last_outer = min(math.floor((end + slack) / spacing) - 1, n - 1)
+            if last_inner < inner:
+                _meet_end(inverse, directions, face, outer, last_outer)
+            else:
+                _meet_end(inverse, directions, face, outer, inner - 1)  # the rays inner..last_inner surely meet it
+                stop = last_inner + 1
+                _look(inverse[inner:stop], directions[0, inner:], directions[1, inner:], face[4], face[5])
+                _meet_end(inverse, directions, face, stop, last_outer)
+            start, end = start - 2.0 * math.pi, end - 2.0 * math.pi
     return inverse
 
 
@@ -166,10 +170,8 @@ def _look(inverse: Array, dx: Array, dy: Array, u: float, v: float) -> None:
 
 @compiled
 def _meet_end(inverse: Array, directions: Array, face: Array, first: int, last: int) -> None:
-    """Let those of the rays first..last (counted on around the ring) that pass between the face's ends see it."""
-    n = inverse.shape[0]
-    for count in range(first, min(last, first + n - 1) + 1):
-        i = count % n
+    """Let those of the rays first..last that pass between the face's ends see it."""
+    for i in range(first, last + 1):
         dx, dy = directions[0, i], directions[1, i]
         if face[0] * dy - face[1] * dx >= 0.0 and dx * face[3] - dy * face[2] >= 0.0:
             inverse[i] = max(inverse[i], face[4] * dx + face[5] * dy)

@@ -20,9 +20,10 @@ from mecp_env.world.outline import build_outline
 POSE = np.array([2.0, 2.0, 0.4])
 
 
-def scan(beams: int) -> Scan:
+def scan(beams: int, view: float = 360.0) -> Scan:
     """A scan without noise."""
-    laser = Laser(build_outline(load_layout("two_rooms")), LaserConfig(preset="ideal", beams=beams, max_range_m=30.0))
+    config = LaserConfig(preset="ideal", beams=beams, max_range_m=30.0, field_of_view_deg=view)
+    laser = Laser(build_outline(load_layout("two_rooms")), config)
     return laser.scan(POSE, np.random.default_rng(0))
 
 
@@ -46,6 +47,13 @@ def test_a_field_of_view_is_ahead_and_loses_the_other_beams() -> None:
     assert np.abs(half.bearings).max() < np.radians(90.5)
     inside = np.abs(whole.bearings[0]) <= np.pi / 2
     np.testing.assert_array_equal(half.ranges, whole.ranges[:, inside])
+
+
+@pytest.mark.parametrize("view", [270, 180])
+def test_a_cut_scan_is_the_scan_of_a_laser_with_that_field_of_view(view: int) -> None:
+    cut, simulated = noise.narrowed(scan(720), view), scan(2 * view, view)
+    np.testing.assert_allclose(cut.bearings, simulated.bearings, atol=1e-12)
+    np.testing.assert_allclose(cut.ranges, simulated.ranges, atol=1e-9)
 
 
 def test_every_cell_has_drives_a_gate_its_figure_and_the_figure_its_cells() -> None:

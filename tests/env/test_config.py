@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
@@ -28,6 +29,8 @@ WRONG = [
     {"estimator": "perfect"},
     {"actions": "jump"},
     {"laser": {"sweeps": 99}},
+    {"laser": {"field_of_view_deg": 400.0}},
+    {"slam": {"sensor": {"heading_deg": 181.0}}},
     {"laser": 3},
     {"laser": None},
     {"slam": {"polygon": {"tolerance_sigmas": float("nan")}}},
@@ -56,6 +59,7 @@ IN_VAIN = [  # nothing can be explored
     ({"planning": {"paths": {"radius_m": 2.0}}}, r"planning\.paths\.radius_m .*: 4\.1 m, at most 1\.95 m"),
     ({"robot": {"radius_m": 1.5}}, r"radius_m .*: 3\.1 m, at most 1\.95 m"),
     ({"laser": {"beams": 8}}, r"laser\.beams: 8, at least 20"),
+    ({"laser": {"x_m": 0.2, "y_m": -0.1}}, r"laser: hypot\(x_m, y_m\): 0\.223607 m, at most 0\.198 m, 0\.9 robot\.rad"),
 ]
 
 
@@ -153,6 +157,14 @@ def test_the_sensor_model_follows_the_laser_unless_it_is_set():
     assert EnvConfig.build(fixed.to_dict()).estimator_config.sensor.range_sigma_m == 0.2
     whole = EnvConfig.build(laser={"preset": "lms200"}, slam=SlamConfig())
     assert whole.estimator_config.sensor.range_sigma_m == 0.01
+
+
+def test_the_sensor_model_has_the_view_and_the_mounting_of_the_laser():
+    config = EnvConfig.build(laser={"field_of_view_deg": 180.0, "x_m": 0.1, "heading_deg": -90.0})
+    sensor = EnvConfig.build(config.to_dict()).estimator_config.sensor
+    assert (sensor.field_of_view_deg, sensor.x_m, sensor.heading_deg) == (180.0, 0.1, -90.0)
+    other = EnvConfig.build(config, slam={"sensor": {"x_m": 0.0}})
+    assert other.estimator_config.sensor.T_robot_laser.tolist() == [0.0, 0.0, -np.pi / 2.0]
 
 
 def test_the_planner_follows_the_robot_unless_it_is_set():

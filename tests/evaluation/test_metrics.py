@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
@@ -75,6 +76,19 @@ def test_rooms_of_the_raster(truth):
         assert truth.room_at(np.array([point.x, point.y])) == index
     assert truth.room_at(np.array([-50.0, 0.0])) == -1
     assert truth.room_at(np.array([500.0, 0.0])) == -1
+
+
+def test_with_half_a_view_only_what_is_ahead_is_seen(truth):
+    half = GroundTruth(truth.outline, 30.0, LaserView(field_of_view_deg=180.0, x_m=0.1, heading_deg=90.0))
+    pose = random_free_pose(truth.outline, np.random.default_rng(0), 0.3)
+    pose[2] = 0.7
+    seen, around = np.zeros_like(truth.free), np.zeros_like(truth.free)
+    half.sweep(pose, seen)
+    GroundTruth(truth.outline, 30.0, LaserView(x_m=0.1)).sweep(pose, around)
+    left = to_robot(compose(pose, np.array([0.1, 0.0, np.pi / 2.0])), truth.centres[around])[:, 0]
+    agree = seen[around] == (left > 0.0)
+    assert not (seen & ~around).any()
+    assert agree[np.abs(left) > CELL_M].all()
 
 
 def test_the_sweep_is_its_plain_twin(truth):

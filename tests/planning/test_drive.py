@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import to_map
+from mecp_env.core.se2 import compose, to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import (
     can_stop,
@@ -206,8 +206,15 @@ def test_one_wild_beam_does_not_stop_the_robot() -> None:
     beams, _ = look(np.array([3.0, 2.0, 0.0]))
     ranges = beams.ranges.copy()
     ranges[np.argmin(np.abs(BEARINGS))] = 0.3
-    points = near_points(ranges, beams.bearings, beams.hit, 2.5)
+    points = near_points(ranges, beams.bearings, beams.hit, 2.5, np.zeros(3))
     assert np.hypot(*points.T).min() > 1.5
+
+
+def test_points_seen_from_a_mounted_laser_are_in_the_frame_of_the_robot() -> None:
+    pose, T_robot_laser = np.array([1.0, 2.0, 0.0]), np.array([0.1, -0.05, 2.0])
+    beams, _ = look(compose(pose, T_robot_laser))
+    points = seen_points(beams, CONTROL, T_robot_laser)
+    assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
 
 
 def test_points_seen_are_those_near() -> None:

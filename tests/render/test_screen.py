@@ -11,7 +11,8 @@ import pygame
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.render import palette
+from mecp_env.core.se2 import compose, to_robot
+from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Camera
 from mecp_env.render.panels import grid_picture
 from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, thumbnail
@@ -110,3 +111,18 @@ def test_a_thumbnail_shows_the_belief_below_two_lines_of_text() -> None:
     assert 0.005 < np.mean(text < 200) < 0.3
     assert share(belief, palette.UNSEEN) > 0.1
     assert share(belief, palette.ESTIMATE) > 0.0005
+
+
+def test_the_fan_of_a_mounted_laser_with_half_a_view_starts_at_the_laser() -> None:
+    view = scene.view()
+    beams, T = view.slam_output.beams, np.array([0.1, 0.2, 0.5])
+    columns = ("ranges", "bearings", "hit", "count", "raw_ranges", "raw_bearings")
+    half = replace(beams, **{name: getattr(beams, name)[180:540] for name in columns})
+    output = replace(view.slam_output, beams=half, T_robot_laser=T)
+    fan = to_robot(compose(view.T_world_robot, T), shapes.beam_fan(output, view.T_world_robot))
+    assert fan.shape == (361, 2)
+    assert fan[-1] == pytest.approx(np.zeros(2))
+    assert np.hypot(*fan[:-1].T) == pytest.approx(half.ranges)
+    assert fan[:, 0].min() > -0.01
+    around = replace(view.slam_output, T_robot_laser=T)
+    assert len(shapes.beam_fan(around, view.T_world_robot)) == 720

@@ -33,7 +33,9 @@ class Drive:
         pipeline = SlamPipeline(config)
         for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
             output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-            yield pipeline, output, true_correspondences(pose, self.outline)(output.corners), self._error(output, pose)
+            T_world_laser = compose(pose, config.sensor.T_robot_laser)
+            true = true_correspondences(T_world_laser, self.outline)(output.corners)
+            yield pipeline, output, true, self._error(output, pose)
 
     def _error(self, output, pose):
         error = compose(inverse(self.T_world_robot[0]), pose) - output.belief.T_map_robot
@@ -41,11 +43,11 @@ class Drive:
         return error
 
 
-def scripted_drive(layout="two_rooms", waypoints=THROUGH_THE_DOOR, preset="paper", sweeps=4, seed=0) -> Drive:
+def scripted_drive(layout="two_rooms", waypoints=THROUGH_THE_DOOR, preset="paper", sweeps=4, seed=0, **view) -> Drive:
     """Straight from waypoint to waypoint (world frame), three scans at rest first."""
     outline, rng = build_outline(load_layout(layout)), np.random.default_rng(seed)
     simulation = Simulation(outline, RobotConfig())
-    laser = Laser(outline, LaserConfig(preset=preset, sweeps=sweeps))
+    laser = Laser(outline, LaserConfig(preset=preset, sweeps=sweeps, **view))
     simulation.reset(np.array(outline.starts[0], float))
     drive = Drive(outline, [], [], [])
     for _ in range(3):

@@ -15,11 +15,9 @@ def cast_rays(segments: Array, T_world_robot: Array, beams: int = 720) -> Array:
 
     Beam i has the bearing -pi + (i + 1) 2 pi / B in the robot's frame.
     """
-    spacing = 2.0 * math.pi / beams
-    bearings = -math.pi + spacing * np.arange(1, beams + 1)
-    inverse = _cast(
-        np.ascontiguousarray(segments), T_world_robot, np.stack([np.cos(bearings), np.sin(bearings)]), spacing, 0.0
-    )
+    bearings = -math.pi + 2.0 * math.pi / beams * np.arange(1, beams + 1)
+    directions = np.stack([np.cos(bearings), np.sin(bearings)])
+    inverse = _cast(np.ascontiguousarray(segments), T_world_robot, directions, 2.0 * math.pi, 0.0)
     with np.errstate(divide="ignore"):
         ranges: Array = 1.0 / inverse
     return ranges

@@ -80,6 +80,45 @@ def test_noisy_rays_are_cast_where_they_point(outline: Outline, monkeypatch: pyt
             )
 
 
+@pytest.mark.parametrize("view", [359.0, 270.0, 180.0, 33.0])
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_a_limited_view_has_its_beams_within_it(outline: Outline, view: float, sweeps: int) -> None:
+    laser = Laser(outline, LaserConfig(preset="ideal", sweeps=sweeps, beams=181, field_of_view_deg=view))
+    step = math.radians(view) / (181 * sweeps)
+    for pose in poses(outline, 10, seed=8):
+        scan = laser.scan(pose, np.random.default_rng(0))
+        assert scan.ranges.shape == (sweeps, 181)
+        burst = scan.bearings.T.ravel()
+        assert burst[[0, -1]] == pytest.approx([step - math.radians(view) / 2.0, math.radians(view) / 2.0])
+        assert np.diff(burst) == pytest.approx(np.full(181 * sweeps - 1, step))
+        for ranges, bearings in zip(scan.ranges, scan.bearings, strict=True):
+            np.testing.assert_allclose(ranges, brute_force(outline.segments, pose, bearings), rtol=1e-9)
+
+
+def test_noisy_rays_at_the_ends_of_the_view_are_cast_where_they_point(
+    outline: Outline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LaserConfig, "bearing_sigma_rad", property(lambda _: 0.03))
+    monkeypatch.setattr(LaserConfig, "range_sigma_m", property(lambda _: 0.0))
+    laser = Laser(outline, LaserConfig(preset="paper", sweeps=1, beams=90, field_of_view_deg=200.0))
+    for seed, pose in enumerate(poses(outline, 20, seed=9)):
+        scan = laser.scan(pose, np.random.default_rng(seed))
+        true_bearings = (
+            scan.bearings[0] + 0.03 * module._normal_quantiles()[laser._draw(np.random.default_rng(seed))[0]]
+        )
+        np.testing.assert_allclose(scan.ranges[0], brute_force(outline.segments, pose, true_bearings), rtol=1e-6)
+
+
+def test_a_mounted_laser_scans_from_where_it_is(outline: Outline) -> None:
+    mounting = {"x_m": 0.15, "y_m": -0.1, "heading_deg": 75.0}
+    laser = Laser(outline, LaserConfig(preset="ideal", sweeps=1, **mounting))
+    for pose in poses(outline, 10, seed=10):
+        scan = laser.scan(pose, np.random.default_rng(0))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        mounted = pose + np.array([0.15 * c + 0.1 * s, 0.15 * s - 0.1 * c, math.radians(75.0)])
+        np.testing.assert_allclose(scan.ranges[0], brute_force(outline.segments, mounted, scan.bearings[0]), rtol=1e-9)
+
+
 def test_beside_a_wall(paper: Outline) -> None:
     laser = Laser(paper, IDEAL)
     for x in (0.075 + 0.001, 0.075 + 1e-6, 0.075 + 0.22):
@@ -234,7 +273,18 @@ def test_line_of_sight_by_hand(two_rooms: Outline) -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [{"preset": "best"}, {"sweeps": 9}, {"sweeps": 0}, {"beams": 4}, {"max_range_m": math.inf}]
+    "bad",
+    [
+        {"preset": "best"},
+        {"sweeps": 9},
+        {"sweeps": 0},
+        {"beams": 4},
+        {"max_range_m": math.inf},
+        {"field_of_view_deg": 361.0},
+        {"field_of_view_deg": 5.0},
+        {"x_m": 3.0},
+        {"heading_deg": 200.0},
+    ],
 )
 def test_bad_fields_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="LaserConfig"):

@@ -10,7 +10,9 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.linalg import mirror_lower
 from mecp_env.core.messages import Odometry
+from mecp_env.core.se2 import compose
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, pairwise_nis
 from mecp_env.slam.filters.error_state import change_chart
@@ -192,6 +194,20 @@ class LandmarkFilter:
         cov[:size, :3] = 0.0
         cov[:3, :3] = pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)]
         change_chart(self.state, size, -1.0, self.invariant)
+
+    def shift_pose(self, T_old_new: Array) -> None:
+        """The pose becomes that of a frame at T_old_new (3,) in the present one, fixed to it.
+
+        The invariant error acts from the left and stays as it is; the plain one of the position takes in the heading's.
+        """
+        heading, x, y = self.mean[:3].tolist()
+        new_x, new_y, new_heading = compose(np.array([x, y, heading]), T_old_new).tolist()
+        self.mean[:3] = new_heading, new_x, new_y
+        if not self.invariant:
+            size, by_heading, cov = self.size, np.array([y - new_y, new_x - x]), self.cov
+            cov[1:3, :size] += np.outer(by_heading, cov[0, :size])
+            cov[:size, 1:3] += np.outer(cov[:size, 0], by_heading)
+            mirror_lower(cov, size)
 
     def _slots(self, ids: Ints) -> Ints:
         ids = _integers(ids)

@@ -20,7 +20,7 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
     Free space ends, and walls begin, at the fitted lines, not at the noisy ranges; a strip is one cell deep. Free space
     ends half a cell before a hit that lies on no line; nothing counts beyond `paint_range_m`.
     """
-    beams = (scan.ranges, scan.bearings, scan.hit)
+    beams = (scan.ranges, scan.bearings, scan.hit, scan.blind)
     lines = (segments.points, segments.line, segments.first, segments.last, segments.roll)
     outline, strips = _free_and_walls(beams, lines, config.record)
     return outline, strips
@@ -28,10 +28,10 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
 
 @compiled
 def _free_and_walls(
-    beams: tuple[Array, Array, Bools], lines: tuple[Array, Array, Ints, Ints, int], config: Rows
+    beams: tuple[Array, Array, Bools, bool], lines: tuple[Array, Array, Ints, Ints, int], config: Rows
 ) -> tuple[Array, Array]:
     """See `free_and_walls`; the beams that fit a line are put onto it."""
-    ranges, bearings, hit = beams
+    ranges, bearings, hit, blind = beams
     points, line, first, last, roll = lines
     count, tolerance = ranges.shape[0], 2.0 * config[0].wall_m
     fitted, owner = ranges.copy(), np.full(count, -1, np.int64)  # the line of each beam, -1: none
@@ -44,26 +44,31 @@ def _free_and_walls(
                 owner[beam] = i
     strips = np.empty((points.shape[0] + count, 4, 2))
     n = wall_strips(points, strips, config)
-    n = loose_strips(fitted, bearings, hit, owner, strips, n, config)
-    outline, kept, most = np.empty((count, 2)), 0, config[0].paint_range_m
+    n = loose_strips(fitted, bearings, (hit, blind), owner, strips, n, config)
+    outline, kept, most = np.empty((count + 1, 2)), 0, config[0].paint_range_m
     for i in range(count):  # the beams along one line leave only its two ends
         after = (i + 1) % count
         reach = fitted[i] if owner[i] >= 0 or not hit[i] else fitted[i] - 0.5 * config[0].resolution_m
-        clipped = reach >= most or fitted[i - 1] >= most or fitted[after] >= most
+        clipped = reach >= most or fitted[i - 1] >= most or fitted[after] >= most or (blind and i in (0, count - 1))
         if owner[i] >= 0 and owner[i - 1] == owner[i] and owner[after] == owner[i] and not clipped:
             continue
         reach = max(min(reach, most), 0.0)
         outline[kept, 0] = reach * math.cos(bearings[i])
         outline[kept, 1] = reach * math.sin(bearings[i])
         kept += 1
+    if blind:  # the outline closes at the laser
+        outline[kept, 0], outline[kept, 1], kept = 0.0, 0.0, kept + 1
     return outline[:kept].copy(), strips[:n].copy()
 
 
 @compiled
-def loose_strips(ranges: Array, bearings: Array, hit: Bools, owner: Ints, strips: Array, n: int, config: Rows) -> int:
+def loose_strips(
+    ranges: Array, bearings: Array, hit_and_blind: tuple[Bools, bool], owner: Ints, strips: Array, n: int, config: Rows
+) -> int:
     """Write strips (.,4,2) behind neighbouring hits that lie on no line (a post, a leg), from row n; the next row."""
     count, depth, reach = ranges.shape[0], config[0].resolution_m, config[0].paint_range_m
-    for i in range(count):
+    hit, blind = hit_and_blind
+    for i in range(1 if blind else 0, count):
         j = i - 1 if i > 0 else count - 1
         near = hit[i] and hit[j] and (owner[i] < 0 or owner[j] < 0) and max(ranges[i], ranges[j]) < reach
         step = math.sin(0.5 * abs(bearings[i] - bearings[j])) * (ranges[i] + ranges[j])

@@ -29,7 +29,7 @@ def find_pruned(
     """(m,) ids of the landmarks with enough negative evidence; that of this scan is counted in `features`."""
     if not config.prune_scans:
         return np.empty(0, np.int64)
-    scan = beams.ranges, beams.bearings, segments.points, segments.line
+    scan = beams.ranges, beams.bearings, beams.blind, segments.points, segments.line
     landmarks = belief.ids, belief.p_map, belief.covs
     pose = belief.T_map_robot, np.ascontiguousarray(belief.pose_cov)
     return count_doubts(scan, pose, landmarks, features.rows, config.record, step)
@@ -37,7 +37,7 @@ def find_pruned(
 
 @compiled
 def count_doubts(
-    scan: tuple[Array, Array, Array, Array],
+    scan: tuple[Array, Array, bool, Array, Array],
     pose: tuple[Array, Array],
     landmarks: tuple[Ints, Array, Array],
     rows: Rows,
@@ -46,10 +46,10 @@ def count_doubts(
 ) -> Ints:
     """(m,) ids of the landmarks with enough doubts, after one more for each that this scan speaks against.
 
-    `scan` is range and bearing of the beams, points (L,2,2) and lines (L,2) of the segments; `pose` is the robot's
-    with its covariance, `landmarks` are ids, means and covariances.
+    `scan` is range and bearing of the beams, whether they have a blind side, points (L,2,2) and lines (L,2) of the
+    segments; `pose` is the robot's with its covariance, `landmarks` are ids, means and covariances.
     """
-    (ranges, bearings, points, line), (T_map_robot, pose_cov), (ids, p_map, covs) = scan, pose, landmarks
+    (ranges, bearings, blind, points, line), (T_map_robot, pose_cov), (ids, p_map, covs) = scan, pose, landmarks
     limits, gone = config[0], np.empty(ids.shape[0], np.int64)
     c, s, count = math.cos(T_map_robot[2]), math.sin(T_map_robot[2]), 0
     place_var, turn_var = pose_cov[0, 0] + pose_cov[1, 1], pose_cov[2, 2]
@@ -64,7 +64,7 @@ def count_doubts(
             continue
         x, y = c * dx + s * dy, c * dy - s * dx
         slack, heading = limits.sigmas * sigma, T_map_robot[2]
-        absent = is_seen_through(ranges, bearings, r, math.atan2(y, x), slack, config)
+        absent = is_seen_through((ranges, bearings, blind), r, math.atan2(y, x), slack, config)
         if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, heading, slack, config):
             continue
         rows[f].doubts += 1
@@ -75,13 +75,15 @@ def count_doubts(
 
 
 @compiled
-def is_seen_through(ranges: Array, bearings: Array, r: float, bearing: float, slack: float, config: Rows) -> bool:
-    """True when all beams near a bearing go well beyond the range r."""
-    limits, size = config[0], ranges.shape[0]
+def is_seen_through(beams: tuple[Array, Array, bool], r: float, bearing: float, slack: float, config: Rows) -> bool:
+    """True when all beams near a bearing go well beyond the range r; False where some of them would be out of view."""
+    (ranges, bearings, blind), limits, size = beams, config[0], beams[0].shape[0]
     step = (bearings[size - 1] - bearings[0]) / (size - 1)
     middle = round((bearing - bearings[0]) / step)
     half = int((limits.beside_m + slack) / (r * step)) + 1
     if 2 * half + 1 < limits.beams or 2 * half >= size:
+        return False
+    if blind and not half <= middle < size - half:
         return False
     nearest = math.inf
     for k in range(middle - half, middle + half + 1):

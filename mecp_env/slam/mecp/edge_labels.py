@@ -22,6 +22,7 @@ class EdgeBeams(NamedTuple):
     ranges: Array  # (B,) m
     bearings: Array  # (B,) rad, ascending in (-pi, pi]
     wall: Bools  # (B,) the beam ends on a wall
+    step: float  # rad, spacing of the bearings
 
 
 class Edge(NamedTuple):
@@ -94,7 +95,7 @@ def edge_is_cut(edge: Edge, beams: EdgeBeams, limits: Record) -> bool:
     beams holds one of every `crossing_beams`-th beam, so only those are looked at, and the others beside such a one.
     """
     ranges, bearings, size = beams.ranges, beams.bearings, beams.ranges.shape[0]
-    needed, depth, spacing = limits.crossing_beams, limits.depth_m, 2.0 * math.pi / size
+    needed, depth, spacing = limits.crossing_beams, limits.depth_m, beams.step
     behind = edge.farthest - depth  # the edge is nowhere farther
     for probe in range(needed - 1, edge.beams, needed):
         i = edge.first + probe if edge.first + probe < size else edge.first + probe - size
@@ -122,7 +123,7 @@ def beam_effects(edge: Edge, beams: EdgeBeams, depth: float) -> tuple[Ints, Arra
         for i in range(ranges.shape[0]):
             x, c = from_normal(bearings[i], edge.normal)
             far = (ranges[i] - depth) * c > edge.distance
-            across = off_by(ranges[i], c, edge.distance, 2.0 * math.pi / size)
+            across = off_by(ranges[i], c, edge.distance, beams.step)
             beyond = PASSES if far and across > edge.tolerance else STOPS
             part_off[i] = x
             part_effects[i] = SHORT if (ranges[i] + depth) * c < edge.distance else beyond

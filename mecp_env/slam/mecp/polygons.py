@@ -33,7 +33,7 @@ def find_polygons(
         wall = np.full(len(beams.ranges), config.check_walls)
     ids, intervals, ends = polygons_of_scan(
         (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
-        (beams.ranges, beams.bearings, wall),
+        (beams.ranges, beams.bearings, wall, beams.step),
         config.record,
     )
     found, at, row = [], 0, 0

@@ -19,7 +19,7 @@ MATCHABLE = 4  # a triangle is no evidence of a place (derivations 1.4)
 
 @compiled
 def polygons_of_scan(
-    corners: tuple[Array, Array, Bools, Ints, Ints, Ints], beams: tuple[Array, Array, Bools], config: Rows
+    corners: tuple[Array, Array, Bools, Ints, Ints, Ints], beams: tuple[Array, Array, Bools, float], config: Rows
 ) -> tuple[Ints, Array, Ints]:
     """Corners (s,) and intervals (t,4) of all polygons, one after the other, and where each one's end (p,2).
 

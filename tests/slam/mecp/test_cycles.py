@@ -209,14 +209,14 @@ def random_view(rng, a, b):
     beams, _, stands = beams_of_edge(a, b)
     offsets = np.repeat(rng.choice([-0.5, -0.19, 0.0, 0.02, 0.5, 3.0], 720), rng.integers(1, 40, 720))[: len(beams)]
     ranges[beams] = np.maximum(stands + offsets, 0.05)
-    return EdgeBeams(ranges, BEARINGS, rng.random(720) < 0.9)
+    return EdgeBeams(ranges, BEARINGS, rng.random(720) < 0.9, math.pi / 360.0)
 
 
 def test_beams_between_two_bearings_are_counted_around_the_end():
     rng = np.random.default_rng(7)
     for _ in range(500):
         a, b = random_edge(rng)
-        edge = edge_of(a, b, 0.0, EdgeBeams(np.ones(720), BEARINGS, np.ones(720, np.bool_)))
+        edge = edge_of(a, b, 0.0, EdgeBeams(np.ones(720), BEARINGS, np.ones(720, np.bool_), math.pi / 360.0))
         assert [(edge.first + step) % 720 for step in range(edge.beams)] == beams_of_edge(a, b)[0].tolist()
 
 
@@ -294,7 +294,7 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
         points = random_sites(rng, rng.integers(0, 14), 0.1)
         sigmas = rng.uniform(0.002, 0.014, len(points))
         tolerance = 2.5 * (sorted(sigmas)[len(sigmas) // 2] if len(sigmas) else 0.0)  # of the upper median
-        view = EdgeBeams(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_))
+        view = EdgeBeams(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_), math.pi / 360.0)
         allowed = visible_edges(points, tolerance)
         free = allowed.copy()
         for i, j in np.argwhere(allowed):
