@@ -8,6 +8,7 @@ from typing import Any
 
 from mecp_env.config import merge
 from mecp_env.slam.association import MecpAssociator, make_associator
+from mecp_env.slam.association.gating import PairingTable
 from mecp_env.slam.config import AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Corners, MapView, Polygon
 from mecp_env.slam.protocols import Associator, Filter
@@ -21,7 +22,9 @@ class OnePassAssociator(MecpAssociator):
 
     __slots__ = ()
 
-    def _corrected(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Filter:
+    def _corrected(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
+    ) -> Filter:
         """The filter as it is."""
         return belief
 

@@ -35,6 +35,11 @@ class MatchBuilder:
         for name, values in (("id", ids), ("decision", decision), ("reason", reason), ("nis", nis)):
             self.rows[name][corners] = values
 
+    @property
+    def paired(self) -> int:
+        """How many corners are paired."""
+        return int((self.rows["id"] != NO_ID).sum())
+
     def classify_unmatched(self, nis: Array, ignore_gate: float) -> Self:
         """Decide which of the corners that are not paired may be new; the others are ignored.
 

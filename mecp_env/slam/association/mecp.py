@@ -10,7 +10,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
+from mecp_env.slam.association.gating import FIXED, PairingTable, chi2_gate, pairing_table, possible_pairs
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher, PolygonTest
@@ -40,21 +40,31 @@ class MecpAssociator(Associator):
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner (III-B.2)."""
-        builder, nis = MatchBuilder(len(corners)), np.empty((len(corners), 0))
-        if len(view.belief.ids) and len(corners):
-            polygons = polygons if self.config.use_polygons else ()
-            if not self.config.is_sharp(view.belief):
-                belief = self._corrected(corners, polygons, view, belief)
-                view = replace(view, belief=belief.belief())
-            table = pairing_table(corners, view, belief, self.config, self.gate)
-            nis, test = table.nis, PolygonTest(2.0 * self.gate, self.gate, 1)
-            found = PolygonMatcher(self.config, corners, view, belief, nis, test).first_match(polygons)
-            self._pair(builder, corners, table.costs, found, view.belief, belief)
-        return builder.classify_unmatched(nis, self.config.ignore_gate).match()
-
-    def _corrected(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Filter:
-        """A copy of the filter, updated with the polygon that is recognised, or with the corners that fit best."""
+        if not (len(view.belief.ids) and len(corners)):
+            return MatchBuilder(len(corners)).match()
+        polygons = polygons if self.config.use_polygons else ()
+        if self.config.is_sharp(view.belief):
+            return self._paired(corners, polygons, view, belief).match()
         table = pairing_table(corners, view, belief, self.config, self.gate)
+        known = int((table.costs <= self.gate).any(axis=1).sum())  # corners that may be a landmark
+        corrected = self._corrected(corners, polygons, view, belief, table)
+        builder = self._paired(corners, polygons, replace(view, belief=corrected.belief()), corrected)
+        if 2 * builder.paired < known:  # most of them disagree: so few agree by chance
+            builder = MatchBuilder(len(corners)).classify_unmatched(table.nis, self.config.ignore_gate)
+        return builder.match()
+
+    def _paired(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> MatchBuilder:
+        """The decisions at the pose of a filter, with a polygon that is recognised there in one linearisation."""
+        builder, table = MatchBuilder(len(corners)), pairing_table(corners, view, belief, self.config, self.gate)
+        test = PolygonTest(2.0 * self.gate, self.gate, 1)
+        found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
+        self._pair(builder, corners, table.costs, found, view.belief, belief)
+        return builder.classify_unmatched(table.nis, self.config.ignore_gate)
+
+    def _corrected(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
+    ) -> Filter:
+        """A copy of the filter, updated with the polygon that is recognised, or with the corners that fit best."""
         test = PolygonTest(OPEN, OPEN, self.config.iterations)
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
         if found is None:

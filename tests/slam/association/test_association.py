@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from mecp_env.core.messages import Odometry
 from mecp_env.slam.association.gating import (
     FIXED,
     HERE,
@@ -16,9 +17,23 @@ from mecp_env.slam.association.gating import (
 )
 from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.mecp import accept
+from mecp_env.slam.association.mecp import MecpAssociator, accept
 from mecp_env.slam.association.polygon_matching import polygon_hypotheses
-from mecp_env.slam.messages import FEATURE, UNKNOWN_ROOM, Belief, CornerKind, FeatureState, Reason
+from mecp_env.slam.config import AssociationConfig, FilterConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.messages import (
+    FEATURE,
+    UNKNOWN_ROOM,
+    Belief,
+    CornerKind,
+    Corners,
+    Doorways,
+    FeatureState,
+    FeatureTable,
+    MapView,
+    Reason,
+    RoomGraph,
+)
 
 NONE = np.empty(0, np.int64)
 
@@ -207,3 +222,29 @@ def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
 def test_rows_of_finds_ids_in_any_order():
     belief = Belief(np.zeros(3), np.eye(3), np.array([7, 2, 9]), np.zeros((3, 2)), np.zeros((3, 2, 2)))
     assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
+
+
+@pytest.mark.parametrize(("moved", "paired"), [(0, 6), (2, 4), (5, 0)])
+def test_a_wide_prediction_needs_most_of_the_corners_that_may_be_landmarks_to_agree(moved, paired):
+    """Six landmarks, of which `moved` are seen elsewhere, each by as much as only the pose's sigma explains."""
+    p_robot = np.array([(4.0, 3.0), (-3.0, 4.0), (-5.0, -2.0), (3.0, -4.0), (6.0, -1.0), (1.0, 6.0)])
+    z, R, n = polar(p_robot), np.diag(np.tile([0.01**2, 0.003**2], 6)), len(p_robot)
+    belief = make_filter(FilterConfig(prior_sigma_m=0.5, prior_sigma_rad=0.1))
+    belief.augment(z, R, np.arange(n))
+    belief.predict(Odometry(np.zeros((1, 2)), np.array([np.diag([0.5**2, 0.1**2])]), True))
+    offsets = np.array([(0.4, 0.5), (-0.5, 0.3), (0.45, -0.4), (-0.3, -0.5), (0.5, 0.0), (0.0, 0.0)])
+    seen = p_robot + np.where(np.arange(n)[:, None] < moved, offsets, 0.0)
+    faces, mark = np.tile([0.0, 1.5], (n, 1)), np.zeros(n, np.int64)
+    doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
+    corners = Corners(polar(seen), R, mark, np.ones(n, np.bool_), faces, mark - 1, mark == 0, doorways)
+    table = FeatureTable(features_of(n, state=FeatureState.LANDMARK, normals=faces, convex=1))
+    graph = RoomGraph(UNKNOWN_ROOM, False, (), (), (), {})
+    view = MapView(1, belief.belief(), table, {}, graph, mark - 1)
+    match = MecpAssociator(AssociationConfig(use_rooms=False)).associate(corners, (), view, belief)
+    assert len(match.recognised()) == paired
+    assert (match.ids[match.recognised()] == match.recognised()).all()
+
+
+def polar(points):
+    """(n,2) range and bearing of points (n,2)."""
+    return np.column_stack([np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])])
