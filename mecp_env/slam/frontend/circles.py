@@ -31,8 +31,8 @@ def is_circle(points: Array, sums: Array, breaks: Ints, size: int, limits: Recor
     straight = 0.0
     for k in range(size):
         straight += line_cost(sums, breaks[k] + 1, breaks[k + 1])
-    gain = limits.parameter_gain  # a line has two parameters and an end: a circle must beat a single one by three
-    bound = straight - 3.0 * gain if size == 1 else straight + gain * (3 * size - 4)
+    gain = limits.parameter_gain  # a line has two parameters and an end, a circle three: it must beat a single line
+    bound = straight - gain if size == 1 else straight + gain * (3 * size - 4)
     return bool(bound > 0.0 and circle_cost(points, first, last, limits.pillar_radius_m, noise.outlier) < bound)
 
 
