@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
 from benchmarks.drives import Drive, Replay, record_drive, replay
 from benchmarks.variants import with_change
+from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
@@ -112,7 +113,8 @@ def counts(drive: Drive, outcome: Replay) -> Figures:
         "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
         "final_m": float(outcome.error_m[-1]),
         "nees": float(outcome.nees.mean()),
-        "diverged": outcome.diverged,
+        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
+        "map_rmse_m": outcome.map_rmse_m,
         "periods": len(outcome.error_m),
         "associate_ms": outcome.associate_ms,
     }
@@ -182,7 +184,8 @@ def summarise(runs: list[Figures]) -> Figures:
         "rmse_m": estimate(table["rmse_m"]),
         "final_m": estimate(table["final_m"]),
         "nees": estimate(table["nees"]),
-        "diverged": share(table["diverged"] > 0),
+        "lost": share(table["lost"] > 0),
+        "map_rmse_m": estimate(table["map_rmse_m"]),
         "periods": estimate(table["periods"]),
         "associate_ms": estimate(table["associate_ms"]),
     }
@@ -191,7 +194,7 @@ def summarise(runs: list[Figures]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per layout with one row per associator."""
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
-    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "nees", "diverged", "associate_ms")
+    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "lost", "associate_ms")
     lines = []
     for layout, methods in figures.items():
         lines += [f"### {layout} ({methods['mecp']['precision']['n']} seeds)", ""]

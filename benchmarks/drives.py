@@ -15,7 +15,7 @@ from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
-from mecp_env.evaluation.metrics import AssociationLog
+from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
 from mecp_env.slam.config import AssociationConfig, SlamConfig
@@ -52,6 +52,8 @@ class Replay:
     error_rad: Array  # (n,) heading error
     nees: Array  # (n,) pose NEES, 3 expected
     duplicates: int
+    map_rmse_m: float  # of the landmarks from their true corners
+    landmarks_false: int  # that are of no true corner
     diverged: bool
     associate_ms: float  # median per scan
     far: int  # corners beyond 93 % of the laser's range
@@ -138,7 +140,9 @@ def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], A
             break
     x, y, heading = np.array(errors).T
     duplicates = log.duplicates(output.belief.ids)
-    scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, output.diverged
+    metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
+    of_map = metrics.map_error(drive.truth, output.belief)
+    scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, *of_map, output.diverged
     return Replay(*scores, associator.median_ms, *far.tolist())
 
 

@@ -2,8 +2,9 @@
 
 A seed is complete when its episode terminates with every room and every door found and 95 % of the free area seen. A
 room is found when it contains the centre of a room of the map, a door when a door of the map lies within 0.3 m, one to
-one; other rooms and doors of the map are false. Steps and metres to a coverage are means over the seeds that reached
-it.
+one; other rooms and doors of the map are false. An episode is lost when the pose is more than 1 m or 10 degrees off for
+20 control steps in a row or at the end, or has diverged. Steps and metres to a coverage are means over the seeds that
+reached it.
 """
 
 from __future__ import annotations
@@ -98,6 +99,7 @@ def summarise(episodes: list[Episode]) -> Figures:
 
     figures: Figures = {
         "complete": share(is_complete(final) for final in finals),
+        "lost": share(of("lost")),
         "coverage": estimate(of("coverage")),
         "rooms_found": ratio(of("rooms_found"), of("rooms")),
         "rooms_false": estimate(of("rooms_false")),
@@ -112,6 +114,9 @@ def summarise(episodes: list[Episode]) -> Figures:
         "contacts_per_100_m": ratio([100.0 * n for n in of("contacts")], of("metres")),
         "pose_rmse_m": estimate(of("pose_rmse_m")),
         "nees": estimate(of("nees_mean")),
+        "map_rmse_m": estimate(of("map_rmse_m")),
+        "landmarks_false": estimate(of("landmarks_false")),
+        "duplicates": estimate(of("duplicates")),
     }
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.steps[level]) for episode in episodes)

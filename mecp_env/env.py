@@ -443,6 +443,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "goals": len(episode.goals),
             "contact": episode.contact,
             "diverged": episode.slam_output.diverged,
+            "lost": episode.metrics.lost.is_lost(episode.slam_output.diverged),
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
             **figures(episode.metrics, self._true_world.truth, episode.slam_output),

@@ -180,7 +180,7 @@ class Game:
         self.over = terminated or truncated
         self.changed = True
         if self.over:
-            lost = "The map is lost" if info["diverged"] else "Time is up"
+            lost = "The filter diverged" if info["diverged"] else "Time is up"
             why = "Explored: nothing is left to see" if terminated else lost
             self.message = f"{why}. N begins the next round, R this one again."
         else:

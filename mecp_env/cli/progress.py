@@ -51,7 +51,8 @@ ROWS = (
     ("pose error", "RMSE {pose_rmse_m:.3f} m, final {pose_error_final_m:.3f} m"),
     ("pose NEES", "{nees_mean:.2f} (3 expected)"),
     ("association", "precision {association_precision:.4f}, recall {association_recall:.4f}"),
-    ("landmarks", "{landmarks:.0f}, duplicates {duplicates:.0f}"),
+    ("landmarks", "{landmarks:.0f}, of no corner {landmarks_false:.0f}, duplicates {duplicates:.0f}"),
+    ("map error", "RMSE {map_rmse_m:.3f} m"),
     ("way", "{metres:.0f} m in {periods:.0f} steps, contacts {contacts:.0f}"),
     ("speed", "{steps_per_s:,.0f} steps/s"),
 )

@@ -56,6 +56,17 @@ def _face_error(truth: GroundTruth, door: Door, belief: Belief, T_world_map: Arr
     return float(distances(to_map(T_world_map, p_map), faces).min(axis=1).mean())
 
 
+def landmark_errors(p_world: Array, belief: Belief, corner: Ints, T_world_map: Array) -> Array:
+    """(N,) m: distance of each landmark from the true corner that it is of, nan for one that is of none.
+
+    `p_world` (C,2) are the true corners, `corner` (N,) is the index of that of each landmark, -1 for none. Measured in
+    the map frame, which is where the robot believed to start: nothing is fitted, so that a map that slides off counts.
+    """
+    away = to_map(T_world_map, np.ascontiguousarray(belief.p_map)) - p_world[corner]
+    errors: Array = np.where(corner >= 0, np.hypot(away[:, 0], away[:, 1]), np.nan)
+    return errors
+
+
 def covers(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
     """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
     p_map = to_map(inverse(T_world_map), truth.centres[truth.free])

@@ -12,7 +12,15 @@ from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth
-from mecp_env.evaluation.map_scores import covers, door_error, doors_found, grid_iou, rooms_found
+from mecp_env.evaluation.lost import LostWatch
+from mecp_env.evaluation.map_scores import (
+    covers,
+    door_error,
+    doors_found,
+    grid_iou,
+    landmark_errors,
+    rooms_found,
+)
 from mecp_env.slam.messages import Belief, SlamOutput
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
@@ -54,6 +62,11 @@ class AssociationLog:
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
         return int(metric_arrays.count_duplicates(self.features, landmarks, self.true_corners))
+
+    def corners_of(self, landmarks: Ints) -> Ints:
+        """(N,) the true corner that each of the landmarks (N,) is of, -1 for one that was never seen at any."""
+        known = landmarks < len(self.features)
+        return np.where(known, self.features[np.where(known, landmarks, 0), 0], -1)
 
     def final_counts(self) -> Ints:
         """(4,) TP, FP, FN, TN of all scans by what each feature turned out to be."""
@@ -97,6 +110,7 @@ class EpisodeMetrics:
     pose_error_m: float = 0.0
     heading_error_rad: float = 0.0
     nees: float = 0.0  # of the pose, 3 degrees of freedom
+    lost: LostWatch = field(default_factory=LostWatch)
     squared_error_sum: float = 0.0
     worst_error_m: float = 0.0
     nees_sum: float = 0.0
@@ -172,9 +186,21 @@ class EpisodeMetrics:
         nameless = self.association.features[belief.ids, 0] < 0
         return truth.count_cells(self.visited_by_obstacles, p_world[nameless])
 
+    def map_error(self, truth: GroundTruth, belief: Belief) -> tuple[float, int]:
+        """RMSE (m) of the landmarks from their true corners, 0 without one, and how many are of no true corner.
+
+        Corners of boxes, which move, count for neither.
+        """
+        corner, still = self.association.corners_of(belief.ids), len(truth.outline.corners)
+        fixed = np.where(corner < still, corner, -1)
+        errors = landmark_errors(truth.outline.corners.p_world, belief, fixed, self.T_world_map)
+        rmse = math.sqrt(float(np.mean(errors[fixed >= 0] ** 2))) if (fixed >= 0).any() else 0.0
+        return rmse, int((corner < 0).sum())
+
     def _compare_pose(self, belief: Belief) -> None:
         errors = metric_arrays.pose_errors(self.T_map_robot, belief.T_map_robot, belief.pose_cov)
         self.pose_error_m, self.heading_error_rad, self.nees = errors
+        self.lost.look(self.pose_error_m, self.heading_error_rad)
         self.squared_error_sum += self.pose_error_m**2
         self.nees_sum += self.nees
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
@@ -194,6 +220,7 @@ class EpisodeMetrics:
         rooms, rooms_false = rooms_found(truth, output, self.T_world_map)
         doors, doors_false = doors_found(truth, output, self.T_world_map)
         polygon_cover, grid_cover = covers(truth, output.grid, self.T_world_map)
+        map_rmse_m, landmarks_false = self.map_error(truth, output.belief)
         looks = max(1, output.step)
         return {
             "periods": self.steps,
@@ -216,7 +243,10 @@ class EpisodeMetrics:
             "pose_error_worst_m": self.worst_error_m,
             "heading_error_final_rad": self.heading_error_rad,
             "nees_mean": self.nees_sum / looks,
+            "lost": self.lost.is_lost(output.diverged),
+            "map_rmse_m": map_rmse_m,
             "landmarks": len(output.belief.ids),
+            "landmarks_false": landmarks_false,
             "duplicates": self.association.duplicates(output.belief.ids),
             "landmarks_on_movers": self.landmarks_on_movers(truth, output.belief),
             "association_precision": share(tp, fp),

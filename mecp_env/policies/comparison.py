@@ -16,9 +16,10 @@ Figures = dict[str, Any]
 
 MEANS = (
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "periods_to_99%", "coverage", "metres", "periods"),
-    *("decisions", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "landmarks", "duplicates", "contacts"),
+    *("decisions", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "map_rmse_m"),
+    *("landmarks", "landmarks_false", "duplicates", "contacts"),
 )
-SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "diverged")
+SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "lost", "diverged")
 COMPARED = ("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete")
 SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 

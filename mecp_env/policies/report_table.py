@@ -30,9 +30,12 @@ EXPLORATION: tuple[Column, ...] = (
 )
 LOCALISATION: tuple[Column, ...] = (
     ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
+    ("map error, cm", "map_rmse_m", PLAIN, 100.0),
     ("landmarks", "landmarks", PLAIN, 1.0),
+    ("of no corner", "landmarks_false", ".2f", 1.0),
     ("duplicates", "duplicates", ".2f", 1.0),
     ("contacts per 100 m", "contacts_per_100_m", ".2f", 1.0),
+    ("lost, %", "lost", PLAIN, 100.0),
     ("diverged, %", "diverged", PLAIN, 100.0),
 )
 DIFFERENCES: tuple[Column, ...] = (

@@ -22,7 +22,7 @@ NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets c
 LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
 KEPT = (  # of the environment's own summary
     *("coverage", "metres", "periods", "free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
-    *("pose_error_final_m", "landmarks", "duplicates", "contacts"),
+    *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
 )
 
 Info = dict[str, Any]

@@ -56,6 +56,24 @@ def test_a_cut_scan_is_the_scan_of_a_laser_with_that_field_of_view(view: int) ->
     np.testing.assert_allclose(cut.ranges, simulated.ranges, atol=1e-9)
 
 
+def test_slip_changes_a_share_of_the_steps_the_same_ones_more_often(drive: Drive) -> None:
+    def changed(share: float, seed: int = 3) -> set[int]:
+        pairs = zip(drive.odometry, noise.slipped(drive, seed, share).odometry, strict=True)
+        return {step for step, (old, new) in enumerate(pairs) if old is not new}
+
+    assert changed(0.0) == set()
+    assert changed(0.3) < changed(0.7)
+    assert changed(0.3) == changed(0.3) != changed(0.3, seed=4)
+    assert len(changed(1.0)) == len(drive.odometry) - drive.odometry.count(None)
+    old, new = drive.odometry[-1], noise.slipped(drive, 3, 1.0).odometry[-1]
+    assert old is not None
+    assert new is not None
+    factor = new.increments[:, 0].sum() / old.increments[:, 0].sum()
+    assert 1.0 <= factor <= noise.SLIP_MOST
+    np.testing.assert_allclose(np.diff(new.increments[:, 1]), np.diff(old.increments[:, 1]), atol=1e-12)
+    assert new.cov is old.cov
+
+
 def test_every_cell_has_drives_a_gate_its_figure_and_the_figure_its_cells() -> None:
     assert set(noise.DRIVES) == set(noise.CELLS)
     assert {gate.path.split("/")[0] for gate in noise.GATES} <= set(noise.CELLS)

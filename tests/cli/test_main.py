@@ -42,6 +42,8 @@ FIGURES = {
     "pose_rmse_m",
     "pose_error_final_m",
     "nees_mean",
+    "map_rmse_m",
+    "landmarks_false",
     "association_precision",
     "association_recall",
     "duplicates",

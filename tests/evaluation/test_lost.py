@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.evaluation.lost import LOST_STEPS, is_lost
+from mecp_env.evaluation.lost import LOST_STEPS, LostWatch, is_lost
 
 RIGHT = np.zeros(60)
 
@@ -39,3 +39,13 @@ def test_the_end_and_divergence_are_lost_at_once() -> None:
     assert is_lost(RIGHT, RIGHT, True)
     assert not is_lost(RIGHT, RIGHT, False)
     assert not is_lost(np.array([0.2]), np.array([0.0]), False)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_watch_of_an_episode_gives_the_same_at_every_step(seed: int) -> None:
+    rng, watch = np.random.default_rng(seed), LostWatch()
+    error_m, error_rad = 2.0 * (rng.random(200) < 0.93), 0.3 * (rng.random(200) < 0.3)
+    for step in range(200):
+        watch.look(error_m[step], error_rad[step])
+        for diverged in (False, True):
+            assert watch.is_lost(diverged) == is_lost(error_m[: step + 1], error_rad[: step + 1], diverged)

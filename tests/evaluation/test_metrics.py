@@ -358,6 +358,36 @@ def test_an_episode_adds_up():
     assert all(math.isfinite(value) for value in summary.values())
 
 
+def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
+    """A map that slid by 0.5 m, as after an unnoticed wrong pose, is 0.5 m wrong, however well its parts fit."""
+    metrics, corners = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5])), truth.outline.corners.p_world
+    at = np.array([corners[0], corners[1] + [0.3, 0.4], corners[1], [1.0, 1.5]])
+    metrics.association.features[:3, 0] = 0, 1, 1
+    p_map = to_map(inverse(metrics.T_world_map), at)
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(4), p_map, np.zeros((4, 2, 2)))
+    rmse, false = metrics.map_error(truth, belief)
+    assert rmse == pytest.approx(0.5 / math.sqrt(3.0))
+    assert false == 1
+    assert metrics.association.duplicates(belief.ids) == 1
+    far = Belief(np.zeros(3), np.eye(3), np.array([10**6]), p_map[:1], np.zeros((1, 2, 2)))
+    assert metrics.map_error(truth, far) == (0.0, 1)
+    assert EpisodeMetrics.begin(truth, np.zeros(3)).map_error(truth, belief) == (0.0, 4)
+
+
+def test_a_wrong_pose_makes_an_episode_lost_and_its_map_wrong():
+    env = make(estimator="slam")
+    env.reset(seed=1)
+    pipeline = env.unwrapped._episode.pipeline
+    for _ in range(12):
+        env.step(np.array([0.5, 0.3], np.float32))
+    assert env.unwrapped.summary()["lost"] is False
+    assert env.unwrapped.summary()["map_rmse_m"] < 0.05
+    pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
+    info = env.step(np.zeros(2, np.float32))[-1]
+    assert info["pose_error_m"] > 1.0
+    assert info["lost"] is True
+
+
 def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_moves(truth):
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
     corner = truth.outline.corners.p_world[0]

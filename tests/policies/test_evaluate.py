@@ -74,7 +74,7 @@ def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> Epis
     log.curve.add(0.0, 0, auc)
     log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
     final |= {"coverage": auc, "metres": 5.0, "periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0}
-    final |= {"duplicates": 0.0, "contacts": 1.0}
+    final |= {"duplicates": 0.0, "contacts": 1.0, "lost": False, "map_rmse_m": 0.01, "landmarks_false": 0.0}
     figures = metrics(log, EpisodeEnd(terminated=True, decisions=3, act_s=0.5), final, 100)
     return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
 
