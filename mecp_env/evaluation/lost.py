@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.array_types import Array
 
 LOST_M = 1.0
 LOST_DEG = 10.0
 LOST_STEPS = 20
 
 
-def is_off(error_m: Array, error_rad: Array) -> Bools:
-    """In which steps (n,) the pose is more than 1 m or 10 degrees off."""
-    off: Bools = (error_m > LOST_M) | (np.abs(error_rad) > math.radians(LOST_DEG))
-    return off
+def is_off(error_m: Any, error_rad: Any) -> Any:
+    """True when the pose is more than 1 m or 10 degrees off, in one step or in each of many (n,)."""
+    return (error_m > LOST_M) | (abs(error_rad) > math.radians(LOST_DEG))
 
 
 def is_lost(error_m: Array, error_rad: Array, diverged: bool) -> bool:
@@ -41,8 +41,7 @@ class LostWatch:
 
     def look(self, error_m: float, error_rad: float) -> None:
         """Count one step."""
-        off = is_off(np.array([error_m]), np.array([error_rad]))[0]
-        self.off_steps = self.off_steps + 1 if off else 0
+        self.off_steps = self.off_steps + 1 if is_off(error_m, error_rad) else 0
         self.longest = max(self.longest, self.off_steps)
 
     def is_lost(self, diverged: bool) -> bool:

@@ -137,3 +137,25 @@ def test_no_landmark_is_seen_through_on_the_blind_side():
     ranges = np.full(361, 6.0)
     for bearing, seen in ((0.0, True), (1.2, True), (1.57, False), (2.0, False), (math.pi, False), (-2.5, False)):
         assert is_seen_through((ranges, bearings, True), 2.0, bearing, 0.0, config) == seen
+
+
+@pytest.mark.parametrize("estimator", ["truth", "known"])
+def test_the_upper_bounds_know_where_the_laser_is(estimator):
+    env = make(actions="goal", estimator=estimator, laser=MOUNTINGS[1])
+    explore(env)
+    summary = env.unwrapped.summary()
+    assert summary["association_false"] <= (0 if estimator == "known" else 2)
+    assert summary["map_rmse_m"] < 0.03
+    assert summary["pose_error_worst_m"] < (1e-6 if estimator == "truth" else 0.05)
+
+
+def test_a_saved_map_is_entered_by_the_pose_of_the_robot(tmp_path):
+    view = MOUNTINGS[1]
+    drive = scripted_drive(seed=3, **view)
+    runs = list(drive.run(sensor_of(**view)))
+    runs[-1][0].save_map(tmp_path / "map")
+    believed = runs[-1][1].belief.T_map_robot
+    pipeline = SlamPipeline.from_map(tmp_path / "map", start=(believed + np.array([0.2, -0.1, 0.1])).tolist())
+    assert pipeline.start(drive.scans[-1]).belief.T_map_robot == pytest.approx(believed, abs=0.03)
+    kept = SlamPipeline.from_map(tmp_path / "map").start(drive.scans[-1])
+    assert kept.belief.T_map_robot == pytest.approx(believed, abs=0.01)
