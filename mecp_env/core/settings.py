@@ -7,7 +7,7 @@ import re
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, cached_property
-from typing import Annotated, Any, Literal, Self, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
@@ -134,6 +134,9 @@ def _leaves(annotation: Any) -> list[Any]:
 class Settings(BaseModel):
     """A frozen section of the configuration tree; a wrong field raises `ConfigError`."""
 
+    GONE: ClassVar[frozenset[str]] = frozenset()  # fields of older versions, which their files may still have
+    DERIVED: ClassVar[tuple[str, ...]] = ()  # properties that are in the `record` beside the fields
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
 
     @field_validator("*", mode="before")
@@ -163,6 +166,7 @@ class Settings(BaseModel):
         twin `x_rad`; a range is an array (2,). Texts and sections inside this one are left out. Read-only.
         """
         columns = {name: np.asarray(value) for name, value in self}
+        columns |= {name: np.asarray(getattr(self, name)) for name in self.DERIVED}
         degrees = [name for name in columns if name.endswith("_deg")]
         columns |= {f"{name.removesuffix('_deg')}_rad": np.radians(columns[name]) for name in degrees}
         kept = {name: column for name, column in columns.items() if column.dtype.kind in "bif"}
@@ -180,6 +184,12 @@ class Settings(BaseModel):
         return copied
 
     @classmethod
+    def without_gone(cls, fields: Mapping[str, Any]) -> dict[str, Any]:
+        """The fields of an older file without those that are gone, in the sections inside this one as well."""
+        kinds = {name: field.annotation for name, field in cls.model_fields.items()}
+        return {name: _without_gone(kinds.get(name), value) for name, value in fields.items() if name not in cls.GONE}
+
+    @classmethod
     def parse(cls, given: Self | dict[str, Any] | None) -> Self:
         """The section that `given` stands for: itself, a dict of fields, or None for the defaults."""
         if isinstance(given, cls):
@@ -189,3 +199,9 @@ class Settings(BaseModel):
         if not isinstance(given, dict):
             raise ConfigError(f"{cls.__name__}: expected a dict or {cls.__name__}, given {type(given).__name__}")
         return cls(**given)
+
+
+def _without_gone(kind: Any, value: Any) -> Any:
+    """A value as it is, or as that of a section without what is gone."""
+    is_section = isinstance(kind, type) and issubclass(kind, Settings) and isinstance(value, Mapping)
+    return kind.without_gone(value) if is_section else value

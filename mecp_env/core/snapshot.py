@@ -101,7 +101,8 @@ class Decoder:
         return content[()]
 
     def _settings(self, content: list[Any]) -> Any:
-        return class_of(content[0], Settings)(**content[1])
+        kind = class_of(content[0], Settings)
+        return kind(**kind.without_gone(content[1]))
 
     def _array(self, content: list[Any]) -> Any:
         array = np.array(content[0], order="K", copy=True)

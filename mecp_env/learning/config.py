@@ -228,8 +228,11 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def migrated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of a JSON file with the fields of older run folders renamed. Raises `ConfigError` as `once_each`."""
-    return {RENAMED.get(name, name): value for name, value in once_each(pairs).items()}
+    """An object of a JSON file with the fields of older run folders renamed, or left out where they are gone.
+
+    Raises `ConfigError` as `once_each`.
+    """
+    return EnvConfig.without_gone({RENAMED.get(name, name): value for name, value in once_each(pairs).items()})
 
 
 def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

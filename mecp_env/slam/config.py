@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field
 
@@ -22,6 +22,12 @@ def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
 
 Limits = Annotated[tuple[float, float], AfterValidator(_ordered)]  # least and most
 
+
+def chi2_of_point(probability: float) -> float:
+    """The NIS that a point's error stays under with this probability: chi-square with two degrees of freedom."""
+    return -2.0 * math.log(1.0 - probability)
+
+
 METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associator` adds others
 KINDS = Names("riekf", "ekf")  # `register_filter` does
 
@@ -34,6 +40,8 @@ class SensorModel(LaserView):
     least_range_sigma_m: float = Field(0.001, gt=0.0, le=1.0)  # of an ideal laser: covariances stay invertible
     noise_sigmas: float = Field(3.0, gt=0.0, le=20.0)  # what differs by more standard deviations is not noise
     outlier_sigmas: float = Field(4.0, gt=0.0, le=20.0)  # a single beam that is off by more is an outlier
+    edge_beams: int = Field(2, ge=1, le=10)  # that bearing noise mixes at an edge: left out of a line's fit, where the
+    # segment is long enough; one more makes sure
     least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
     merge_slope: float = Field(4.0, ge=0.0, le=100.0)
     """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
@@ -54,18 +62,22 @@ class ClusteringConfig(Settings):
 class SegmentConfig(Settings):
     """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a wall has room for one."""
 
+    GONE: ClassVar = frozenset({"trim_beams", "long_beams"})
+    DERIVED: ClassVar = ("long_beams",)
+
     min_beams: int = Field(5, ge=3, le=100)
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
     merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; paper: none
     shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
-    trim_beams: int = Field(2, ge=0, le=10)  # left out of the fit at each end, where the segment is long enough
-    long_beams: int = Field(
-        15, ge=1, le=1000
-    )  # from here on a bad fit widens the covariance, below it discards the line
     face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
     pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar
+
+    @property
+    def long_beams(self) -> int:
+        """From three times as many as the least on, a bad fit widens the covariance; below it discards the line."""
+        return 3 * self.min_beams
 
 
 class GapConfig(Settings):
@@ -83,10 +95,11 @@ class GapConfig(Settings):
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
+    GONE: ClassVar = frozenset({"edge_beams"})
+
     min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
-    edge_beams: int = Field(2, ge=1, le=10)  # beams that bearing noise mixes at an edge; one more makes sure
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
     step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
     wall_thickness_m: float = Field(0.4, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
@@ -118,6 +131,9 @@ class PolygonConfig(Settings):
 class DynamicObjectsConfig(Settings):
     """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
+    GONE: ClassVar = frozenset({"closure_nis"})
+    DERIVED: ClassVar = ("closure_nis",)
+
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
     sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
     max_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of that place; with a larger one nothing is decided
@@ -126,7 +142,7 @@ class DynamicObjectsConfig(Settings):
     wall_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer segment is a wall, whatever the map says
     body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
     closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
-    closure_nis: float = Field(9.21, ge=0.0, le=100.0)  # the one fits worse than this (chi-square, 99 %), or
+    # the one fits worse than `closure_nis`, or
     width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner. A new
     # corner less than half the larger width away from a dynamic beam is ignored
     prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
@@ -138,21 +154,35 @@ class DynamicObjectsConfig(Settings):
     # the landmark does within this angle, goes on
     inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
 
+    @property
+    def closure_nis(self) -> float:
+        """A corner that fits its landmark worse is doubtful: 99 % of those that are one fit better."""
+        return chi2_of_point(0.99)
+
 
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
+
+    GONE: ClassVar = frozenset({"merge_nis"})
+    DERIVED: ClassVar = ("merge_nis",)
 
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
     end_sightings: int = Field(6, ge=1, le=20)  # of a line end in another room: it may be a pedestrian
     few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough; a landmark that is
     # not seen as often as the others before the window ends is removed again
-    window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped
+    window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped; to see a room again that was
+    # not seen for longer is a loop closure
     gate_m: float = Field(0.1, ge=0.0, le=5.0)
     gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
     descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)  # the most by which a face may turn
     merge_m: float = Field(0.15, ge=0.0, le=2.0)  # landmarks of one descriptor nearer than this may be one corner; they
-    merge_nis: float = Field(5.99, ge=0.0, le=100.0)  # are one within this gate (chi-square, 95 %)
+    # are one within `merge_nis`
+
+    @property
+    def merge_nis(self) -> float:
+        """The gate of two landmarks that may be one: 95 % of those that are one lie inside."""
+        return chi2_of_point(0.95)
 
 
 class AssociationConfig(Settings):
@@ -185,6 +215,8 @@ class AssociationConfig(Settings):
 class FilterConfig(Settings):
     """The filter (paper: EKF-SLAM, "ekf")."""
 
+    GONE: ClassVar = frozenset({"closure_gap_steps"})
+
     kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf"  # riekf, ekf, or one registered
     prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
@@ -192,7 +224,6 @@ class FilterConfig(Settings):
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
     update_iterations: int = Field(5, ge=1, le=20)  # of the update with a scan, at most; paper: 1
-    closure_gap_steps: int = Field(10, ge=1, le=10_000)
     max_landmarks: int = Field(1024, ge=8, le=10_000)
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 
@@ -203,15 +234,20 @@ MOST_SIGHTINGS = 50  # of a door, that are counted
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
+    GONE: ClassVar = frozenset({"hysteresis_m", "recognise_by_corners_m"})
+
     confirm_sightings: int = Field(3, ge=1, le=MOST_SIGHTINGS)
     wall_thickness_m: Limits = (0.05, 0.4)  # gaps whose middles are nearer than the larger one are the same
-    hysteresis_m: float = Field(0.3, ge=0.0, le=2.0)
-    doorway_m: float = Field(0.3, ge=0.0, le=2.0)
+    doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
     recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
-    recognise_by_corners_m: float = Field(1.5, ge=0.0, le=10.0)  # the same for single corners, a weaker sign
     recognise_corners: int = Field(3, ge=1, le=100)
     trail_step_m: float = Field(0.1, gt=0.0, le=10.0)  # between the places of the robot's path that are kept
     trail_places: int = Field(512, ge=2, le=100_000)  # that are kept at most
+
+    @property
+    def recognise_by_corners_m(self) -> float:
+        """The same as `recognise_m` for single corners, a weaker sign: three times as far apart."""
+        return 3.0 * self.recognise_m
 
     @property
     def same_gap_m(self) -> float:

@@ -139,7 +139,7 @@ class SlamPipeline:
             associated = self.associator.associate(corners, polygons, view, self.filter)
             check_match(associated, len(corners), len(view.features))
             config = self.config.association
-            oldest = self.step_count - self.config.filter.closure_gap_steps
+            oldest = self.step_count - self.config.tracks.window_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
             updated = self._update(corners, sure, iterate=not config.is_sharp(view.belief))
         return associated, updated

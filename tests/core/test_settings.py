@@ -1,10 +1,12 @@
 """The numbers of a section of the configuration, as compiled functions take them."""
 
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.settings import Settings
 
@@ -15,6 +17,18 @@ class Section(Settings):
     beams: int = 5
     guard: bool = True
     method: str = "mecp"
+
+
+class Derived(Settings):
+    GONE: ClassVar = frozenset({"twice"})
+    DERIVED: ClassVar = ("twice",)
+
+    once: int = 5
+    inner: Section = Section()
+
+    @property
+    def twice(self) -> int:
+        return 2 * self.once
 
 
 @compiled
@@ -52,3 +66,21 @@ def test_texts_are_left_out_and_the_layout_does_not_depend_on_values():
 def test_degrees_become_radians_as_the_standard_library_has_them():
     for degrees in np.linspace(-180.0, 180.0, 999).tolist():
         assert Section(turn_deg=degrees).record["turn_rad"][0] == math.radians(degrees)
+
+
+def test_a_number_that_follows_from_another_is_in_the_record_but_no_field():
+    section = Derived(once=7)
+    assert section.record["twice"][0] == 14
+    assert section.model_copy(update={"once": 8}).record["twice"][0] == 16
+    assert "twice" not in section.model_dump()
+    with pytest.raises(ConfigError, match=r"Derived\.twice: no such field"):
+        Derived(twice=3)
+
+
+def test_what_is_gone_is_left_out_of_an_older_file_and_nothing_else():
+    class Outer(Settings):
+        part: Derived = Derived()
+
+    older = {"part": {"once": 6, "twice": 12, "inner": {"twice": 1}}, "twice": 2}
+    assert Outer.without_gone(older) == {"part": {"once": 6, "inner": {"twice": 1}}, "twice": 2}
+    assert Outer.without_gone({"part": 3}) == {"part": 3}

@@ -10,7 +10,7 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.config import SegmentConfig, SlamConfig
 from mecp_env.world.generator.spec import GeneratorSpec
 
 
@@ -57,6 +57,16 @@ def test_older_names_of_dynamic_objects_in_a_run_folder_are_read(tmp_path):
     slam = SlamConfig(**read_config(file)["environment"]["slam"])
     assert (slam.dynamic_objects.prune_scans, slam.dynamic_objects.wall_m) == (6, 1.5)
     assert (slam.dynamic_objects.max_sigma_m, slam.tracks.merge_m) == (0.2, 0.1)
+
+
+def test_numbers_that_now_follow_from_others_are_left_out_of_an_older_run_folder(tmp_path):
+    file = tmp_path / "config.json"
+    older = {"filter": {"closure_gap_periods": 12}, "segments": {"trim_beams": 2, "min_beams": 6}}
+    older |= {"tracks": {"merge_nis": 5.99}, "transients": {"closure_nis": 9.21}, "rooms": {"hysteresis_m": 0.3}}
+    file.write_text(json.dumps({"env": {"slam": older}, "closure_nis": 1}))
+    fields = read_config(file)
+    assert fields["closure_nis"] == 1
+    assert SlamConfig(**fields["env"]["slam"]) == SlamConfig(segments=SegmentConfig(min_beams=6))
 
 
 def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():

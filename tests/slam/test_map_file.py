@@ -213,6 +213,15 @@ def test_a_damaged_map_names_the_file_and_the_field(
         SlamPipeline.from_map(file)
 
 
+def test_numbers_that_are_no_fields_any_more_are_left_out_of_an_older_map(saved: Path, tmp_path: Path) -> None:
+    file, older = tmp_path / "older.zip", copy.deepcopy(SlamMap.load(saved))
+    parts = older.state["@object"][1]
+    parts["config"]["@settings"][1]["filter"]["closure_gap_steps"] = 10
+    parts["rooms"]["@object"][1]["config"]["@settings"][1]["hysteresis_m"] = 0.3
+    older.save(file)
+    assert same(encode(SlamPipeline.from_map(file)), encode(SlamPipeline.from_map(saved)))
+
+
 def test_a_foreign_an_old_and_a_later_file_are_refused(saved: Path, tmp_path: Path) -> None:
     file, state = tmp_path / "other.zip", SlamMap.load(saved).state
     for kind in (FileKind("mecp_env state", 1, "0.1.0"), FILE._replace(version=0), FILE._replace(version=9)):

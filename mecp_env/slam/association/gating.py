@@ -17,7 +17,7 @@ from mecp_env.slam.messages import HERE, UNKNOWN_ROOM, CornerKind, Corners, MapV
 from mecp_env.slam.protocols import Filter
 
 NOWHERE = np.empty(0, np.int64)
-FIXED = -1.0  # cost of a pair that a polygon match has fixed: below every NIS
+FIXED = -math.inf  # cost of a pair that a polygon match has fixed: below every NIS
 
 
 @lru_cache

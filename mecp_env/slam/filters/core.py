@@ -23,7 +23,6 @@ from mecp_env.slam.filters.update import batch_update, merge_pair
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError
 
-FIRST_CAPACITY = 32  # landmarks; grows by doubling
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
@@ -47,7 +46,6 @@ class LandmarkFilter:
         self.slot_ids: Ints = np.empty(0, np.int64)  # (N,) id of the landmark in each slot
         self.state: Array = np.zeros((4, 3))
         self.state[1:] = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
-        self._reserve(min(FIRST_CAPACITY, self.max_landmarks))
 
     @property
     def mean(self) -> Array:
@@ -227,6 +225,7 @@ class LandmarkFilter:
         return nis
 
     def _reserve(self, landmark_count: int) -> None:
+        """Make room for so many landmarks; it grows by doubling."""
         capacity = self.state.shape[1] // 2 - 1
         if landmark_count <= capacity:
             return

@@ -21,6 +21,7 @@ class Noise(NamedTuple):
     gate: float  # `noise_sigmas`
     outlier: float  # `outlier_sigmas`
     least_cosine: float
+    edge: int  # `edge_beams`
 
 
 @compiled
@@ -28,7 +29,8 @@ def laser_noise(sensor: Rows) -> Noise:
     """The noise of `SensorModel.record`; a perfect laser gets a small range sigma."""
     model = sensor[0]
     range_m = max(model.range_sigma_m, model.least_range_sigma_m)
-    return Noise(range_m, model.bearing_sigma_rad, model.noise_sigmas, model.outlier_sigmas, model.least_cosine)
+    gates = model.noise_sigmas, model.outlier_sigmas
+    return Noise(range_m, model.bearing_sigma_rad, gates[0], gates[1], model.least_cosine, model.edge_beams)
 
 
 @compiled

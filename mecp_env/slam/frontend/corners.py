@@ -74,7 +74,7 @@ def find_corners(
     for k in range(size):
         following, known = (k + 1) % size, count
         rest = (first[following] - last[k] - 1) % width
-        if size > 1 and rest <= 2 * limits.edge_beams and cluster[k] == cluster[following]:
+        if size > 1 and rest <= 2 * noise.edge and cluster[k] == cluster[following]:
             count += add_intersection(ends[count], scan, lines, (k, following), limits, noise)
         if count == known:
             count += add_end(ends[count], scan, lines, k, 1, limits, noise)
@@ -82,7 +82,7 @@ def find_corners(
     found = one_each(ends[:count], line_cov, limits)
     z, n = found.z.copy(), found.shape[0]
     p_robot = polar_to_points(z)
-    doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0])
+    doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0], noise)
     beyond = mark_beyond(found, p_robot, doorways[0], limits.line_m)
     for jamb in doorways[0].ravel():
         if found[jamb].convex:  # a concave one is the corner of a room

@@ -9,7 +9,7 @@ import numpy as np
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.frontend.beams import Record, Records
+from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
 
 Point = tuple[float, float]
@@ -18,7 +18,7 @@ SPARE_RAD = 1e-3  # a beam farther beside a gap does not pass it, whatever the r
 
 @compiled
 def find_doorways(
-    found: Records, p_robot: Array, scan: RolledScan, lines: Lines, limits: Record, gaps: Record
+    found: Records, p_robot: Array, scan: RolledScan, lines: Lines, limits: Record, gaps: Record, noise: Noise
 ) -> tuple[Ints, Array, Bools]:
     """Jambs (g,2), right then left, widths (g,) and whether seen well (g,), of the corners `found` at p_robot (n,2)."""
     n, size = found.shape[0], 0
@@ -39,7 +39,7 @@ def find_doorways(
         across = abs(mx * (by - ay) - my * (bx - ax)) / width[size]
         steep = across >= math.cos(limits.door_incidence_rad) * distance
         good[size] = distance <= limits.door_range_m and steep
-        wider = widening(scan, a, b, limits, gaps)
+        wider = widening(scan, a, b, limits, gaps, noise)
         plain, _, sides = width_limits(found, lines, right, left, limits, gaps)
         size += wider >= sides or (wider == 0 and width[size] <= plain)
     return jambs[:size], width[:size], good[:size]
@@ -149,7 +149,7 @@ def passes_through(
 
 
 @compiled
-def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record) -> int:
+def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record, noise: Noise) -> int:
     """On how many sides the floor behind the gap from a to b gets wider than the gap; -1: on none, 0: not to be seen.
 
     Looked at are beams through the gap that cross the line square to it at a jamb, as deep as no wall is thick. Behind
@@ -177,8 +177,8 @@ def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record)
         stopped[side] += scan.hit[q] and abs(outside) <= limits.line_m
     wider = 0
     for side in range(2):
-        wider += passed[side] >= limits.edge_beams and passed[side] > stopped[side]
-    return -1 if wider == 0 and min(stopped[0], stopped[1]) >= limits.edge_beams else wider
+        wider += passed[side] >= noise.edge and passed[side] > stopped[side]
+    return -1 if wider == 0 and min(stopped[0], stopped[1]) >= noise.edge else wider
 
 
 @compiled

@@ -48,10 +48,10 @@ def add_end(
     """
     jump = limits.detail_m + noise.outlier * noise.range_m
     end = end_of(scan, lines, segment, side, jump, limits, noise)
-    if not end.free and end.rest < limits.edge_beams:
+    if not end.free and end.rest < noise.edge:
         return False
     recedes = side * math.tan(scan.polar[1, end.position] - end.alpha) < 0.0
-    plain = end.free and not recedes and end.rest <= limits.edge_beams
+    plain = end.free and not recedes and end.rest <= noise.edge
     if recedes:  # a beam after the end that hits something in front of the wall may hide the end
         for k in range(1, end.rest + 1):
             q = (end.position + side * k) % scan.polar.shape[1]
@@ -90,7 +90,7 @@ def end_of(
     inner = min(limits.reach_beams, lines.last[segment] - lines.first[segment] - 2)
     end_range = rho / math.cos(scan.polar[1, position] - alpha)
     previous, far, in_range = end_range, 0, scan.max_range - noise.outlier * noise.range_m
-    for k in range(1, limits.reach_beams + limits.edge_beams + 1):
+    for k in range(1, limits.reach_beams + noise.edge + 1):
         q = (position + side * k) % scan.polar.shape[1]
         r, turn = scan.polar[0, q], scan.polar[1, q] - alpha
         behind, cosine = r - end_range > jump, math.cos(turn)
@@ -105,8 +105,8 @@ def end_of(
             behind = not r - expected < limits.line_m + noise.outlier * math.sqrt(variance)
         if behind or not scan.hit[q]:
             far += 1
-            if far == limits.edge_beams:
-                return LineEnd(alpha, rho, position, side, inner, k - limits.edge_beams, True)
+            if far == noise.edge:
+                return LineEnd(alpha, rho, position, side, inner, k - noise.edge, True)
             continue
         if abs(r - previous) > limits.step_share * previous + noise.outlier * noise.range_m:
             return LineEnd(alpha, rho, position, side, inner, k - 1 - far, False)
@@ -138,10 +138,10 @@ def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noi
     total, size = scan.raw_ranges.shape[0], scan.polar.shape[1]
     sweeps = total // size
     spacing = (scan.raw_bearings[total - 1] - scan.raw_bearings[0]) / (total - 1)
-    beam = (end.position - end.side * limits.edge_beams + scan.roll) % size
+    beam = (end.position - end.side * noise.edge + scan.roll) % size
     first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
     on_line = 0
-    for k in range((2 * limits.edge_beams + 1 + end.rest) * sweeps):
+    for k in range((2 * noise.edge + 1 + end.rest) * sweeps):
         raw = (first + end.side * k) % total
         cosine = math.cos(scan.raw_bearings[raw] - end.alpha)
         if cosine < noise.least_cosine:
@@ -190,7 +190,7 @@ def beam_table(scan: RolledScan, end: LineEnd, limits: Record, noise: Noise) -> 
     passing the face: little, since it ends; but what hits the wall cannot have passed a face that comes nearer.
     """
     size, most = scan.polar.shape[1], noise.gate * noise.gate
-    table = np.empty((7, end.inner + end.rest + (limits.edge_beams if end.free else 0) + 1))
+    table = np.empty((7, end.inner + end.rest + (noise.edge if end.free else 0) + 1))
     recedes = end.side * math.tan(scan.polar[1, end.position] - end.alpha) < 0.0
     for m in range(table.shape[1]):
         q = (end.position + end.side * (m - end.inner)) % size

@@ -59,7 +59,7 @@ def find_segments(
     ends, line, cov = np.empty((size, 2, 2)), np.empty((size, 2)), np.empty((size, 2, 2))
     for k in range(size):
         span = without_end_face(points, sums, spans[k, 1], spans[k, 2], limits)
-        trim = min(limits.trim_beams, (span[1] - span[0] + 1 - limits.min_beams) // 2)
+        trim = min(noise.edge, (span[1] - span[0] + 1 - limits.min_beams) // 2)
         fit = fit_line(polar[0], points, sums, (span[0] + trim, span[1] - trim), noise, terms)
         freedom = max(span[1] - span[0] - 2 * trim - 1, 1)
         if write_segment((ends[found], line[found], cov[found]), polar[1], span, fit, freedom, limits, noise):

@@ -146,12 +146,12 @@ class RoomGraphEstimator:
         if not self.door_map.doors:
             return False
         config, jambs = self.config, self.door_map.jambs
-        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, jambs, config.hysteresis_m).tolist()
+        near = _doors_near(belief.T_map_robot, belief.p_map, belief.ids, jambs, config.doorway_m).tolist()
         for _, ahead, aside, half in near:
             self.in_doorway |= abs(ahead) < config.doorway_m and abs(aside) < half
         for row, ahead, _, _ in near:
             d, side = int(row), 0 if ahead > 0.0 else 1
-            if abs(ahead) > config.hysteresis_m and self._has_crossed(self.door_map.doors[d], side, belief):
+            if abs(ahead) > config.doorway_m and self._has_crossed(self.door_map.doors[d], side, belief):
                 return self._enter(d, side, features, belief)
         return False
 
@@ -187,7 +187,7 @@ class RoomGraphEstimator:
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
         for candidate in self.door_map.candidates:
-            passed = _passed(belief.T_map_robot, candidate.ends, self.config.hysteresis_m)
+            passed = _passed(belief.T_map_robot, candidate.ends, self.config.doorway_m)
             if passed and self.resolve(candidate.room) == self.current and are_landmarks(candidate.ids, features):
                 room = self._open()
                 pass_through(self.door_map, candidate, features, room)
