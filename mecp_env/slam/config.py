@@ -97,7 +97,7 @@ class CornerConfig(Settings):
 
     GONE: ClassVar = frozenset({"edge_beams"})
 
-    min_angle_deg: float = Field(25.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
+    min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
@@ -105,8 +105,8 @@ class CornerConfig(Settings):
     wall_thickness_m: float = Field(0.4, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
-    passing_cost: float = Field(2.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
-    misfit: float = Field(3.5, gt=0.0, le=100.0)  # mean chi-square of its beams at most
+    passing_cost: float = Field(5.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
+    misfit: float = Field(2.0, gt=0.0, le=100.0)  # mean chi-square of its beams at most
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
     covariance: Literal["lines", "sensor"] = "lines"  # paper: "sensor", constant sigmas of range and bearing (IV)
     floor_share: float = Field(0.02, ge=0.0, le=1.0)  # least sigma of a corner, as a share of the range's sigma

@@ -17,6 +17,7 @@ from mecp_env.slam.frontend.split_and_merge import (
     FEWEST,
     absorb_slivers,
     beam_points,
+    line_cost,
     merge_lines,
     refine_breaks,
     split_cluster,
@@ -59,10 +60,10 @@ def find_segments(
     ends, line, cov = np.empty((size, 2, 2)), np.empty((size, 2)), np.empty((size, 2, 2))
     for k in range(size):
         span = without_end_face(points, sums, spans[k, 1], spans[k, 2], limits)
-        trim = min(noise.edge, (span[1] - span[0] + 1 - limits.min_beams) // 2)
+        trim = min(noise.edge, (span[1] - span[0] + 1 - FEWEST) // 2)
         fit = fit_line(polar[0], points, sums, (span[0] + trim, span[1] - trim), noise, terms)
-        freedom = max(span[1] - span[0] - 2 * trim - 1, 1)
-        if write_segment((ends[found], line[found], cov[found]), polar[1], span, fit, freedom, limits, noise):
+        cost, rows = line_cost(sums, span[0], span[1]), (ends[found], line[found], cov[found])
+        if write_segment(rows, polar[1], span, trim, cost, fit, limits, noise):
             spans[found, 0], spans[found, 1], spans[found, 2] = spans[k, 0], span[0], span[1]
             found += 1
     return ends[:found], line[:found], cov[:found], spans[:found].T.copy()
@@ -96,18 +97,22 @@ def write_segment(
     rows: tuple[Array, Array, Array],
     bearings: Array,
     span: tuple[int, int],
+    trim: int,
+    whole_cost: float,
     fit: tuple[float, float, float, float, float, float],
-    freedom: int,
     limits: Record,
     noise: Noise,
 ) -> bool:
     """True when a line is a segment: its ends (2,2), line (2,) and covariance (2,2) are in `rows` then.
 
-    `fit` is what `fit_line` returns, `freedom` its degrees of freedom.
+    `fit` is what `fit_line` returns without `trim` beams at each end, `whole_cost` the chi-square with them: a short
+    segment must fit with them as well, for they may be of two faces that its few beams do not tell apart.
     """
     (ends, line, cov), (alpha, rho, aa, ar, rr, cost) = rows, fit
+    freedom, whole = max(span[1] - span[0] - 2 * trim - 1, 1), span[1] - span[0] - 1
     excess = cost / (freedom + noise.gate * math.sqrt(2.0 * freedom))
-    usable = aa <= limits.max_alpha_sigma_rad**2 and rho > 0.0 and (excess <= 1.0 or freedom >= limits.long_beams)
+    fits = max(excess, whole_cost / (whole + noise.outlier * math.sqrt(2.0 * whole))) <= 1.0
+    usable = aa <= limits.max_alpha_sigma_rad**2 and rho > 0.0 and (fits or freedom >= limits.long_beams)
     for end in range(2):
         bearing = bearings[span[end]]
         cosine = math.cos(bearing - alpha)
