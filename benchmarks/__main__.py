@@ -31,8 +31,29 @@ from mecp_env.render.figures import save as save_figure
 
 OPEN = ("association", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
-IN_UNITS = ("association", "explorers", "features", "filters", "loop", "noise", "worlds")  # of work, kept and divided
-NAMES = ("speed", "start", "features", "filters", "association", "loop", "noise", "explorers", "worlds", "vector")
+IN_UNITS = (
+    "association",
+    "explorers",
+    "features",
+    "filters",
+    "kidnap",
+    "loop",
+    "noise",
+    "worlds",
+)  # of work, kept and divided
+NAMES = (
+    "speed",
+    "start",
+    "features",
+    "filters",
+    "association",
+    "kidnap",
+    "loop",
+    "noise",
+    "explorers",
+    "worlds",
+    "vector",
+)
 
 
 def main(arguments: list[str] | None = None) -> int:

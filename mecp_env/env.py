@@ -444,6 +444,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "contact": episode.contact,
             "diverged": episode.slam_output.diverged,
             "lost": episode.metrics.lost.is_lost(episode.slam_output.diverged),
+            "confidence": episode.slam_output.confidence,  # of the estimator: position error below 0.5 m
+            "localised": episode.slam_output.localised,
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
             **figures(episode.metrics, self._true_world.truth, episode.slam_output),

@@ -231,6 +231,20 @@ class FilterConfig(Settings):
 MOST_SIGHTINGS = 50  # of a door, that are counted
 
 
+class LocalisationConfig(Settings):
+    """A wrong pose is noticed, and the right one found again without a prior; paper: none."""
+
+    explained_share: float = Field(0.65, ge=0.0, lt=1.0)  # of the beams in mapped space, and of all, at least; 0: never
+    scans: int = Field(2, ge=1, le=1000)  # in a row that contradict the map, before the pose is searched for; that
+    # confirm a pose that was found
+    least_corners: int = Field(4, ge=3, le=100)  # that lie on landmarks there
+    margin: int = Field(2, ge=1, le=100)  # more of them than at any other pose
+    inlier_m: float = Field(0.15, gt=0.0, le=2.0)  # of a corner from its landmark; half of it for distances in pairs
+    weight: float = Field(20.0, ge=0.0, le=1000.0)  # log-odds of the pose for one share of beams instead of none
+    most_hypotheses: int = Field(300, ge=1, le=10_000)
+    error_m: float = Field(0.5, gt=0.0, le=10.0)  # `confidence` is the probability of a smaller position error
+
+
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
@@ -284,6 +298,7 @@ class SlamConfig(Settings):
     dynamic_objects: DynamicObjectsConfig = DynamicObjectsConfig()
     tracks: TrackConfig = TrackConfig()
     association: AssociationConfig = AssociationConfig()
+    localisation: LocalisationConfig = LocalisationConfig()
     filter: FilterConfig = FilterConfig()
     rooms: RoomConfig = RoomConfig()
     grid: GridConfig = GridConfig()
@@ -312,5 +327,6 @@ class SlamConfig(Settings):
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
             filter=FilterConfig(kind="ekf", update_iterations=1, linearisation_sigma_m=0.0),  # standard EKF-SLAM
+            localisation=LocalisationConfig(explained_share=0.0),  # the pose is always right
             rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )

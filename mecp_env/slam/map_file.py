@@ -27,7 +27,7 @@ from mecp_env.slam.state_shapes import SHAPES, check_pipeline
 
 FILE = FileKind("mecp_env map", 1, __version__)
 
-MapStart = Literal["saved"] | Sequence[float] | Array
+MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")
 
 
@@ -102,8 +102,10 @@ def _own_parts(pipeline: Any) -> Any:
 def begin(pipeline: Any, start: MapStart, sigmas: Sequence[float]) -> None:
     """Let a restored pipeline begin at `start`, as `SlamPipeline.from_map` describes. Raises `ConfigError`."""
     if isinstance(start, str):
-        if start != "saved":
-            raise ConfigError(f'start: {shown(start)}, expected "saved" or a pose x, y, heading')
+        if start not in ("saved", "unknown"):
+            raise ConfigError(f'start: {shown(start)}, expected "saved", "unknown" or a pose x, y, heading')
+        if start == "unknown":
+            pipeline.lose_pose()
         return
     T_map_robot = _numbers(start, "start", -FAR, "x, y in m and heading in rad")
     pose_cov = np.diag(_numbers(sigmas, "sigmas", 0.0, "sigmas of x, y in m and heading in rad") ** 2)

@@ -74,6 +74,8 @@ class Reason(IntEnum):
     AMBIGUOUS = 6
     IDENTITY = 9
     DYNAMIC = 10
+    NOT_LOCALISED = 11
+    RELOCALISED = 12
 
 
 class Cell(IntEnum):
@@ -422,6 +424,8 @@ class SlamOutput:
     diverged: bool
     T_robot_laser: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) mounting pose of the laser, in whose frame beams, segments and corners are; `belief` is of the robot."""
+    confidence: float = 1.0  # probability that the position error is below `localisation.error_m`
+    localised: bool = True  # False while the pose is searched for, and nothing is mapped
 
     @property
     def T_map_laser(self) -> Array:

@@ -66,6 +66,7 @@ SHAPES: Shapes = {
     },
     "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
     "Candidate": {"ends": "2 2"},
+    "PoseGuard": {"correction": f"3 in {NEAR}"},
     "Polygon": {"corners": "k", "intervals": "i 4"},
     "Match": {"ids": "n in -2:F", "decision": "n", "reason": "n", "nis": "n"},
 }

@@ -57,10 +57,10 @@ class MatchBuilder:
 
 
 @lru_cache(64)
-def ignored(n: int) -> Match:
+def ignored(n: int, reason: Reason = Reason.AMBIGUOUS) -> Match:
     """The match in which each of n corners is ignored: nothing is known about them."""
     builder = MatchBuilder(n)
-    builder.assign(slice(None), Decision.IGNORED, Reason.AMBIGUOUS)
+    builder.assign(slice(None), Decision.IGNORED, reason)
     return builder.match()
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,6 +25,13 @@ class OraclePoseFilter:
     def predict(self, odometry: Odometry) -> None:
         self.inner.predict(odometry)
         self.inner.set_pose(self.T_map_robot)
+
+    def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
+        """Nothing: the pose is the true one."""
+
+    def copy(self) -> Self:
+        """An independent filter at the same pose."""
+        return replace(self, inner=self.inner.copy())
 
     def __getattr__(self, name: str) -> Any:
         if name in self.__slots__ or name.startswith("__"):  # absent while a copy is made

@@ -134,6 +134,12 @@ class RoomGraphEstimator:
             return True
         return False
 
+    def arrive_at(self, ids: Ints, features: FeatureTable) -> None:
+        """The robot is found where the landmarks `ids` (n,) are: in the room that most of them lie in."""
+        rooms = [self.resolve(room) for room in features.rows["room"][ids].tolist() if room != UNKNOWN_ROOM]
+        if rooms:
+            self.place(max(sorted(set(rooms)), key=rooms.count))
+
     def _arrive(self, room: int) -> None:
         """Be in another room."""
         self.other_room_signs.clear()

@@ -1,0 +1,202 @@
+"""A robot that is not where it believes: one wrong odometry reading, and carried to another place of the map.
+
+The default estimator maps a drive that was recorded with the true pose as the driver. `reading`: at a random step of
+the second half, one odometry reading is wrong by 1 m along the path and 20 degrees, with random signs, and the drive
+goes on. `carried`: after the drive, the robot is put at a random place of a second drive in the same building, which
+goes on from there; its scans are not those that the map was made of. Each event starts from the same map as the others
+of its drive, ends 30 scans later, and changes nothing for the next. `hard` are generated buildings of the test split,
+from number 600 on.
+
+An event is noticed when `confidence` falls below 0.5 within 10 scans, or when the pose is right after every scan all
+the same: that share is `harmless`. It is relocalised when the robot is localised within 10 scans with a position error
+below 0.5 m and 10 degrees. `wrong_poses` counts those that were accepted after a search with a larger error.
+`false_alarms` are scans before the events, 30 each, with a confidence below 0.5 and a position error below 0.5 m.
+`auc` is the area under the ROC curve of `confidence` for "the error is below 0.5 m" over all these scans;
+`calibration` is the mean difference of confidence and frequency over ten bins, weighted by their scans.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
+from benchmarks.drives import Drive, record_drive
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.schema import Layout
+
+Array = NDArray[np.float64]
+
+SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
+SETS, MOST = tuple(SEEDS), 500
+HARD, FIRST_BUILDING, MAX_STEPS = "hard", 600, 10_000
+EVENTS, QUICK_EVENTS, QUICK_DRIVES = 10, 3, 2  # events of each kind on a drive
+BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
+READING_M, READING_RAD = 1.0, math.radians(20.0)
+WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
+DOUBTED, BINS = 0.5, 10
+KINDS = ("reading", "carried")
+SHARES = ("noticed", "harmless", "relocalised", "right_at_end")
+SECOND_DRIVE = 1000  # added to the seed
+GATES = tuple(
+    Gate(f"{layout}/{kind}/{name}", "share", 0.05)
+    for layout in SEEDS
+    for kind in KINDS
+    for name in ("noticed", "relocalised")
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Event:
+    """A map, and the sensor data that follow."""
+
+    pipeline: SlamPipeline
+    odometry: list[Odometry | None]
+    scans: list[Scan]
+    T_map_robot: list[Array]  # true poses
+
+
+def run(options: Options) -> Figures:
+    """Results of every layout and kind of event."""
+    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
+    events = QUICK_EVENTS if options.quick else EVENTS
+    drives = [
+        (layout, events, seed)
+        for layout in counts
+        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
+    ]
+    results = grouped(drives, in_parallel(disturb, Figures, drives, options))
+    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+
+
+def disturb(task: tuple[str, int, int]) -> Figures:
+    """What happened in the events on the drive of one layout and seed; per kind and name a list over events."""
+    layout, count, seed = task
+    first, second = (record_drive_in(layout, seed, n) for n in (seed, seed + SECOND_DRIVE))
+    rng, pipeline = np.random.default_rng(seed), SlamPipeline(first.slam)
+    size = len(first.scans)
+    wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
+    T_map_world = inverse(first.T_world_robot[0])
+    poses = [compose(T_map_world, T) for T in first.T_world_robot]
+    outcomes: Figures = {kind: [] for kind in KINDS}
+    confidence, error = [], []
+    for step, (odometry, scan) in enumerate(zip(first.odometry, first.scans, strict=True)):
+        if step in wrong:
+            outcomes["reading"].append(outcome(misread(first, poses, step, pipeline, rng)))
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        confidence.append(output.confidence)
+        error.append(off(output.belief.T_map_robot, poses[step])[0])
+    for step in rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist():
+        part = slice(step, step + AFTER)
+        there = [compose(T_map_world, T) for T in second.T_world_robot[part]]
+        event = Event(pipeline, second.odometry[part], second.scans[part], there)
+        outcomes["carried"].append(outcome(event))
+    before = [k for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
+    return {**outcomes, "before": [[confidence[k], error[k]] for k in before]}
+
+
+def record_drive_in(layout: str, building: int, seed: int) -> Drive:
+    """A drive in a building, from a start of its own."""
+    where: str | Layout = layout
+    if layout == HARD:
+        where = generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + building))
+    return record_drive(where, seed, estimator="truth", max_steps=MAX_STEPS)
+
+
+def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:
+    """The drive from a step on, whose odometry is wrong."""
+    part = slice(step, step + AFTER)
+    odometry, along, turn = drive.odometry[part], *rng.choice((-1.0, 1.0), 2)
+    assert odometry[0] is not None
+    increments = odometry[0].increments.copy()
+    increments[0] += along * READING_M, turn * READING_RAD
+    odometry[0] = replace(odometry[0], increments=increments)
+    return Event(pipeline, odometry, drive.scans[part], poses[part])
+
+
+def outcome(event: Event) -> Figures:
+    """What happened after an event, on a copy of its map."""
+    pipeline = copy.deepcopy(event.pipeline)
+    noticed = relocalised = accepted = False
+    harmless = was_localised = True
+    trace = []
+    for k, (odometry, scan, T) in enumerate(zip(event.odometry, event.scans, event.T_map_robot, strict=True)):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        error_m, error_rad = off(output.belief.T_map_robot, T)
+        right = error_m < WRONG_M and error_rad < WRONG_RAD
+        noticed |= k < WITHIN and output.confidence < DOUBTED
+        harmless &= right
+        accepted |= output.localised and not was_localised and not right
+        relocalised |= k < WITHIN and output.localised and right
+        was_localised = output.localised
+        trace.append([output.confidence, error_m])
+    found = {"noticed": noticed or harmless, "harmless": harmless, "relocalised": relocalised, "accepted": accepted}
+    return {**found, "right_at_end": output.localised and right, "trace": trace}
+
+
+def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
+    """Distance and turn between two poses (3,)."""
+    x, y, heading = T_map_robot - truth
+    return math.hypot(x, y), abs(wrap_angle(heading))
+
+
+def summarise(drives: list[Figures]) -> Figures:
+    """Results of all drives of a layout, with 95 % intervals over drives."""
+    cells: Figures = {}
+    for kind in KINDS:
+        of_kind = [drive[kind] for drive in drives]
+        events = np.array([float(len(one)) for one in of_kind])
+        shares = {
+            name: ratio(np.array([float(sum(event[name] for event in one)) for one in of_kind]), events)
+            for name in SHARES
+        }
+        wrong = sum(event["accepted"] for one in of_kind for event in one)
+        cells[kind] = {**shares, "wrong_poses": int(wrong), "events": int(events.sum())}
+    traces = [scans_of(drive) for drive in drives]
+    before = [np.array(drive["before"]) for drive in drives]
+    alarms = [float(((of[:, 0] < DOUBTED) & (of[:, 1] < WRONG_M)).sum()) for of in before]
+    cells["confidence"] = {
+        "auc": estimate([roc_area(*of.T) for of in traces]),
+        "calibration": estimate([calibration_error(*of.T) for of in traces]),
+        "auc_of_all": roc_area(*np.concatenate(traces).T),
+        "calibration_of_all": calibration_error(*np.concatenate(traces).T),
+        "false_alarms": ratio(np.array(alarms), np.array([float(len(of)) for of in before])),
+    }
+    return cells
+
+
+def scans_of(drive: Figures) -> Array:
+    """(n,2) confidence and position error of all scans of a drive's events and before them."""
+    traces = [event["trace"] for kind in KINDS for event in drive[kind]]
+    return np.concatenate([np.array(drive["before"]), *map(np.array, traces)])
+
+
+def roc_area(confidence: Array, error_m: Array) -> float:
+    """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
+    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
+    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
+    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
+
+
+def calibration_error(confidence: Array, error_m: Array) -> float:
+    """Mean difference of mean confidence and share of small errors in ten bins, weighted by their scans."""
+    bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
+    gap = np.bincount(bins, confidence - (error_m < WRONG_M), BINS)
+    return float(np.abs(gap).sum() / len(confidence))
+
+
+def report(figures: Figures) -> str:
+    """One table of events and one of confidence."""
+    columns = [*SHARES, "wrong_poses", "events"]
+    rows = [[layout, kind, *(cells[kind][c] for c in columns)] for layout, cells in figures.items() for kind in KINDS]
+    scores = ["auc", "calibration", "auc_of_all", "calibration_of_all", "false_alarms"]
+    parts = [str(__doc__).partition("\n\n")[2].strip(), table(["layout", "event", *columns], rows)]
+    parts.append(table(["layout", *scores], [[k, *(of["confidence"][c] for c in scores)] for k, of in figures.items()]))
+    return "\n\n".join(parts)

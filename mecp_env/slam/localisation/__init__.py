@@ -1,0 +1,1 @@
+"""Noticing a wrong pose, and finding the right one again in the whole map."""

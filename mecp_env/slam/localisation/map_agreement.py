@@ -1,0 +1,100 @@
+"""Whether the map agrees with a scan: beams that end on mapped walls, and beams that end on mapped floor."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from mecp_env.core.array_types import Array, Bools, Bytes
+from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
+
+FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
+
+
+class Agreement(NamedTuple):
+    """What the map says of a scan at a pose."""
+
+    share: float  # of the beams in mapped space that end on a wall; nan where too few end there
+    explained: float  # share of all beams that do; nan without any map
+    least: float  # share below which the map contradicts the scan
+
+    @property
+    def contradicts(self) -> bool:
+        """True when the map says that the scan was not taken there."""
+        return self.share < self.least
+
+
+class Evidence(NamedTuple):
+    """What speaks for the pose at which a scan was taken."""
+
+    said: Agreement
+    recognised: float  # share of the corners that are landmarks; nan where too few are seen to tell
+    sharp: bool  # they were recognised at a sharp prediction
+
+    @property
+    def is_enough(self) -> bool:
+        """True for a share of corners that was recognised at a sharp prediction, whatever stands around.
+
+        Else the beams must not contradict, and some corner be recognised, or agree so well that none need be.
+        """
+        some = self.recognised != 0.0 or self.said.least == 0.0  # a least share of 0 asks for nothing
+        agrees = some and not self.said.contradicts
+        return self._is_recognised or agrees or self.said.share >= 0.5 * (1.0 + self.said.least)
+
+    @property
+    def share(self) -> float:
+        """The larger share, of beams or of corners recognised so, if it is enough; else the smaller; nan: neither."""
+        if self.is_enough:
+            return max(self.said.share, self.recognised) if self._is_recognised else self.said.share
+        return min(self.recognised, self.said.share) if self.recognised >= 0.0 else self.said.share
+
+    @property
+    def _is_recognised(self) -> bool:
+        return self.sharp and self.recognised >= self.said.least
+
+
+def agreement(beams: MergedScan, T_map_robot: Array, grid: SemanticGrid, reach_m: float, least: float) -> Agreement:
+    """What the map says of a scan at this pose (3,): of beams up to `reach_m`, if a share of 1 - `least` is mapped."""
+    if not grid.label.size:
+        return Agreement(math.nan, math.nan, least)
+    floor = grid.label, grid.origin, grid.resolution_m
+    walls, floors, count = count_ends(beams.ranges, beams.bearings, beams.hit, T_map_robot, floor, reach_m)
+    known = walls + floors > (1.0 - least) * count
+    return Agreement(walls / (walls + floors) if known else math.nan, walls / max(count, 1), least)
+
+
+@compiled
+def count_ends(
+    ranges: Array,
+    bearings: Array,
+    hit: Bools,
+    T_map_robot: Array,
+    floor: tuple[Bytes, Array, float],
+    reach_m: float,
+) -> tuple[int, int, int]:
+    """How many hits end in or beside a cell of wall or door, how many two cells away from all but floor, and of all.
+
+    Every fourth beam is asked, hits beyond `reach_m` are left out; `floor` is labels (H,W), origin and resolution of
+    the grid.
+    """
+    label, origin, resolution = floor
+    walls, floors, count = 0, 0, 0
+    for i in range(0, ranges.shape[0], 4):
+        if not hit[i] or ranges[i] > reach_m:
+            continue
+        count += 1
+        angle = T_map_robot[2] + bearings[i]
+        column = math.floor((T_map_robot[0] + ranges[i] * math.cos(angle) - origin[0]) / resolution)
+        row = math.floor((T_map_robot[1] + ranges[i] * math.sin(angle) - origin[1]) / resolution)
+        if not (2 <= row < label.shape[0] - 2 and 2 <= column < label.shape[1] - 2):
+            continue
+        wall, clear, k = label[row, column] == OCCUPIED, True, 0
+        while not wall and k < 25:
+            r, c = k // 5 - 2, k % 5 - 2
+            cell = label[row + r, column + c]
+            clear = clear and cell == FREE
+            wall = (cell in (OCCUPIED, DOOR)) and abs(r) < 2 and abs(c) < 2
+            k += 1
+        walls, floors = walls + wall, floors + (clear and not wall)
+    return walls, floors, count

@@ -1,0 +1,130 @@
+"""Notice a wrong pose, and find the right one again; nothing is mapped in between. Paper: none.
+
+Beams that end in the middle of mapped floor contradict the pose. Pedestrians cause few of them, a wrong pose many.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.messages import Odometry
+from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.slam.config import LocalisationConfig
+from mecp_env.slam.localisation.hypotheses import NOWHERE, Hypothesis, clear_winner
+from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located
+from mecp_env.slam.messages import Belief, Corners, MapView, Match, MergedScan, Polygon, SemanticGrid
+
+
+@dataclass(slots=True, eq=False)
+class PoseGuard:
+    """Whether the robot is localised, as the map and the scans say.
+
+    A scan that contradicts the map withholds all changes of filter and map; `scans` of them in a row, and the pose is
+    searched for in the whole map. One that is found is trusted once so many scans more agree with it.
+    """
+
+    config: LocalisationConfig
+    reach_m: float  # of what is compared with the grid, and between two landmarks of a pair
+    descriptor_rad: float  # the most by which a face may turn
+    localised: bool = True
+    doubts: int = 0  # scans in a row that contradict the map
+    log_odds: float = 0.0  # of the pose being right, before its covariance is asked
+    travelled: float = 0.0  # m that odometry reported since a scan agreed, until the pose was searched for
+    turned: float = 0.0  # rad
+    correction: Array = field(default_factory=lambda: np.zeros(3))  # (3,) moves the filter's pose to the one found
+    agreed: int = 0  # scans that speak for it; 0: none was found
+
+    def __post_init__(self) -> None:
+        self.log_odds = self.sure
+
+    @property
+    def sure(self) -> float:
+        """Log-odds of a pose after a scan all of whose beams agree; no scans make it surer."""
+        return self.config.weight * (1.0 - self.config.explained_share)
+
+    def follow(self, odometry: Odometry) -> None:
+        """Note how far the robot has moved until the pose is searched for."""
+        if self.localised:
+            travelled, turned = np.abs(odometry.increments).sum(axis=0).tolist()
+            self.travelled, self.turned = self.travelled + travelled, self.turned + turned
+
+    def ask(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Agreement:
+        """What the map says of a scan at the pose of a belief."""
+        return agreement(beams, belief.T_map_robot, grid, self.reach_m, self.config.explained_share)
+
+    def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
+        """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
+        tells = len(match.ids) >= self.config.least_corners and len(view.belief.ids) > 0
+        return Evidence(said, len(match.recognised()) / len(match.ids) if tells else math.nan, sharp)
+
+    def trusts(self, evidence: Evidence) -> bool:
+        """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
+        if not self.localised:
+            return False
+        self._weigh(evidence.share)
+        self.doubts = 0 if evidence.is_enough else self.doubts + 1
+        if not self.doubts:
+            self.travelled = self.turned = 0.0
+        if self.doubts >= self.config.scans:
+            self.lose()
+        return not self.doubts
+
+    def lose(self) -> None:
+        """The pose is wrong, or unknown."""
+        self.localised, self.log_odds, self.agreed = False, -self.sure, 0
+
+    def search(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, beams: MergedScan, grid: SemanticGrid
+    ) -> Located | None:
+        """Where the robot is, once enough scans agree; None before, and in an ambiguous place."""
+        if self.localised or not len(view.belief.ids):
+            return None
+        index, pose = LandmarkIndex(view, self.config, self.reach_m, self.descriptor_rad), view.belief.T_map_robot
+        judge = partial(self._judge, corners=corners, beams=beams, grid=grid, predicted=pose)
+        kept = judge(index.look_at(corners, compose(self.correction, pose))) if self.agreed else NOWHERE
+        won = clear_winner([*map(judge, index.locate(corners, polygons))], self.config)
+        self.agreed = self._count(kept, won)
+        found = (won or kept).at
+        self.correction = compose(found.T_map_robot, inverse(pose))
+        if self.agreed <= self.config.scans:
+            return None
+        self.localised, self.doubts, self.agreed, self.log_odds = True, 0, 0, self.sure
+        return found
+
+    def _weigh(self, share: float) -> None:
+        """Bayes' rule: each scan adds its log-likelihood ratio."""
+        if not math.isnan(share):
+            gain = self.config.weight * (share - self.config.explained_share)
+            self.log_odds = min(max(self.log_odds + gain, -self.sure), self.sure)
+
+    def _count(self, kept: Hypothesis, won: Hypothesis | None) -> int:
+        """Scans that speak for the pose found, after one that says `kept` of it and has `won` as its own."""
+        agreed = self.agreed if kept.is_sound(self.config) else 0
+        if won is None:
+            return agreed
+        return agreed + 1 if agreed and not won.at.differs_from(kept.at) else 1
+
+    def confidence(self, belief: Belief) -> float:
+        """Probability that the position error is below `error_m`."""
+        variance = 0.5 * float(belief.pose_cov[0, 0] + belief.pose_cov[1, 1])
+        near = -math.expm1(-0.5 * self.config.error_m**2 / variance) if variance > 0.0 else 1.0
+        return near / (1.0 + math.exp(-self.log_odds))
+
+    def _judge(
+        self, at: Located, corners: Corners, beams: MergedScan, grid: SemanticGrid, predicted: Array
+    ) -> Hypothesis:
+        """A pose with what the map says of the scan there; without a grid the corners speak alone.
+
+        It is near when odometry that was wrong as much as it reported, and no more, is all between it and `predicted`.
+        """
+        said = agreement(beams, at.T_map_robot, grid, self.reach_m, self.config.explained_share)
+        explained = len(at.corners) / max(len(corners), 1) if math.isnan(said.explained) else said.explained
+        (x, y, heading), slack = at.T_map_robot - predicted, self.config.inlier_m
+        near = math.hypot(x, y) < self.travelled + slack and abs(wrap_angle(heading)) < self.turned + slack
+        return Hypothesis(at, said.share, explained, near)

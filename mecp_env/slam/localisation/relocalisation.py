@@ -1,0 +1,197 @@
+"""Where in the map a scan was taken, without any prior: hypotheses by polygon shape and by pairs of corners.
+
+Each hypothesis is a pose that puts some corners of the scan onto landmarks. It is judged by all corners: how many lie
+on a landmark with their descriptor. In an ambiguous place, where a pose elsewhere explains almost as many, none is
+accepted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam.config import LocalisationConfig
+from mecp_env.slam.messages import Corners, MapView, Polygon
+
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Corners or landmarks with their descriptors, in the robot's or the map's frame."""
+
+    p: Complexes  # (n,) m, x + iy
+    convex: Bools  # (n,)
+    normals: Array  # (n,2) rad, of the faces before and after; nan: unseen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """A pose at which the map explains a scan, and the corners that it explains."""
+
+    T_map_robot: Array  # (3,)
+    cov: Array  # (3,3) m, rad, a bound that the corners improve
+    corners: Ints  # (c,)
+    ids: Ints  # (c,) their landmarks
+
+    def differs_from(self, other: Located) -> bool:
+        """True unless the two have pairs in common and pair no corner with different landmarks."""
+        mine, others = (dict(zip(o.corners.tolist(), o.ids.tolist(), strict=True)) for o in (self, other))
+        shared = mine.keys() & others.keys()
+        return not shared or any(mine[corner] != others[corner] for corner in shared)
+
+
+class LandmarkIndex:
+    """The landmarks of a map, their polygons and all pairs of them, for searches without a prior."""
+
+    def __init__(self, view: MapView, config: LocalisationConfig, reach_m: float, descriptor_rad: float) -> None:
+        rows = view.features.rows[view.belief.ids]
+        self.config, self.tolerance = config, descriptor_rad
+        self.ids = view.belief.ids
+        self.landmarks = Points(as_complex(view.belief.p_map), rows["convex"] > 0, rows["normals"])
+        self.tree = KDTree(view.belief.p_map.reshape(-1, 2))
+        both = self.tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
+        pairs = np.concatenate((both, both[:, ::-1]))
+        length = np.abs(self.landmarks.p[pairs[:, 1]] - self.landmarks.p[pairs[:, 0]])
+        order = np.argsort(length)
+        self.pairs, self.length = pairs[order], length[order]  # (m,2) rows of `ids`, (m,) m, ascending
+        self.polygons = {
+            k: view.belief.rows(group.ids[np.isin(group.ids, self.ids).all(axis=1)]) for k, group in view.groups.items()
+        }  # cardinality -> (C,k) rows of `ids`
+
+    def locate(self, corners: Corners, polygons: tuple[Polygon, ...]) -> list[Located]:
+        """The poses that enough corners of a scan speak for, those with most first."""
+        seen = points_of(corners)
+        found = [self._by_polygon(seen.p[polygon.corners]) for polygon in polygons]
+        poses, row = self._verified(
+            seen, most_voted(np.concatenate([*found, self._by_pairs(seen)]))[: self.config.most_hypotheses]
+        )
+        count = count_distinct(row)
+        best = np.argsort(-count, kind="stable")
+        best = best[count[best] >= self.config.least_corners - 1]
+        return [self._located(poses[h], row[h]) for h in best.tolist()]
+
+    def look_at(self, corners: Corners, T_map_robot: Array) -> Located:
+        """What the map explains of a scan that was taken near this pose (3,)."""
+        poses, row = self._verified(points_of(corners), T_map_robot[None])
+        return self._located(poses[0], row[0])
+
+    def _located(self, pose: Array, row: Ints) -> Located:
+        corners = np.flatnonzero(row >= 0)
+        _, first = np.unique(row[corners], return_index=True)
+        corners = corners[np.sort(first)]
+        return Located(pose, self.config.inlier_m**2 * np.eye(3), corners, self.ids[row[corners]])
+
+    def _by_polygon(self, ring: Complexes) -> Array:
+        """Poses (h,3) that put the corners `ring` (k,) of a polygon onto a map polygon of the same shape."""
+        k = len(ring)
+        known = self.polygons.get(k)
+        if known is None or not len(known):
+            return np.empty((0, 3))
+        turned = np.concatenate([np.roll(known, shift, axis=1) for shift in range(k)])
+        at = self.landmarks.p[turned]
+        pose = fit(np.broadcast_to(ring, at.shape), at, np.ones(at.shape, np.bool_))
+        off = np.abs(moved(pose, ring) - at).max(axis=1)
+        alike: Array = pose[off < self.config.inlier_m]
+        return alike
+
+    def _by_pairs(self, seen: Points) -> Array:
+        """Poses (h,3) that put two corners onto two landmarks of the same distance and descriptors."""
+        first, second = np.triu_indices(len(seen.p), 1)
+        length = np.abs(seen.p[second] - seen.p[first])
+        low = np.searchsorted(self.length, length - 0.5 * self.config.inlier_m)
+        high = np.searchsorted(self.length, length + 0.5 * self.config.inlier_m)
+        count = np.where(length > 4.0 * self.config.inlier_m, high - low, 0)  # a short one leaves the heading open
+        rarest = np.argsort(count, kind="stable")
+        rarest = rarest[np.cumsum(count[rarest]) <= self.config.most_hypotheses**2]
+        count, low = count[rarest], low[rarest]
+        i, j = np.repeat(first[rarest], count), np.repeat(second[rarest], count)
+        offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        a, b = self.pairs[np.repeat(low, count) + offset].T
+        there, here = self.landmarks.p[b] - self.landmarks.p[a], seen.p[j] - seen.p[i]
+        heading = np.angle(there * here.conj())
+        same = fits(seen, i, heading, self.landmarks, a, self.tolerance)
+        same[same] = fits(seen, j[same], heading[same], self.landmarks, b[same], self.tolerance)
+        i, j, a, b, heading = i[same], j[same], a[same], b[same], heading[same]
+        middle = 0.5 * (self.landmarks.p[a] + self.landmarks.p[b])
+        p = middle - 0.5 * (seen.p[i] + seen.p[j]) * np.exp(1j * heading)
+        return np.stack((p.real, p.imag, heading), axis=1)
+
+    def _verified(self, seen: Points, poses: Array) -> tuple[Array, Ints]:
+        """Poses (h,3) fitted to all corners that they explain, and the landmark rows (h,n) of these, -1 for none."""
+        row = np.full((len(poses), len(seen.p)), -1)
+        for radius in (2.0 * self.config.inlier_m, self.config.inlier_m, self.config.inlier_m):
+            row = self._explained(seen, poses, radius)
+            at = self.landmarks.p[np.maximum(row, 0)]
+            enough = (row >= 0).sum(axis=1) >= 2
+            refined = fit(np.broadcast_to(seen.p, at.shape), at, row >= 0)
+            poses = np.where(enough[:, None], refined, poses)
+        return poses, row
+
+    def _explained(self, seen: Points, poses: Array, radius: float) -> Ints:
+        """(h,n) row of the nearest landmark with the descriptor of each corner within `radius`, or -1."""
+        at = moved(poses, seen.p)
+        query = np.stack((at.real, at.imag), axis=-1)
+        nearest = self.tree.query(query, k=min(4, len(self.ids)), distance_upper_bound=radius)[1]
+        near: Ints = np.asarray(nearest).reshape(*at.shape, -1)
+        h, n, k = np.nonzero(near < len(self.ids))
+        fitting = fits(seen, n, poses[h, 2], self.landmarks, near[h, n, k], self.tolerance)
+        row = np.full(at.shape, -1)
+        h, n, k = h[fitting][::-1], n[fitting][::-1], k[fitting][::-1]
+        row[h, n] = near[h, n, k]  # written last: the nearest
+        return row
+
+
+def points_of(corners: Corners) -> Points:
+    """The corners of a scan, robot frame."""
+    return Points(as_complex(polar_to_points(corners.z)), corners.convex, corners.normals)
+
+
+def as_complex(points: Array) -> Complexes:
+    """Points (n,2) as numbers (n,)."""
+    numbers: Complexes = points[:, 0] + 1j * points[:, 1]
+    return numbers
+
+
+def moved(poses: Array, p_robot: Complexes) -> Complexes:
+    """Points (n,) of the robot's frame in the map's, at each pose (h,3): (h,n)."""
+    turned: Complexes = np.exp(1j * poses[:, 2])[:, None] * p_robot
+    return turned + as_complex(poses)[:, None]
+
+
+def fit(here: Complexes, there: Complexes, used: Bools) -> Array:
+    """Poses (h,3) that move the points `here` (h,n) onto `there` (h,n) with the least squares of those `used` (h,n)."""
+    total = np.maximum(used.sum(axis=1, keepdims=True), 1)
+    a, b = ((used * p).sum(axis=1, keepdims=True) / total for p in (here, there))
+    heading = np.angle((used * (there - b) * (here - a).conj()).sum(axis=1))
+    p = b[:, 0] - a[:, 0] * np.exp(1j * heading)
+    return np.stack((p.real, p.imag, heading), axis=1)
+
+
+def fits(seen: Points, i: Ints, heading: Array, known: Points, j: Ints, tolerance: float) -> Bools:
+    """(h,) whether corner i[h], turned by heading[h], has the descriptor of landmark j[h]; as in `gating`."""
+    turn = seen.normals[i] + heading[:, None] - known.normals[j]
+    off = np.abs((turn + math.pi) % (2.0 * math.pi) - math.pi)
+    unseen = np.isnan(off)
+    same: Bools = (seen.convex[i] == known.convex[j]) & (unseen | (off <= tolerance)).all(axis=1) & ~unseen.all(axis=1)
+    return same
+
+
+def most_voted(poses: Array) -> Array:
+    """(h,3) one pose of each cell of 0.3 m and 0.1 rad that has some, the cells with most first."""
+    cells = np.round(poses / [0.3, 0.3, 0.1]).astype(np.int64)
+    _, first, votes = np.unique(cells, axis=0, return_index=True, return_counts=True)
+    return poses[first[np.argsort(-votes, kind="stable")]]
+
+
+def count_distinct(row: Ints) -> Ints:
+    """(h,) how many different values not below 0 each line of `row` (h,n) has."""
+    ordered = np.sort(row, axis=1)
+    first: Ints = (np.diff(ordered, axis=1, prepend=-1) > 0).sum(axis=1)
+    return first

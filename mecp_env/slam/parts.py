@@ -1,0 +1,88 @@
+"""What the estimator consists of, how it is made, and where it begins; `pipeline` says what happens in a step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.slam.association import Associator, make_associator
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.filters import Filter, make_filter
+from mecp_env.slam.filters.divergence import Divergence
+from mecp_env.slam.filters.mounting import mount
+from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
+from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
+from mecp_env.slam.localisation.pose_guard import PoseGuard
+from mecp_env.slam.map_file import MapStart, SlamMap, begin
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
+
+
+@dataclass(slots=True, eq=False, init=False)
+class SlamParts:
+    """All that the estimator knows: one part a stage, each of which keeps what it has learnt."""
+
+    config: SlamConfig
+    filter: Filter
+    associator: Associator
+    divergence: Divergence
+    map: LandmarkMap
+    rooms: RoomGraphEstimator
+    dynamic_objects: DynamicObjects
+    grid: GridPainter
+    guard: PoseGuard
+    step_count: int
+
+    def __init__(
+        self,
+        config: SlamConfig | dict[str, Any] | None = None,
+        *,
+        associator: Associator | None = None,
+        filter: Filter | None = None,
+    ) -> None:
+        self.config = config = SlamConfig.parse(config)
+        self.filter = filter or make_filter(config.filter)
+        mount(self.filter, config.sensor)
+        self.associator = associator or make_associator(config.association)
+        self.divergence = Divergence(config.filter.diverged_sigma_m)
+        self.map = LandmarkMap(config)
+        self.rooms = RoomGraphEstimator(config.rooms)
+        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
+        self.grid = GridPainter(config.grid)
+        self.guard = PoseGuard(
+            config.localisation, config.grid.paint_range_m, math.radians(config.association.descriptor_deg)
+        )
+        self.step_count = 0
+
+    @classmethod
+    def from_map(
+        cls, saved: SlamMap | str | Path, start: MapStart = "saved", sigmas: Sequence[float] = (0.5, 0.5, 0.25)
+    ) -> Self:
+        """A pipeline in a saved map, or in that of a file: it localises there and goes on mapping.
+
+        `start`: "saved" continues to the bit as if it had never stopped; a pose x, y, heading (m, rad, map frame) is
+        where the robot is, with the `sigmas` of its three numbers, by default those of a click on a map; "unknown"
+        searches for the pose in the whole map, and maps nothing before. Raises `MapError` and `ConfigError`.
+        """
+        saved = saved if isinstance(saved, SlamMap) else SlamMap.load(saved)
+        pipeline = saved.restore(cls)
+        begin(pipeline, start, sigmas)
+        return pipeline
+
+    def save_map(self, path: str | Path) -> None:
+        """Write everything that this pipeline knows into a file, whole or not at all. Raises `MapError`, `OSError`."""
+        SlamMap.of(self).save(path)
+
+    def lose_pose(self) -> None:
+        """The robot may be anywhere: its pose is searched for in the whole map, and nothing is mapped before."""
+        self.guard.lose()
+        self.divergence.found = False
+        self.map.forget_tracks(self.step_count, self.rooms.resolve)
+
+    def visible_landmarks(self, p_map: Array) -> Ints:
+        """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
+        return self.map.polygons.visible_landmarks(p_map, self.filter.belief())

@@ -1,0 +1,278 @@
+"""Noticing a wrong pose and finding it again: the map's word on a scan, the search, and whole drives."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.slam.config import LocalisationConfig, SlamConfig
+from mecp_env.slam.localisation.hypotheses import Hypothesis, clear_winner
+from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement, count_ends
+from mecp_env.slam.localisation.pose_guard import PoseGuard
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located, count_distinct, fit, moved
+from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import scripted_drive
+
+CONFIG = LocalisationConfig()
+REACH_M, TURN_RAD = 8.0, math.radians(40.0)
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """A pipeline at the end of a drive through two rooms, its last output, and the drive."""
+    drive = scripted_drive()
+    pipeline = SlamPipeline()
+    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    return pipeline, output, drive
+
+
+def in_map(drive, T_world_robot):
+    return compose(inverse(drive.T_world_robot[0]), T_world_robot)
+
+
+def off(a, b):
+    return math.dist(a[:2], b[:2]), abs(wrap_angle(a[2] - b[2]))
+
+
+def beams_of(ranges, bearings, hit):
+    count = np.ones(len(ranges), np.int64)
+    return MergedScan(ranges, bearings, hit, count, 30.0, ranges, bearings)
+
+
+def plain_count(beams, pose, grid, reach_m):
+    """The counts of `count_ends`, by sets of cells."""
+    walls = floors = count = 0
+    for r, b, hit in list(zip(beams.ranges, beams.bearings, beams.hit, strict=True))[::4]:
+        if not hit or r > reach_m:
+            continue
+        count += 1
+        end = pose[:2] + r * np.array([math.cos(pose[2] + b), math.sin(pose[2] + b)])
+        column, row = np.floor((end - grid.origin) / grid.resolution_m).astype(int)
+        height, width = grid.label.shape
+        if not (2 <= row < height - 2 and 2 <= column < width - 2):
+            continue
+        near = grid.label[row - 1 : row + 2, column - 1 : column + 2]
+        wide = grid.label[row - 2 : row + 3, column - 2 : column + 3]
+        if grid.label[row, column] == Cell.OCCUPIED or np.isin(near, [Cell.OCCUPIED, Cell.DOOR]).any():
+            walls += 1
+        elif (wide == Cell.FREE).all():
+            floors += 1
+    return walls, floors, count
+
+
+def test_ends_of_beams_are_counted_as_the_plain_twin_does():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        label = rng.choice([0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 3], (60, 70), p=None).astype(np.uint8)
+        grid = SemanticGrid(label, label > 9, np.zeros_like(label, np.int16), np.array([-3.0, -2.5]), 0.1, 1)
+        beams = beams_of(rng.uniform(0.2, 9.0, 400), np.sort(rng.uniform(-3.1, 3.1, 400)), rng.random(400) < 0.9)
+        pose = rng.uniform(-1.0, 1.0, 3)
+        floor = grid.label, grid.origin, grid.resolution_m
+        found = count_ends(beams.ranges, beams.bearings, beams.hit, pose, floor, REACH_M)
+        assert found == plain_count(beams, pose, grid, REACH_M)
+
+
+def test_the_map_agrees_at_the_right_pose_and_contradicts_one_a_metre_off(mapped):
+    _, output, drive = mapped
+    T_map_robot = in_map(drive, drive.T_world_robot[-1])
+    right = agreement(output.beams, T_map_robot, output.grid, REACH_M, CONFIG.explained_share)
+    wrong = agreement(
+        output.beams, T_map_robot + np.array([0.7, 0.7, 0.3]), output.grid, REACH_M, CONFIG.explained_share
+    )
+    assert right.share > 0.95
+    assert right.explained > 0.8
+    assert not right.contradicts
+    assert wrong.contradicts
+
+
+def test_without_a_map_nothing_is_said(mapped):
+    _, output, _ = mapped
+    empty = SemanticGrid(*(np.zeros((0, 0), t) for t in (np.uint8, np.bool_, np.int16)), np.zeros(2), 0.1, 0)
+    far = np.array([500.0, 0.0, 0.0])
+    for said in (
+        agreement(output.beams, np.zeros(3), empty, REACH_M, 0.65),
+        agreement(output.beams, far, output.grid, REACH_M, 0.65),
+    ):
+        assert math.isnan(said.share)
+        assert not said.contradicts
+
+
+def test_fitted_poses_are_those_that_moved_the_points():
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=7) + 1j * rng.normal(size=7)
+    poses = np.column_stack((rng.uniform(-9, 9, (50, 2)), rng.uniform(-3.1, 3.1, 50)))
+    there = moved(poses, points)
+    used = rng.random(there.shape) < 0.7
+    used[:, :2] = True
+    there[~used] += 5.0
+    np.testing.assert_allclose(fit(np.broadcast_to(points, there.shape), there, used), poses, atol=1e-9)
+
+
+def test_distinct_landmarks_are_counted_once():
+    assert count_distinct(np.array([[3, 3, -1, 0], [-1, -1, -1, -1], [1, 2, 3, 4]])).tolist() == [2, 0, 4]
+
+
+def test_one_scan_is_located_anywhere_in_the_map(mapped):
+    pipeline, output, drive = mapped
+    view = pipeline.map.view(output.belief, output.graph, np.empty(0, np.int64), output.step)
+    index = LandmarkIndex(view, CONFIG, REACH_M, TURN_RAD)
+    replayed = SlamPipeline()
+    hits = 0
+    for k, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
+        features = replayed.start(scan) if odometry is None else replayed.step(odometry, scan)
+        if k % 10 == 0:
+            found = index.locate(features.corners, features.polygons)
+            assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
+            hits += bool(found) and off(found[0].T_map_robot, in_map(drive, drive.T_world_robot[k])) < (0.2, 0.1)
+    assert hits >= 0.8 * (len(drive.scans) // 10)
+
+
+def located(ids, at=(0.0, 0.0, 0.0)):
+    ids = np.array(ids)
+    return Located(np.array(at), np.eye(3), np.arange(len(ids)), ids)
+
+
+def test_a_pose_wins_only_where_no_other_explains_as_much():
+    one, other = located([1, 2, 3, 4, 5, 6]), located([11, 12, 13, 14, 15], (5.0, 0.0, 0.0))
+    clear = Hypothesis(one, 1.0, 0.9, near=False)
+    assert clear_winner([clear], CONFIG) is clear
+    assert clear_winner([clear, Hypothesis(other, 0.9, 0.9, near=False)], CONFIG) is None  # one corner fewer
+    few = located([11, 12, 13], (5.0, 0.0, 0.0))
+    assert clear_winner([clear, Hypothesis(few, 0.9, 0.9, near=False)], CONFIG) is clear
+    surer = replace_share(clear, 0.9)
+    assert clear_winner([surer, Hypothesis(few, 1.0, 0.7, near=False)], CONFIG) is None  # its beams agree better
+    assert clear_winner([surer, Hypothesis(few, 0.5, 0.7, near=False)], CONFIG) is surer  # which the map contradicts
+    assert clear_winner([Hypothesis(few, 1.0, 1.0, near=False)], CONFIG) is None  # too few corners
+    assert clear_winner([clear._replace(explained=0.5)], CONFIG) is None
+    assert clear_winner([], CONFIG) is None
+
+
+def replace_share(hypothesis, share):
+    return hypothesis._replace(share=share)
+
+
+def test_a_near_pose_that_explains_the_scan_as_well_wins_against_a_far_one():
+    far = Hypothesis(located([1, 2, 3, 4, 5, 6]), 1.0, 0.9, near=False)
+    near = Hypothesis(located([11, 12, 13], (0.5, 0.0, 0.0)), 1.0, 0.9, near=True)
+    assert clear_winner([far, near], CONFIG) is near
+    assert clear_winner([far, near._replace(explained=0.8)], CONFIG) is far
+
+
+def seen(share, recognised, sharp=True):
+    return Evidence(Agreement(share, share, CONFIG.explained_share), recognised, sharp)
+
+
+@pytest.mark.parametrize(
+    ("share", "recognised", "sharp", "enough"),
+    [
+        (1.0, 1.0, True, True),
+        (0.3, 0.2, True, False),
+        (0.3, 0.9, True, True),  # pedestrians all around, but the corners are there
+        (0.3, 0.9, False, False),  # a wide prediction may have paired them wrongly
+        (0.7, 0.2, True, True),
+        (0.7, 0.0, True, False),  # what looks like a new place has nothing in common with the map
+        (0.9, 0.0, True, True),
+        (math.nan, 0.2, True, True),  # new, but some corners are known
+        (math.nan, 0.0, True, False),
+        (math.nan, math.nan, True, True),  # too few corners, or an empty map: nothing is said
+        (0.3, math.nan, True, False),
+    ],
+)
+def test_beams_and_corners_speak_for_a_pose(share, recognised, sharp, enough):
+    assert seen(share, recognised, sharp).is_enough == enough
+
+
+def test_a_least_share_of_zero_turns_the_guard_off():
+    off = Evidence(Agreement(math.nan, 0.0, 0.0), 0.0, sharp=False)
+    assert off.is_enough
+    assert Evidence(Agreement(0.0, 0.0, 0.0), 0.0, sharp=False).is_enough
+
+
+def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
+    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    belief = mapped[1].belief
+    assert guard.confidence(belief) > 0.99
+    assert guard.trusts(seen(1.0, 1.0))
+    assert not guard.trusts(seen(0.3, 0.1))
+    assert guard.localised
+    assert guard.trusts(seen(1.0, 1.0))
+    for _ in range(2):
+        assert not guard.trusts(seen(0.3, 0.1))
+    assert not guard.localised
+    assert guard.confidence(belief) < 0.01
+    assert not guard.trusts(seen(1.0, 1.0))  # only a search ends it
+
+
+def test_where_nothing_is_mapped_confidence_stays(mapped):
+    guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
+    before = guard.confidence(belief)
+    assert guard.trusts(seen(math.nan, 0.2))
+    assert guard.confidence(belief) == before
+
+
+def test_confidence_falls_with_the_covariance_of_the_position(mapped):
+    guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
+    wide = [guard.confidence(replace(belief, pose_cov=np.eye(3) * sigma**2)) for sigma in (0.05, 0.25, 0.5, 2.0)]
+    assert sorted(wide, reverse=True) == wide
+    assert wide[0] > 0.99
+    assert wide[2] == pytest.approx((1.0 - math.exp(-0.5)) * wide[0], rel=1e-6)
+    assert wide[3] < 0.1
+
+
+def test_a_wrong_odometry_reading_is_noticed_and_undone_without_a_trace_in_the_map(mapped):
+    before, _, drive = mapped
+    pipeline = copy.deepcopy(before)
+    landmarks, features = pipeline.filter.belief(), len(pipeline.map.features)
+    back = list(range(len(drive.scans) - 20, len(drive.scans)))
+    slip = drive.odometry[back[0]]
+    increments = -slip.increments
+    increments[0] += 1.0, math.radians(20.0)
+    trace = []
+    for n, k in enumerate(reversed(back)):  # the way back, seen again
+        increment = -drive.odometry[min(k + 1, back[-1])].increments[::-1] if n else increments
+        odometry = replace(slip, increments=np.ascontiguousarray(increment))
+        output = pipeline.step(odometry, drive.scans[k])
+        trace.append(
+            (
+                output.confidence,
+                output.localised,
+                *off(output.belief.T_map_robot, in_map(drive, drive.T_world_robot[k])),
+            )
+        )
+    confidence, localised, error_m, _ = zip(*trace, strict=True)
+    assert error_m[0] > 0.7
+    assert min(confidence[:10]) < 0.5
+    assert not all(localised)
+    assert localised[10:] == (True,) * 10
+    assert max(error_m[10:]) < 0.1
+    assert np.isin(landmarks.ids, pipeline.filter.ids).all()
+    assert len(pipeline.map.features) - features < 10
+
+
+def test_a_robot_in_a_saved_map_finds_its_pose(mapped, tmp_path):
+    before, output, drive = mapped
+    before.save_map(tmp_path / "map")
+    pipeline = SlamPipeline.from_map(tmp_path / "map", start="unknown")
+    for k in range(40, 60):
+        found = pipeline.step(drive.odometry[k], drive.scans[k]) if k > 40 else pipeline.start(drive.scans[k])
+        if k == 40:
+            assert not found.localised
+            assert found.confidence < 0.01
+            np.testing.assert_array_equal(found.grid.label, output.grid.label)
+    assert found.localised
+    assert off(found.belief.T_map_robot, in_map(drive, drive.T_world_robot[59])) < (0.1, 0.05)
+
+
+def test_the_paper_never_doubts_its_pose(mapped):
+    _, _, drive = mapped
+    pipeline = SlamPipeline(SlamConfig.paper())
+    for k in (0, 1, 2, -1, -1, -1):
+        output = pipeline.start(drive.scans[k])
+    assert output.localised
