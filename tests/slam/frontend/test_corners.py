@@ -150,6 +150,28 @@ def test_an_end_face_within_the_noise_does_not_move_the_end():
     assert np.abs(np.mean(errors, axis=0)).max() < 0.02
 
 
+def errors_of(faces, point, seeds=100):
+    """(n,2) m errors of the corner at `point` in all scans that show it."""
+    seen = [corners_of(faces, seed=seed)[1] - point for seed in range(seeds)]
+    nearest = [offsets[np.hypot(*offsets.T).argmin()] for offsets in seen if len(offsets)]
+    return np.array([offset for offset in nearest if math.hypot(*offset) < 0.3])
+
+
+def test_an_oblique_corner_is_seen_in_every_scan_not_only_where_noise_makes_it_steep():
+    turn = math.radians(22.0)
+    errors = errors_of(chain((4, -3), (4, 0), (4 - 2 * math.sin(turn), 2 * math.cos(turn))), (4.0, 0.0))
+    assert len(errors) == 100
+    assert np.hypot(*errors.mean(axis=0)) < 0.01
+
+
+def test_the_end_of_a_thin_wall_is_not_pulled_into_the_door_beside_it():
+    """Passing its face must not be cheap: the mean error was 7 mm."""
+    wall, behind = chain((-3, 1.5), (-1, 1.5), (-1, 1.62), (-3, 1.62)), chain((-6, 5), (6, 5))
+    errors = errors_of(np.concatenate([wall, behind]), (-1.0, 1.5))
+    assert len(errors) > 95
+    assert abs(errors[:, 0].mean()) < 0.0055
+
+
 def test_a_face_too_short_for_a_segment_still_makes_a_corner():
     """A room corner whose second wall is hidden but for 0.2 m: concave, with both normals."""
     room = ring((3.0, -3.0), (3.0, 1.0), (-2.0, 1.0), (-2.0, -3.0))
