@@ -6,7 +6,9 @@ by the modules of `--with` have rows too: an associator, or `mecp` with another 
 The identity of a landmark is the true corner that it was matched with most often. An *event* is the return to a room
 that was not visited for at least 30 scans and of which at least two mapped corners are visible. It succeeds when five
 scans contain at least two correct matches and no wrong one, and is a false closure when they contain at least two wrong
-ones. A match of a corner without a true identity counts as wrong. `associate_ms` are the milliseconds of association
+ones. A match of a corner without a true identity counts as wrong. `landmark_nees` is the mean NEES of the landmarks at
+the end of a drive, `pair_nees` that of the offset of two landmarks matched in one scan (2 expected of both). `hard` are
+generated buildings of the test split, those of `loop`. `associate_ms` are the milliseconds of association
 per scan, the median of a drive.
 """
 
@@ -22,6 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
 from benchmarks.drives import Drive, Replay, record_drive, replay
+from benchmarks.loop import HARD, MAX_STEPS, building
 from benchmarks.variants import with_change
 from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
@@ -39,7 +42,7 @@ METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that
     "mecp_paper": SlamConfig.paper().association.model_dump(),
     "nearest": {"method": "nearest"},
 }
-SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
+SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
 SETS, MOST = tuple(SEEDS), 1000
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
 
@@ -86,7 +89,8 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
 
 def compare(modules: Sequence[str], drive_of: tuple[str, int]) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    rows, drive = methods(modules), record_drive(*drive_of)
+    (layout, seed), rows = drive_of, methods(modules)
+    drive = record_drive(building(layout, seed), seed, **({"max_steps": MAX_STEPS} if layout == HARD else {}))
     return {name: counts(drive, replay(drive, with_change(drive.slam, change))) for name, change in rows.items()}
 
 
@@ -115,6 +119,8 @@ def counts(drive: Drive, outcome: Replay) -> Figures:
         "nees": float(outcome.nees.mean()),
         "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
         "map_rmse_m": outcome.map_rmse_m,
+        "landmark_nees": outcome.landmark_nees,
+        "pair_nees": outcome.pair_nees,
         "periods": len(outcome.error_m),
         "associate_ms": outcome.associate_ms,
     }
@@ -186,6 +192,8 @@ def summarise(runs: list[Figures]) -> Figures:
         "nees": estimate(table["nees"]),
         "lost": share(table["lost"] > 0),
         "map_rmse_m": estimate(table["map_rmse_m"]),
+        "landmark_nees": estimate(table["landmark_nees"]),
+        "pair_nees": estimate(table["pair_nees"]),
         "periods": estimate(table["periods"]),
         "associate_ms": estimate(table["associate_ms"]),
     }
@@ -194,7 +202,8 @@ def summarise(runs: list[Figures]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per layout with one row per associator."""
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
-    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "lost", "associate_ms")
+    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
+    columns += ("pair_nees", "lost", "associate_ms")
     lines = []
     for layout, methods in figures.items():
         lines += [f"### {layout} ({methods['mecp']['precision']['n']} seeds)", ""]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
@@ -54,6 +55,8 @@ class Replay:
     duplicates: int
     map_rmse_m: float  # of the landmarks from their true corners
     landmarks_false: int  # that are of no true corner
+    landmark_nees: float  # 2 expected
+    pair_nees: float  # of the offset of two landmarks seen together, 2 expected
     diverged: bool
     associate_ms: float  # median per scan
     far: int  # corners beyond 93 % of the laser's range
@@ -141,7 +144,7 @@ def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], A
     x, y, heading = np.array(errors).T
     duplicates = log.duplicates(output.belief.ids)
     metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
-    of_map = metrics.map_error(drive.truth, output.belief)
+    of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
     scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, *of_map, output.diverged
     return Replay(*scores, associator.median_ms, *far.tolist())
 

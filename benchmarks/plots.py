@@ -31,12 +31,14 @@ def line_panels(panels: Mapping[str, Panel], y: str, log: bool = False) -> Figur
             at = np.arange(len(ticks)) + 0.04 * (k - 0.5 * len(lines))
             bars = np.abs([value - low, high - value])
             axes.errorbar(at, value, bars, label=name, marker=MARKERS[k % len(MARKERS)], markersize=4, capsize=2)
-        axes.set(title=title, xticks=range(len(ticks)), xticklabels=ticks, yscale="log" if log else "linear")
+        axes.set(title=title, xticks=range(len(ticks)), xticklabels=ticks)
+        axes.grid(alpha=0.3)
+    for axes in all_axes:  # after the lines: a log scale over a single value has no limits to draw the next one in
         if log:
+            axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.grid(alpha=0.3)
     all_axes[0].set_ylabel(y)
     figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
