@@ -25,7 +25,7 @@ from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 from mecp_env.slam.state_shapes import SHAPES, check_pipeline
 
-FILE = FileKind("mecp_env map", 1, __version__)
+FILE = FileKind("mecp_env map", 2, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")
@@ -116,6 +116,7 @@ def begin(pipeline: Any, start: MapStart, sigmas: Sequence[float]) -> None:
 def place(pipeline: Any, T_map_robot: Array, pose_cov: Array) -> None:
     """The robot was put at a pose (3,) with a covariance (3,3), and did not drive there: what it just saw is void."""
     pipeline.filter.set_pose(T_map_robot, pose_cov)
+    pipeline.guard.trust()
     pipeline.divergence.found = False
     pipeline.rooms.place(room_at(pipeline.grid.canvas.grid, T_map_robot[:2], pipeline.rooms.current))
     pipeline.map.forget_tracks(pipeline.step_count, pipeline.rooms.resolve)

@@ -79,7 +79,7 @@ class SlamParts:
 
     def lose_pose(self) -> None:
         """The robot may be anywhere: its pose is searched for in the whole map, and nothing is mapped before."""
-        self.guard.lose()
+        self.guard.lose(anywhere=True)
         self.divergence.found = False
         self.map.forget_tracks(self.step_count, self.rooms.resolve)
 

@@ -22,7 +22,7 @@ from mecp_env.slam.association.oracle import NoCorrespondences
 from mecp_env.slam.config import METHODS
 from mecp_env.slam.filters import RightInvariantEkf, make_filter
 from mecp_env.slam.filters.oracle import OraclePoseFilter
-from mecp_env.slam.map_file import FILE
+from mecp_env.slam.map_file import FILE, place
 from mecp_env.slam.messages import FeatureState
 from mecp_env.slam.protocols import FilterError
 from tests.env.helpers import same
@@ -87,28 +87,68 @@ def test_a_map_is_empty_before_the_first_scan_and_can_be_saved_then(tmp_path: Pa
     assert same(encode(SlamPipeline.from_map(tmp_path / "new" / "map.zip")), encode(SlamPipeline()))
 
 
-@pytest.mark.parametrize("place", [10, 35, 60])
+@pytest.mark.parametrize("first", [10, 35, 60])
 @pytest.mark.parametrize("kind", ["riekf", "ekf"])
-def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(place: int, kind: str, drive: Drive) -> None:
+def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(first: int, kind: str, drive: Drive) -> None:
     """At another place of the drive than where it ended, in either room, with half a metre of error."""
     pipeline = SlamPipeline({"filter": {"kind": kind}})
     run(pipeline, drive, 0, len(drive.scans))
     landmarks = pipeline.filter.belief().ids
-    start = compose(inverse(drive.T_world_robot[0]), drive.T_world_robot[place - 1])
+    start = compose(inverse(drive.T_world_robot[0]), drive.T_world_robot[first - 1])
     put = SlamPipeline.from_map(SlamMap.of(pipeline), start + np.array([0.4, -0.3, 0.2]))
     assert not (put.map.features.rows["state"] == FeatureState.TRACK).any()
-    outputs = run(put, drive, place, place + 15)
-    errors = [output.belief.T_map_robot - true for output, true in zip(outputs, truth(drive, place), strict=False)]
+    outputs = run(put, drive, first, first + 15)
+    errors = [output.belief.T_map_robot - true for output, true in zip(outputs, truth(drive, first), strict=False)]
     assert np.abs(errors)[:, :2].max() < 0.05
     assert set(landmarks.tolist()) <= set(outputs[-1].belief.ids.tolist())
     assert len(outputs[-1].belief.ids) <= len(landmarks) + 1
-    assert outputs[0].graph.current == (0 if drive.T_world_robot[place][0] < 5.0 else 1)
+    assert outputs[0].graph.current == (0 if drive.T_world_robot[first][0] < 5.0 else 1)
     assert outputs[-1].step == len(drive.scans) + 15
 
 
 def truth(drive: Drive, first: int) -> list[Any]:
     """The true poses from a step on, in the map frame."""
     return [compose(inverse(drive.T_world_robot[0]), pose) for pose in drive.T_world_robot[first:]]
+
+
+def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None:
+    """Two rooms are equal: a robot saved in one and now in the other was once taken to be where it was saved."""
+    places = ((5.0, 2.0), (7.0, 2.0), (9.0, 2.0), (10.0, 3.0), (10.0, 5.0), (10.0, 7.5), (10.0, 10.5))
+    drive = scripted_drive("twins", places)
+    pipeline = SlamPipeline()
+    run(pipeline, drive, 0, len(drive.scans))
+    south = [k for k, pose in enumerate(drive.T_world_robot) if 5.0 < pose[0] < 7.0]
+    x, y, heading = drive.T_world_robot[south[0] - 1]  # before the first step
+    east = np.array([10.0 - (y - 2.0), 6.0 + (x - 6.0), heading + math.pi / 2.0])
+    place(pipeline, compose(inverse(drive.T_world_robot[0]), east), np.diag([1e-4, 1e-4, 1e-4]))
+    pipeline.save_map(tmp_path / "map.zip")
+    for output in run(SlamPipeline.from_map(tmp_path / "map.zip", "unknown"), drive, south[0], south[-1] + 1):
+        assert not output.localised
+
+
+@pytest.mark.parametrize("first", [5, 20, 35, 50, 60])
+def test_a_robot_anywhere_in_the_map_is_found_and_nothing_is_mapped_before(
+    first: int, drive: Drive, saved: Path
+) -> None:
+    pipeline = SlamPipeline.from_map(saved, "unknown")
+    features, landmarks = len(pipeline.map.features), set(pipeline.filter.ids.tolist())
+    for k, true in zip(range(first, first + 15), truth(drive, first), strict=False):
+        output = pipeline.start(drive.scans[k]) if k == first else pipeline.step(drive.odometry[k], drive.scans[k])
+        if output.localised:
+            assert np.abs(output.belief.T_map_robot - true)[:2].max() < 0.05
+            assert output.confidence > 0.5
+        else:
+            assert len(pipeline.map.features) == features
+            assert output.confidence < 0.5
+    assert output.localised
+    assert landmarks <= set(pipeline.filter.ids.tolist())
+
+
+def test_a_map_saved_while_the_pose_was_lost_can_be_entered_at_a_pose(drive: Drive, saved: Path) -> None:
+    lost = SlamPipeline.from_map(saved, "unknown")
+    assert not SlamPipeline.from_map(SlamMap.of(lost)).guard.localised
+    (start,) = truth(drive, 20)[:1]
+    assert SlamPipeline.from_map(SlamMap.of(lost), start).start(drive.scans[20]).localised
 
 
 def test_the_sigmas_of_the_start_are_those_of_the_belief(saved: Path) -> None:

@@ -75,9 +75,14 @@ class PoseGuard:
             self.lose()
         return not self.doubts
 
-    def lose(self) -> None:
-        """The pose is wrong, or unknown."""
+    def lose(self, anywhere: bool = False) -> None:
+        """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
         self.localised, self.log_odds, self.agreed = False, -self.sure, 0
+        self.travelled = -math.inf if anywhere else self.travelled
+
+    def trust(self) -> None:
+        """The pose is right."""
+        self.localised, self.log_odds, self.doubts, self.agreed = True, self.sure, 0, 0
 
     def search(
         self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, beams: MergedScan, grid: SemanticGrid
@@ -94,7 +99,7 @@ class PoseGuard:
         self.correction = compose(found.T_map_robot, inverse(pose))
         if self.agreed <= self.config.scans:
             return None
-        self.localised, self.doubts, self.agreed, self.log_odds = True, 0, 0, self.sure
+        self.trust()
         return found
 
     def _weigh(self, share: float) -> None:
