@@ -169,8 +169,8 @@ class TrackConfig(Settings):
     sightings: int = Field(3, ge=1, le=20)
     jamb_sightings: int = Field(2, ge=1, le=20)
     end_sightings: int = Field(6, ge=1, le=20)  # of a line end in another room: it may be a pedestrian
-    few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough; a landmark that is
-    # not seen as often as the others before the window ends is removed again
+    few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough (jambs do not count
+    # where predictions are wide); one that is not seen as often as the others before the window ends is removed again
     window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped; to see a room again that was
     # not seen for longer is a loop closure
     gate_m: float = Field(0.1, ge=0.0, le=5.0)

@@ -77,7 +77,7 @@ class SlamPipeline(SlamParts):
         sharp = config.association.is_sharp(predicted)
         if self.guard.trusts(self.guard.evidence(said, updated, view, sharp)):
             seen = Sighting(corners, updated, through, belief, self.step_count)
-            match, belief = self._map_scan(beams, segments, polygons, seen)  # III-B.1
+            match, belief = self._map_scan(beams, segments, polygons, seen, sharp)  # III-B.1
         else:
             self.filter = untouched
             match, belief = self._relocalise(beams, corners, polygons, view)
@@ -126,12 +126,12 @@ class SlamPipeline(SlamParts):
         return match, self.filter.belief()
 
     def _map_scan(
-        self, beams: MergedScan, segments: Segments, polygons: tuple[Polygon, ...], seen: Sighting
+        self, beams: MergedScan, segments: Segments, polygons: tuple[Polygon, ...], seen: Sighting, sharp: bool
     ) -> tuple[Match, Belief]:
         """Landmarks, rooms, polygons and grid after this scan; its match with the ids of new features, the belief."""
         dynamic = self.dynamic_objects.find(beams, segments, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
-        seen = self._extend_map(replace(seen, match=static), polygons)
+        seen = self._extend_map(replace(seen, match=static), polygons, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)
         self.rooms.forget(pruned)
         matched = seen.match.ids[seen.match.recognised()]
@@ -139,9 +139,9 @@ class SlamPipeline(SlamParts):
         self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, self.rooms.graph())
         return seen.match, belief
 
-    def _extend_map(self, seen: Sighting, polygons: tuple[Polygon, ...]) -> Sighting:
+    def _extend_map(self, seen: Sighting, polygons: tuple[Polygon, ...], wide: bool) -> Sighting:
         """Tracks, landmarks, doors, rooms and polygons after this scan; the sighting with all its ids."""
-        seen, confirmed = self.map.track(seen, self.rooms.graph())
+        seen, confirmed = self.map.track(seen, self.rooms.graph(), wide)
         self.associator.remember(seen.match)
         seen = self.map.initialise(seen, confirmed, self.filter)
         moved = self.rooms.update(seen, self.map.features, self.map.polygons.polygons)

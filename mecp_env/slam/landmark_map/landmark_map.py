@@ -46,10 +46,13 @@ class LandmarkMap:
         """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
         return MapView(step, predicted, self.features, self.polygons.groups, graph, through)
 
-    def track(self, seen: Sighting, graph: RoomGraph) -> tuple[Sighting, Ints]:
-        """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now."""
+    def track(self, seen: Sighting, graph: RoomGraph, wide: bool) -> tuple[Sighting, Ints]:
+        """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now.
+
+        `wide`: the pose was predicted with so large a sigma that the next scan may miss tracks.
+        """
         self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
-        match, confirmed = track_corners(self.features, seen, graph, self.config.tracks)
+        match, confirmed = track_corners(self.features, seen, graph, self.config.tracks, wide)
         return Sighting(seen.corners, match, seen.through, seen.belief, seen.step), confirmed
 
     def forget_tracks(self, step: int, resolve: Resolve) -> None:

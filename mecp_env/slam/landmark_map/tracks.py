@@ -29,11 +29,15 @@ JAMB, FREE_END = int(CornerKind.JAMB), int(CornerKind.FREE_END)
 NEW, PROVISIONAL = int(Decision.NEW), int(Decision.PROVISIONAL)
 
 
-def track_corners(features: FeatureTable, seen: Sighting, graph: RoomGraph, config: TrackConfig) -> tuple[Match, Ints]:
+def track_corners(
+    features: FeatureTable, seen: Sighting, graph: RoomGraph, config: TrackConfig, wide: bool = False
+) -> tuple[Match, Ints]:
     """The match with an id for every corner that is kept, and the corners (c,) whose track is confirmed now.
 
     Sightings are counted in `features`. A room that is seen through its door is mapped from there: new tracks belong to
-    the room behind the door, or to an open one until they are seen from inside.
+    the room behind the door, or to an open one until they are seen from inside. One sighting is enough while few
+    landmarks are in view: without any the pose is lost. With `wide` predictions jambs do not count: the next one may
+    leave the door behind, and miss the tracks.
     """
     corners, match, T_map_robot = seen.corners, seen.match, seen.belief.T_map_robot
     room = graph.rooms_of(corners.beyond, seen.through)
@@ -41,10 +45,14 @@ def track_corners(features: FeatureTable, seen: Sighting, graph: RoomGraph, conf
         seen_as = corners.z, corners.cov, corners.convex, corners.normals
         track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, config.record)
         match = _follow_and_start(features, corners, match, track, room)
-    marks = corners.kind, corners.normals, corners.z
-    return match, count_sightings(
-        features.rows, match.ids, marks, room, graph.current, T_map_robot, config.record, seen.step
-    )
+    marks = corners.kind, corners.normals, corners.z, T_map_robot
+    few = _landmarks_in_view(features.rows[match.ids[match.ids >= 0]], wide) < config.few_matches
+    return match, count_sightings(features.rows, match.ids, marks, room, graph.current, config.record, seen.step, few)
+
+
+def _landmarks_in_view(rows: Rows, wide: bool) -> int:
+    """How many of the features in view, `rows` (k,), are landmarks; no jambs where predictions are `wide`."""
+    return int(((rows["state"] == LANDMARK) & ~(wide & (rows["kind"] == JAMB))).sum())
 
 
 def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: Ints) -> Match:
@@ -108,23 +116,21 @@ def find_tracks(
 def count_sightings(
     rows: Rows,
     ids: Ints,
-    marks: tuple[Ints, Array, Array],
+    marks: tuple[Ints, Array, Array, Array],
     room: Ints,
     current: int,
-    T_map_robot: Array,
     config: Rows,
     step: int,
+    few: bool,
 ) -> Ints:
     """(c,) the corners whose track has now been seen often enough; `rows` note one sighting of each feature.
 
     `ids` (n,) are the features of the corners, < 0: none; `marks` are kind (n,), normals (n,2) rad and z (n,2) in the
-    robot frame. A feature of an open room belongs to that of its corner, `room` (n,); the robot is in `current`. One
-    sighting is enough while few landmarks are in view: without any the pose is lost.
+    robot frame, and the robot's pose. A feature of an open room belongs to that of its corner, `room` (n,); the robot
+    is in `current`. With `few` landmarks in view one sighting is enough.
     """
-    limits, (kind, normals, z), count, landmarks = config[0], marks, 0, 0
+    limits, (kind, normals, z, T_map_robot), count = config[0], marks, 0
     p_map, confirmed = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
-    for i in range(ids.shape[0]):
-        landmarks += ids[i] >= 0 and rows[ids[i]].state == LANDMARK
     for i in range(ids.shape[0]):
         f = ids[i]
         if f < 0:
@@ -138,7 +144,7 @@ def count_sightings(
                 rows[f].normals[k] = normals[i, k] + T_map_robot[2]
         needed = limits.jamb_sightings if kind[i] == JAMB else limits.sightings
         needed = limits.end_sightings if kind[i] == FREE_END and room[i] != current else needed
-        needed = 1 if landmarks < limits.few_matches else needed
+        needed = 1 if few else needed
         if rows[f].state == TRACK and rows[f].seen >= needed:
             confirmed[count] = i
             count += 1

@@ -264,6 +264,21 @@ def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_
     assert find_unconfirmed(table.rows, match.ids, config.record, late).tolist() == [1]
 
 
+def test_jambs_in_view_do_not_count_where_predictions_are_wide():
+    """At odometry x4 the pose was lost beyond a door: all in view before it were two jambs and two corners."""
+    points, config = np.array([[0.4, 0.5], [0.4, -0.5], [-1.0, 1.0], [-1.0, -1.0], [3.0, 1.0]]), TrackConfig()
+    decisions = [Decision.LANDMARK] * 4 + [Decision.NEW]
+    for kind, wide, confirmed in (
+        (CornerKind.CROSSING, True, []),
+        (CornerKind.JAMB, False, []),
+        (CornerKind.JAMB, True, [4]),
+    ):
+        table = table_of(4, state=FeatureState.LANDMARK, kind=[kind, kind, 0, 0], seen=9)
+        match, nowhere = match_of(decisions, [0, 1, 2, 3, -1]), np.full(5, -1, np.int64)
+        seen = Sighting(corners_at(points), match, nowhere, ORIGIN, 1)
+        assert track_corners(table, seen, graph_of(), config, wide)[1].tolist() == confirmed
+
+
 def test_a_line_end_in_another_room_needs_more_sightings_and_belongs_to_the_room_that_it_is_seen_from_inside():
     config = TrackConfig(few_matches=0)
     table, end = FeatureTable(), int(CornerKind.FREE_END)
