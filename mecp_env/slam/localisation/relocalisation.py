@@ -138,8 +138,9 @@ class LandmarkIndex:
         """(h,n) row of the nearest landmark with the descriptor of each corner within `radius`, or -1."""
         at = moved(poses, seen.p)
         query = np.stack((at.real, at.imag), axis=-1)
-        nearest = self.tree.query(query, k=min(4, len(self.ids)), distance_upper_bound=radius)[1]
-        near: Ints = np.asarray(nearest).reshape(*at.shape, -1)
+        most = min(4, len(self.ids))
+        nearest = self.tree.query(query, k=most, distance_upper_bound=radius)[1]
+        near: Ints = np.asarray(nearest).reshape(*at.shape, most)  # also of no hypothesis
         h, n, k = np.nonzero(near < len(self.ids))
         fitting = fits(seen, n, poses[h, 2], self.landmarks, near[h, n, k], self.tolerance)
         row = np.full(at.shape, -1)
