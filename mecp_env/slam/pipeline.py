@@ -12,6 +12,7 @@ from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.messages import (
     Belief,
@@ -68,16 +69,12 @@ class SlamPipeline(SlamParts):
         corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)
         polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
         view = self.map.view(predicted, self.rooms.graph(), through, self.step_count)
-        said = self.guard.ask(beams, predicted, self.grid.canvas.grid)
-        untouched = self.filter.copy() if said.contradicts else self.filter
-        associated, updated = self._localise(corners, polygons, view)  # III-B
+        untouched = self.filter
+        associated, updated, evidence = self._localise(beams, corners, polygons, view)  # III-B
         belief = self.divergence.watch(self.filter.belief())
-        if said.contradicts:
-            said = self.guard.ask(beams, belief, self.grid.canvas.grid)
-        sharp = config.association.is_sharp(predicted)
-        if self.guard.trusts(self.guard.evidence(said, updated, view, sharp)):
+        if self.guard.trusts(evidence):
             seen = Sighting(corners, updated, through, belief, self.step_count)
-            match, belief = self._map_scan(beams, segments, polygons, seen, sharp)  # III-B.1
+            match, belief = self._map_scan(beams, segments, polygons, seen, evidence.sharp)  # III-B.1
         else:
             self.filter = untouched
             match, belief = self._relocalise(beams, corners, polygons, view)
@@ -88,27 +85,59 @@ class SlamPipeline(SlamParts):
             *(self.guard.confidence(belief), self.guard.localised),
         )
 
-    def _localise(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView) -> tuple[Match, Match]:
-        """The match of the associator, and the part of it that updated the filter; nothing where that diverges."""
-        associated = updated = ignored(len(corners), Reason.NOT_LOCALISED)
+    def _localise(
+        self, beams: MergedScan, corners: Corners, polygons: tuple[Polygon, ...], view: MapView
+    ) -> tuple[Match, Match, Evidence]:
+        """The match of the associator, the part of it that updated the filter, and what speaks for the pose.
+
+        Where the prediction does not fit the map, a copy of the filter is updated; where little speaks for the pose
+        even then, another one that assumes that odometry has failed.
+        """
+        predicted, sharp = self.filter, self.config.association.is_sharp(view.belief)
+        said = self.guard.ask(beams, view.belief, self.grid.canvas.grid)
+        associated, sure = self._associate(corners, polygons, view)
+        expected = self.guard.evidence(said, sure, view, sharp)
+        if expected.fits or not self.guard.localised:
+            return associated, self._update(corners, sure, iterate=not sharp), expected
+        self.filter = predicted.copy()
+        updated = self._update(corners, sure, iterate=not sharp)
+        said = self.guard.ask(beams, self.filter.belief(), self.grid.canvas.grid)
+        first = associated, updated, self.guard.evidence(said, sure, view, sharp)
+        if first[2].fits:
+            return first
+        tried, self.filter = self.filter, predicted.copy()
+        self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))
+        associated, sure = self._associate(corners, polygons, replace(view, belief=self.filter.belief()))
+        updated = self._update(corners, sure, iterate=True)
+        said = self.guard.ask(beams, self.filter.belief(), self.grid.canvas.grid)
+        again = associated, updated, self.guard.evidence(said, sure, view, sharp=False)
+        if not again[2].beats(first[2]):
+            self.filter = tried
+            return first
+        clear = self.guard.is_clear(corners, polygons, view, beams, self.grid.canvas.grid, self.filter.belief())
+        return again if clear else (associated, updated, again[2].doubted())
+
+    def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView) -> tuple[Match, Match]:
+        """The match of the associator, and the part of it that is sure; nothing while the pose is searched for."""
+        associated = sure = ignored(len(corners), Reason.NOT_LOCALISED)
         if not self.guard.localised:
-            return associated, updated
+            return associated, sure
         with self.divergence:
             associated = self.associator.associate(corners, polygons, view, self.filter)
             check_match(associated, len(corners), len(view.features))
-            config = self.config.association
             oldest = self.step_count - self.config.tracks.window_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
-            updated = self._update(corners, sure, iterate=not config.is_sharp(view.belief))
-        return associated, updated
+        return associated, sure
 
     def _update(self, corners: Corners, match: Match, iterate: bool) -> Match:
-        """Update the filter with all recognised corners at once."""
+        """Update the filter with all recognised corners at once; the match, or nothing where the filter diverges."""
         recognised = match.recognised()
-        if len(recognised):
-            z, R = corners.measurements(recognised)
-            self.filter.update(z, R, match.ids[recognised], iterate=iterate)
-        return match
+        with self.divergence:
+            if len(recognised):
+                z, R = corners.measurements(recognised)
+                self.filter.update(z, R, match.ids[recognised], iterate=iterate)
+            return match
+        return ignored(len(corners), Reason.NOT_LOCALISED)
 
     def _relocalise(
         self, beams: MergedScan, corners: Corners, polygons: tuple[Polygon, ...], view: MapView
@@ -119,8 +148,7 @@ class SlamPipeline(SlamParts):
         if found is not None:
             match = match.assign(found.corners, found.ids, int(Decision.LANDMARK), int(Reason.RELOCALISED))
             self.filter.set_pose(found.T_map_robot, found.cov)
-            with self.divergence:
-                self._update(corners, match, iterate=True)
+            self._update(corners, match, iterate=True)
             self.rooms.arrive_at(found.ids, self.map.features)
             self.map.forget_tracks(self.step_count, self.rooms.resolve)
         return match, self.filter.belief()

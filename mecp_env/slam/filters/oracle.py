@@ -16,11 +16,20 @@ from mecp_env.slam.protocols import Filter
 class OraclePoseFilter:
     """The filter `inner`, except that each prediction ends at the true pose.
 
-    The owner of the ground truth sets `T_map_robot` before each step.
+    The owner of the ground truth sets `T_map_robot` before each step, of this filter and of its copies at once.
     """
 
     inner: Filter
-    T_map_robot: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, m, rad
+    truth: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, m, rad; the copies have the same
+
+    @property
+    def T_map_robot(self) -> Array:
+        """The true pose (3,)."""
+        return self.truth
+
+    @T_map_robot.setter
+    def T_map_robot(self, T_map_robot: Array) -> None:
+        self.truth[:] = T_map_robot
 
     def predict(self, odometry: Odometry) -> None:
         self.inner.predict(odometry)
@@ -30,7 +39,7 @@ class OraclePoseFilter:
         """Nothing: the pose is the true one."""
 
     def copy(self) -> Self:
-        """An independent filter at the same pose."""
+        """A filter with a map of its own, at the same true pose."""
         return replace(self, inner=self.inner.copy())
 
     def __getattr__(self, name: str) -> Any:

@@ -24,6 +24,11 @@ class Agreement(NamedTuple):
         """True when the map says that the scan was not taken there."""
         return self.share < self.least
 
+    @property
+    def is_strong(self) -> bool:
+        """True when the beams agree so well that nothing else need be asked."""
+        return self.share >= 0.5 * (1.0 + self.least)
+
 
 class Evidence(NamedTuple):
     """What speaks for the pose at which a scan was taken."""
@@ -33,14 +38,16 @@ class Evidence(NamedTuple):
     sharp: bool  # they were recognised at a sharp prediction
 
     @property
-    def is_enough(self) -> bool:
-        """True for a share of corners that was recognised at a sharp prediction, whatever stands around.
+    def is_strong(self) -> bool:
+        """True for beams that agree well, and for a share of corners recognised at a sharp prediction."""
+        return self._is_recognised or self.said.is_strong
 
-        Else the beams must not contradict, and some corner be recognised, or agree so well that none need be.
-        """
+    @property
+    def is_enough(self) -> bool:
+        """True for strong evidence, and for beams that do not contradict while some corner is recognised."""
         some = self.recognised != 0.0 or self.said.least == 0.0  # a least share of 0 asks for nothing
         agrees = some and not self.said.contradicts
-        return self._is_recognised or agrees or self.said.share >= 0.5 * (1.0 + self.said.least)
+        return agrees or self.is_strong
 
     @property
     def share(self) -> float:
@@ -48,6 +55,21 @@ class Evidence(NamedTuple):
         if self.is_enough:
             return max(self.said.share, self.recognised) if self._is_recognised else self.said.share
         return min(self.recognised, self.said.share) if self.recognised >= 0.0 else self.said.share
+
+    @property
+    def fits(self) -> bool:
+        """True when nothing is odd: beams agree well, and in a place that is mapped the corners are recognised."""
+        odd = self.recognised < self.said.least and self.said.explained >= 0.5 * (1.0 + self.said.least)
+        new = math.isnan(self.said.share) and self.recognised != 0.0
+        return self._is_recognised or new or (self.said.is_strong and not odd)
+
+    def beats(self, other: Evidence) -> bool:
+        """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree."""
+        return self.is_strong and self.recognised > other.recognised and self.said.share >= other.said.share
+
+    def doubted(self) -> Evidence:
+        """The evidence of a place that looks like another one: none."""
+        return Evidence(self.said._replace(share=0.0), 0.0, sharp=False)
 
     @property
     def _is_recognised(self) -> bool:

@@ -58,6 +58,11 @@ class PoseGuard:
         """What the map says of a scan at the pose of a belief."""
         return agreement(beams, belief.T_map_robot, grid, self.reach_m, self.config.explained_share)
 
+    def spread(self, belief: Belief) -> Array:
+        """(3,3) covariance of a predicted pose if odometry since the last trusted scan may be wrong altogether."""
+        metres, turn = self.travelled + self.config.inlier_m, self.turned + self.config.inlier_m
+        return belief.pose_cov + np.diag([metres**2, metres**2, turn**2])
+
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
         tells = len(match.ids) >= self.config.least_corners and len(view.belief.ids) > 0
@@ -90,7 +95,7 @@ class PoseGuard:
         """Where the robot is, once enough scans agree; None before, and in an ambiguous place."""
         if self.localised or not len(view.belief.ids):
             return None
-        index, pose = LandmarkIndex(view, self.config, self.reach_m, self.descriptor_rad), view.belief.T_map_robot
+        index, pose = self._index(view), view.belief.T_map_robot
         judge = partial(self._judge, corners=corners, beams=beams, grid=grid, predicted=pose)
         kept = judge(index.look_at(corners, compose(self.correction, pose))) if self.agreed else NOWHERE
         won = clear_winner([*map(judge, index.locate(corners, polygons))], self.config)
@@ -101,6 +106,24 @@ class PoseGuard:
             return None
         self.trust()
         return found
+
+    def is_clear(
+        self,
+        corners: Corners,
+        polygons: tuple[Polygon, ...],
+        view: MapView,
+        beams: MergedScan,
+        grid: SemanticGrid,
+        belief: Belief,
+    ) -> bool:
+        """True when a search by this scan alone finds the pose of a belief, as failed odometry may have left it."""
+        judge = partial(self._judge, corners=corners, beams=beams, grid=grid, predicted=view.belief.T_map_robot)
+        won = clear_winner([*map(judge, self._index(view).locate(corners, polygons))], self.config)
+        off = math.dist(won.at.T_map_robot[:2], belief.T_map_robot[:2]) if won else math.inf
+        return off < 2.0 * self.config.inlier_m
+
+    def _index(self, view: MapView) -> LandmarkIndex:
+        return LandmarkIndex(view, self.config, self.reach_m, self.descriptor_rad)
 
     def _weigh(self, share: float) -> None:
         """Bayes' rule: each scan adds its log-likelihood ratio."""

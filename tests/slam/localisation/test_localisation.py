@@ -226,34 +226,70 @@ def test_confidence_falls_with_the_covariance_of_the_position(mapped):
     assert wide[3] < 0.1
 
 
-def test_a_wrong_odometry_reading_is_noticed_and_undone_without_a_trace_in_the_map(mapped):
+def way_back(drive, error):
+    """Odometry and scans of the last 20 steps in reverse order, the first reading with an `error` (m, rad)."""
+    back = list(range(len(drive.scans) - 1, len(drive.scans) - 21, -1))
+    for n, k in enumerate(back):
+        taken = drive.odometry[k if n == 0 else k + 1]
+        increments = np.ascontiguousarray(-taken.increments[::-1]) * (n > 0)
+        increments[0] += error if n == 0 else 0.0
+        yield replace(taken, increments=increments), drive.scans[k], in_map(drive, drive.T_world_robot[k])
+
+
+@pytest.mark.parametrize("error", [(0.3, 0.2), (1.0, math.radians(20.0)), (-1.0, math.radians(20.0))])
+def test_a_wrong_odometry_reading_is_undone_without_a_trace_in_the_map(mapped, error):
     before, _, drive = mapped
     pipeline = copy.deepcopy(before)
-    landmarks, features = pipeline.filter.belief(), len(pipeline.map.features)
-    back = list(range(len(drive.scans) - 20, len(drive.scans)))
-    slip = drive.odometry[back[0]]
-    increments = -slip.increments
-    increments[0] += 1.0, math.radians(20.0)
-    trace = []
-    for n, k in enumerate(reversed(back)):  # the way back, seen again
-        increment = -drive.odometry[min(k + 1, back[-1])].increments[::-1] if n else increments
-        odometry = replace(slip, increments=np.ascontiguousarray(increment))
-        output = pipeline.step(odometry, drive.scans[k])
-        trace.append(
-            (
-                output.confidence,
-                output.localised,
-                *off(output.belief.T_map_robot, in_map(drive, drive.T_world_robot[k])),
-            )
-        )
-    confidence, localised, error_m, _ = zip(*trace, strict=True)
-    assert error_m[0] > 0.7
-    assert min(confidence[:10]) < 0.5
-    assert not all(localised)
-    assert localised[10:] == (True,) * 10
-    assert max(error_m[10:]) < 0.1
-    assert np.isin(landmarks.ids, pipeline.filter.ids).all()
+    landmarks, features = pipeline.filter.belief().ids, len(pipeline.map.features)
+    errors = []
+    for odometry, scan, truth in way_back(drive, error):
+        output = pipeline.step(odometry, scan)
+        errors.append(off(output.belief.T_map_robot, truth)[0])
+        assert output.confidence < 0.5 or errors[-1] < 0.5
+    assert output.localised
+    assert max(errors[10:]) < 0.1
+    assert np.isin(landmarks, pipeline.filter.ids).all()
     assert len(pipeline.map.features) - features < 10
+
+
+def test_a_robot_carried_to_the_other_room_is_noticed_and_found(mapped):
+    before, _, drive = mapped
+    pipeline = copy.deepcopy(before)
+    step = next(k for k, pose in enumerate(drive.T_world_robot) if pose[0] > 6.5)
+    trace = [pipeline.step(drive.odometry[k], drive.scans[k]) for k in range(step, step + 15)]
+    assert min(output.confidence for output in trace[:10]) < 0.5
+    assert not all(output.localised for output in trace)
+    assert trace[-1].localised
+    assert off(trace[-1].belief.T_map_robot, in_map(drive, drive.T_world_robot[step + 14])) < (0.1, 0.05)
+    searching = [output for output in trace if not output.localised]
+    assert all((output.match.decision != 0).all() for output in searching)
+    assert len({output.grid.version for output in searching}) == 1
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "beats"),
+    [
+        ((1.0, 0.9), (0.7, 0.1), True),
+        ((1.0, 0.9), (1.0, 0.1), True),
+        ((0.9, 0.9), (1.0, 0.1), False),  # fewer beams agree
+        ((1.0, 0.1), (0.7, 0.9), False),  # fewer corners
+        ((0.8, 0.9), (0.3, 0.1), False),  # it is not strong itself
+    ],
+)
+def test_another_attempt_must_explain_more(one, other, beats):
+    assert seen(*one, sharp=False).beats(seen(*other)) == beats
+    assert not seen(*one).doubted().is_enough
+
+
+def test_corners_that_are_missing_where_all_is_mapped_do_not_fit():
+    assert seen(1.0, 1.0).fits
+    assert not seen(1.0, 0.1).fits
+    assert seen(1.0, math.nan).fits
+    frontier = Evidence(Agreement(1.0, 0.5, CONFIG.explained_share), 0.1, sharp=True)
+    assert frontier.fits
+    assert seen(math.nan, 0.2).fits  # new
+    assert seen(math.nan, math.nan).fits
+    assert not seen(math.nan, 0.0).fits
 
 
 def test_a_robot_in_a_saved_map_finds_its_pose(mapped, tmp_path):
