@@ -22,10 +22,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive, record_drive
+from benchmarks.plots import Panel, line_panels
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
@@ -42,6 +44,7 @@ BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
 READING_M, READING_RAD = 1.0, math.radians(20.0)
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 DOUBTED, BINS = 0.5, 10
+SHOWN = (0, 1, 2, 3, 4, 6, 8, 10, 15, 20, 29)  # scans after an event, in the figure
 KINDS = ("reading", "carried")
 SHARES = ("noticed", "harmless", "relocalised", "right_at_end")
 SECOND_DRIVE = 1000  # added to the seed
@@ -158,7 +161,9 @@ def summarise(drives: list[Figures]) -> Figures:
             for name in SHARES
         }
         wrong = sum(event["accepted"] for one in of_kind for event in one)
-        cells[kind] = {**shares, "wrong_poses": int(wrong), "events": int(events.sum())}
+        right = [np.array([[scan[1] < WRONG_M for scan in event["trace"]] for event in one]) for one in of_kind]
+        after = [ratio(np.array([float(one[:, k].sum()) for one in right]), events) for k in SHOWN]
+        cells[kind] = {**shares, "right_after": after, "wrong_poses": int(wrong), "events": int(events.sum())}
     traces = [scans_of(drive) for drive in drives]
     before = [np.array(drive["before"]) for drive in drives]
     alarms = [float(((of[:, 0] < DOUBTED) & (of[:, 1] < WRONG_M)).sum()) for of in before]
@@ -190,6 +195,15 @@ def calibration_error(confidence: Array, error_m: Array) -> float:
     bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
     gap = np.bincount(bins, confidence - (error_m < WRONG_M), BINS)
     return float(np.abs(gap).sum() / len(confidence))
+
+
+def figure(figures: Figures) -> Figure:
+    """Share of events after which the position is right again, by scans."""
+    panels = {
+        kind: Panel([str(k) for k in SHOWN], {name: cells[kind]["right_after"] for name, cells in figures.items()})
+        for kind in KINDS
+    }
+    return line_panels(panels, "share with an error below 0.5 m, by scans after the event")
 
 
 def report(figures: Figures) -> str:

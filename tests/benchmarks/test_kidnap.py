@@ -1,0 +1,45 @@
+"""The scores of the benchmark `kidnap`, on constructed outcomes and on a short drive."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks import kidnap
+from benchmarks.drives import Drive
+from mecp_env.evaluation.ground_truth import GroundTruth
+from mecp_env.slam.config import SlamConfig
+from tests.slam.drives import scripted_drive
+
+
+def test_roc_area_is_the_share_of_pairs_in_the_right_order() -> None:
+    confidence, error_m = np.array([0.9, 0.8, 0.3, 0.8, 0.1]), np.array([0.1, 0.1, 0.1, 2.0, 2.0])
+    assert kidnap.roc_area(confidence, error_m) == pytest.approx((2 + 1.5 + 1) / 6)
+    assert math.isnan(kidnap.roc_area(confidence[:3], error_m[:3]))
+
+
+def test_calibration_error_is_the_gap_between_confidence_and_frequency() -> None:
+    confidence = np.array([0.95] * 10 + [0.05] * 10)
+    assert kidnap.calibration_error(confidence, np.array([0.1] * 10 + [2.0] * 10)) == pytest.approx(0.05)
+    assert kidnap.calibration_error(confidence, np.array([2.0] * 10 + [0.1] * 10)) == pytest.approx(0.95)
+
+
+def test_events_are_counted_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = scripted_drive()
+    truth = GroundTruth(made.outline, 30.0)
+    drive = Drive(truth, SlamConfig(), made.odometry, made.scans, made.T_world_robot)
+    monkeypatch.setattr(kidnap, "record_drive_in", lambda *_: drive)
+    outcomes = kidnap.disturb(("two_rooms", 3, 0))
+    figures = {"two_rooms": kidnap.summarise([outcomes, outcomes])}
+    for kind in kidnap.KINDS:
+        cell = figures["two_rooms"][kind]
+        assert cell["events"] == 6
+        assert cell["noticed"]["value"] == 1.0
+        assert cell["right_at_end"]["value"] == 1.0
+        assert cell["wrong_poses"] == 0
+        assert len(cell["right_after"]) == len(kidnap.SHOWN)
+    assert figures["two_rooms"]["confidence"]["false_alarms"]["value"] == 0.0
+    assert "| two_rooms | carried |" in kidnap.report(figures)
+    assert len(kidnap.figure(figures).axes) == 2
