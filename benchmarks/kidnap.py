@@ -200,10 +200,12 @@ def calibration_error(confidence: Array, error_m: Array) -> float:
 def figure(figures: Figures) -> Figure:
     """Share of events after which the position is right again, by scans."""
     panels = {
-        kind: Panel([str(k) for k in SHOWN], {name: cells[kind]["right_after"] for name, cells in figures.items()})
+        f"{kind}: scans after the event": Panel(
+            [str(k) for k in SHOWN], {name: cells[kind]["right_after"] for name, cells in figures.items()}
+        )
         for kind in KINDS
     }
-    return line_panels(panels, "share with an error below 0.5 m, by scans after the event")
+    return line_panels(panels, "share with an error below 0.5 m")
 
 
 def report(figures: Figures) -> str:

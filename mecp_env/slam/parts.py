@@ -1,4 +1,4 @@
-"""What the estimator consists of, how it is made, and where it begins; `pipeline` says what happens in a step."""
+"""The parts of the estimator, how they are made, and where it begins; `pipeline` is what happens in a step."""
 
 from __future__ import annotations
 
