@@ -46,13 +46,7 @@ def track_corners(
         track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, config.record)
         match = _follow_and_start(features, corners, match, track, room)
     marks = corners.kind, corners.normals, corners.z, T_map_robot
-    few = _landmarks_in_view(features.rows[match.ids[match.ids >= 0]], wide) < config.few_matches
-    return match, count_sightings(features.rows, match.ids, marks, room, graph.current, config.record, seen.step, few)
-
-
-def _landmarks_in_view(rows: Rows, wide: bool) -> int:
-    """How many of the features in view, `rows` (k,), are landmarks; no jambs where predictions are `wide`."""
-    return int(((rows["state"] == LANDMARK) & ~(wide & (rows["kind"] == JAMB))).sum())
+    return match, count_sightings(features.rows, match.ids, marks, room, graph.current, config.record, seen.step, wide)
 
 
 def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: Ints) -> Match:
@@ -121,16 +115,18 @@ def count_sightings(
     current: int,
     config: Rows,
     step: int,
-    few: bool,
+    wide: bool,
 ) -> Ints:
     """(c,) the corners whose track has now been seen often enough; `rows` note one sighting of each feature.
 
     `ids` (n,) are the features of the corners, < 0: none; `marks` are kind (n,), normals (n,2) rad and z (n,2) in the
     robot frame, and the robot's pose. A feature of an open room belongs to that of its corner, `room` (n,); the robot
-    is in `current`. With `few` landmarks in view one sighting is enough.
+    is in `current`. With few landmarks in view, jambs not counted after a `wide` prediction, one sighting is enough.
     """
-    limits, (kind, normals, z, T_map_robot), count = config[0], marks, 0
+    limits, (kind, normals, z, T_map_robot), count, landmarks = config[0], marks, 0, 0
     p_map, confirmed = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
+    for f in ids:
+        landmarks += f >= 0 and rows[f].state == LANDMARK and not (wide and rows[f].kind == JAMB)
     for i in range(ids.shape[0]):
         f = ids[i]
         if f < 0:
@@ -144,7 +140,7 @@ def count_sightings(
                 rows[f].normals[k] = normals[i, k] + T_map_robot[2]
         needed = limits.jamb_sightings if kind[i] == JAMB else limits.sightings
         needed = limits.end_sightings if kind[i] == FREE_END and room[i] != current else needed
-        needed = 1 if few else needed
+        needed = 1 if landmarks < limits.few_matches else needed
         if rows[f].state == TRACK and rows[f].seen >= needed:
             confirmed[count] = i
             count += 1

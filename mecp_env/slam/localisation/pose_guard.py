@@ -51,8 +51,8 @@ class PoseGuard:
     def follow(self, odometry: Odometry) -> None:
         """Note how far the robot has moved until the pose is searched for."""
         if self.localised:
-            travelled, turned = np.abs(odometry.increments).sum(axis=0).tolist()
-            self.travelled, self.turned = self.travelled + travelled, self.turned + turned
+            for metres, turn in odometry.increments.tolist():
+                self.travelled, self.turned = self.travelled + abs(metres), self.turned + abs(turn)
 
     def ask(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Agreement:
         """What the map says of a scan at the pose of a belief."""
