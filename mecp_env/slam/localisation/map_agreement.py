@@ -61,7 +61,7 @@ class Evidence(NamedTuple):
         """True when nothing is odd: beams agree well, and in a place that is mapped the corners are recognised."""
         odd = self.recognised < self.said.least and self.said.explained >= 0.5 * (1.0 + self.said.least)
         new = math.isnan(self.said.share) and self.recognised != 0.0
-        return self._is_recognised or new or (self.said.is_strong and not odd)
+        return self.said.least == 0.0 or self._is_recognised or new or (self.said.is_strong and not odd)
 
     def beats(self, other: Evidence) -> bool:
         """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree."""

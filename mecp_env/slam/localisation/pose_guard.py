@@ -88,6 +88,7 @@ class PoseGuard:
     def trust(self) -> None:
         """The pose is right."""
         self.localised, self.log_odds, self.doubts, self.agreed = True, self.sure, 0, 0
+        self.travelled = self.turned = 0.0
 
     def search(
         self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, beams: MergedScan, grid: SemanticGrid

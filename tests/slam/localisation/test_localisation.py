@@ -192,7 +192,16 @@ def test_beams_and_corners_speak_for_a_pose(share, recognised, sharp, enough):
 def test_a_least_share_of_zero_turns_the_guard_off():
     off = Evidence(Agreement(math.nan, 0.0, 0.0), 0.0, sharp=False)
     assert off.is_enough
+    assert off.fits
     assert Evidence(Agreement(0.0, 0.0, 0.0), 0.0, sharp=False).is_enough
+    assert Evidence(Agreement(0.3, 0.3, 0.0), math.nan, sharp=False).fits  # and nothing is tried again
+
+
+def test_a_pose_that_was_found_does_not_remember_how_it_was_lost(mapped):
+    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard.lose(anywhere=True)
+    guard.trust()
+    assert np.isfinite(guard.spread(mapped[1].belief)).all()
 
 
 def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
