@@ -15,3 +15,7 @@ class ActionError(MecpError):
 
 class LayoutError(MecpError):
     """A layout or plan file is damaged, out of its limits, or geometrically impossible."""
+
+
+class LogError(MecpError):
+    """A log is damaged, of an unknown format, or without the laser or odometry that is asked for."""

@@ -1,0 +1,232 @@
+"""The estimator on a log: its configuration by the log's laser, the drive through the records, and the scores."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.errors import LogError, MecpError
+from mecp_env.core.messages import Odometry
+from mecp_env.core.settings import Settings
+from mecp_env.core.trajectories import between, chained
+from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
+from mecp_env.logs.log import Log
+from mecp_env.logs.motion import arcs, end_of, reading
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.world.config import OdometryConfig
+
+RANGE_SIGMA_M = 0.02  # of a SICK LMS-200 and its successors
+UNIFORM = math.sqrt(12.0)  # a beam looks anywhere within its step: the standard deviation is step / sqrt(12)
+
+
+class LogRunConfig(Settings):
+    """How a log is fed to the estimator."""
+
+    odometry: Literal["log", "reference"] = "log"  # reference: of the reference path, with noise of `noise`
+    noise: OdometryConfig = OdometryConfig()  # per metre: what the covariance of a reading is computed from
+    seed: int = Field(0, ge=0)  # of that noise
+    rest_m: float = Field(0.01, ge=0.0, le=1.0)  # a scan is skipped where the robot has moved less than this, and
+    rest_deg: float = Field(0.5, ge=0.0, le=45.0)  # turned less than this, since the last one that was used
+    first: int = Field(0, ge=0)  # record to begin with
+    scans: int | None = Field(None, ge=1)  # records at most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogRun:
+    """The result of the estimator on a log, or on its first part."""
+
+    log: Log
+    pipeline: SlamPipeline
+    output: SlamOutput  # after the last scan
+    ended: str  # complete, diverged, interrupted, or an error
+    t: Array  # (n,) s, of the scans that were used
+    T_map_robot: Array  # (n,3) m, rad: estimated when each was taken
+    T_ref_robot: Array | None  # (n,3) m, rad
+    T_odom_robot: Array  # (n,3) m, rad: dead reckoning from the first scan on, as the estimator got it
+    localised: Bools  # (n,)
+    polygon: Bools  # (n,) a polygon was found
+    step_s: Array  # (n,) processor time of each scan
+    counts: Mapping[str, int]  # those of the log, and of what was left out here
+
+    def metrics(self) -> dict[str, Any]:
+        """The figures of the run; those against a reference or relations only where the log has them."""
+        found: dict[str, Any] = {
+            "ended": self.ended,
+            "scans": len(self.t),
+            "log_share": float((self.t[-1] - self.log.t[0]) / max(self.log.t[-1] - self.log.t[0], 1e-9)),
+            "seconds": float(self.t[-1] - self.t[0]),
+            "metres": float(np.hypot(*np.diff(self.T_map_robot[:, :2], axis=0).T).sum()),
+            "landmarks": len(self.output.belief.ids),
+            "landmarks_dropped": self.dropped,
+            "rooms": len(self.output.graph.rooms),
+            "doors": len(self.output.graph.doors),
+            "polygon_share": float(self.polygon.mean()),
+            "localised_share": float(self.localised.mean()),
+            "ms_per_scan_median": 1e3 * float(np.median(self.step_s)),
+            "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
+        }
+        return found | self._against_reference() | self._relations() | {"counts": dict(self.counts)}
+
+    @property
+    def dropped(self) -> int:
+        """Landmarks that found no room in the filter."""
+        return int(getattr(self.pipeline.filter, "dropped", 0))
+
+    @property
+    def scored(self) -> slice:
+        """The scans from the first on whose pose was known."""
+        return slice(int(self.localised.argmax()), None)
+
+    def _against_reference(self) -> dict[str, float]:
+        """The error against the reference path, and that of dead reckoning."""
+        if self.T_ref_robot is None or not self.localised.any():
+            return {}
+        reference = self.T_ref_robot[self.scored]
+        slam = trajectory_error(self.T_map_robot[self.scored], reference)
+        dead = trajectory_error(self.T_odom_robot[self.scored], reference)
+        return {
+            "ate_m": slam.rmse_m,
+            "ate_worst_m": slam.worst_m,
+            "ate_deg": math.degrees(slam.rmse_rad),
+            "dead_reckoning_ate_m": dead.rmse_m,
+        }
+
+    def _relations(self) -> dict[str, float]:
+        """The error of the relations, with interpolated poses, and of those that need no interpolation."""
+        t, poses, found = self.t[self.scored], self.T_map_robot[self.scored], dict[str, float]()
+        both = {"relations": self.log.relations, "relations_at_scans": coincident(self.log.t, self.log.relations)}
+        for name, relations in both.items() if self.localised.any() else ():
+            if len(relations):
+                error = relation_error(t, poses, relations)
+                found |= {name: error.relations, f"{name}_m": error.mean_m, f"{name}_sd_m": error.sd_m}
+                found |= {f"{name}_deg": math.degrees(error.mean_rad), f"{name}_sd_deg": math.degrees(error.sd_rad)}
+        return found
+
+
+def sensor_of(log: Log, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Fields of the estimator's sensor model by the log's laser, but for those that are `given`."""
+    sigmas = {"range_sigma_m": RANGE_SIGMA_M, "bearing_sigma_deg": math.degrees(log.step_rad) / UNIFORM}
+    return log.sensor() | sigmas | dict(given or {})
+
+
+def config_for(log: Log, fields: Mapping[str, Any] | None = None) -> SlamConfig:
+    """The configuration of the estimator for a log; `fields` of `SlamConfig` override what the log says."""
+    fields = dict(fields or {})
+    return SlamConfig.parse(fields | {"sensor": sensor_of(log, fields.get("sensor"))})
+
+
+@dataclass(slots=True, eq=False)
+class LogDrive:
+    """A run in progress: the estimator and what it has said so far."""
+
+    log: Log
+    pipeline: SlamPipeline
+    config: LogRunConfig
+    rows: list[int] = field(default_factory=list)  # of the log, that were used
+    outputs: list[tuple[Array, bool, bool, float]] = field(default_factory=list)
+    """Of each scan the pose (3,), whether it is known, whether there is a polygon, and the time in s."""
+    measured: list[Array] = field(default_factory=list)  # (3,) of each scan the motion that the odometry measured
+    output: SlamOutput | None = None
+    ended: str = "interrupted"
+
+    def __post_init__(self) -> None:
+        """Check that the log has what the configuration asks for. Raises `LogError`."""
+        self._path()
+
+    def _path(self) -> Array:
+        """(n,3) the poses that the odometry is made of."""
+        if self.config.odometry == "reference":
+            if self.log.T_ref_robot is None:
+                raise LogError(f"{self.log.name}: odometry: the log has no reference path to make it of")
+            return self.log.T_ref_robot
+        if self.log.T_odom_robot is None:
+            there = " (it has a reference path: odometry `reference`)" if self.log.T_ref_robot is not None else ""
+            raise LogError(f"{self.log.name}: odometry: the log has none{there}")
+        return self.log.T_odom_robot
+
+    def planned(self) -> list[int]:
+        """The rows of the log that will be used: those with a pose, without those at rest."""
+        path, config, rows = self._path(), self.config, list[int]()
+        last = config.first + (config.scans or len(self.log))
+        for row in (config.first + np.flatnonzero(np.isfinite(path[config.first : last, 0]))).tolist():
+            if not rows or self._moved(path[rows[-1]], path[row]):
+                rows.append(row)
+        if not rows:
+            raise LogError(f"{self.log.name}: no scan with a pose from record {config.first} on")
+        return rows
+
+    def _moved(self, T_before: Array, T_after: Array) -> bool:
+        dx, dy, turn = (T_after - T_before).tolist()
+        turned = abs(math.remainder(turn, 2.0 * math.pi))
+        return math.hypot(dx, dy) >= self.config.rest_m or turned >= math.radians(self.config.rest_deg)
+
+    def steps(self) -> Iterator[SlamOutput]:
+        """The output for each scan. An error of the estimator ends the run, and what there was is kept."""
+        rng = np.random.default_rng(self.config.seed) if self.config.odometry == "reference" else None
+        rows = self.planned()
+        try:
+            for before, row in zip([-1, *rows], rows, strict=False):
+                yield self._step(row, None if before < 0 else self._odometry(before, row, rng))
+                if self.output is not None and self.output.diverged:
+                    self.ended = "diverged"
+                    return
+        except MecpError as error:
+            self.ended = f"error: {error}"
+            return
+        self.ended = "complete"
+
+    def _odometry(self, before: int, row: int, rng: np.random.Generator | None) -> Odometry:
+        path = self._path()
+        return reading(arcs(between(path[before], path[row])), self.config.noise, rng)
+
+    def _step(self, row: int, odometry: Odometry | None) -> SlamOutput:
+        scan, start = self.log.scan(row), time.thread_time()
+        output = self.pipeline.start(scan) if odometry is None else self.pipeline.step(odometry, scan)
+        spent = time.thread_time() - start
+        self.rows.append(row)
+        self.outputs.append((output.belief.T_map_robot.copy(), output.localised, bool(output.polygons), spent))
+        self.measured.append(np.zeros(3) if odometry is None else end_of(odometry.increments))
+        self.output = output
+        return output
+
+    def result(self) -> LogRun:
+        """The run so far. Raises `LogError` before the first scan."""
+        if self.output is None:
+            raise LogError(f"{self.log.name}: no scan was used ({self.ended})")
+        poses, localised, polygon, spent = zip(*self.outputs, strict=True)
+        reference = None if self.log.T_ref_robot is None else self.log.T_ref_robot[self.rows]
+        skipped = {"scans at rest, skipped": self.rows[-1] + 1 - self.rows[0] - len(self.rows)}
+        return LogRun(
+            *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
+            *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
+            dict(self.log.counts) | {what: n for what, n in skipped.items() if n},
+        )
+
+
+def run_log(
+    log: Log,
+    config: SlamConfig | Mapping[str, Any] | None = None,
+    run: LogRunConfig | None = None,
+    pipeline: SlamPipeline | None = None,
+    after: Callable[[SlamOutput], None] | None = None,
+) -> LogRun:
+    """The estimator on a whole log; raises `LogError` where the log lacks what `run` asks for.
+
+    `config`: fields of `SlamConfig` that override the log's laser, or a whole `SlamConfig`, which is taken as it is.
+    `pipeline`: one to go on with, as from a saved map, in place of a new one. `after` is called after every scan.
+    """
+    slam = config if isinstance(config, SlamConfig) else config_for(log, config)
+    drive = LogDrive(log, pipeline or SlamPipeline(slam), run or LogRunConfig())
+    for output in drive.steps():
+        if after is not None:
+            after(output)
+    return drive.result()

@@ -1,0 +1,194 @@
+"""CARMEN logs: one message a line (carmen.sourceforge.net/logger_playback.html), and what is read of each.
+
+    PARAM name value
+    ODOM x y theta tv rv accel, FLASER n [ranges] x y theta odom_x odom_y odom_theta
+    RAWLASER1 type start fov resolution max_range accuracy remission_mode n [ranges] n [remissions]
+    ROBOTLASER1 as RAWLASER1, then laser x y theta, robot x y theta, tv rv and two or three safety values
+    TRUEPOS x y theta odom_x odom_y odom_theta
+
+All but PARAM end with the stamp of the message, the host, and the stamp of the logger (which old logs leave out).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.errors import LogError
+from mecp_env.core.paths import read_bytes
+from mecp_env.core.settings import guess
+from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
+
+MOST_BYTES = 2**31
+MOST_BEAMS = 20_000
+OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
+MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
+WIDE_DEG = {541: 270.0, 1081: 270.0, 682: 239.77, 683: 240.0}  # an FLASER line has no angles: these are no SICK LMS
+OLD_TAIL, NEW_TAIL = 10, 11  # values behind the readings of a ROBOTLASER1 line: before and since remissions
+
+
+@dataclass(slots=True, eq=False)
+class CarmenLog:
+    """What the lines so far have said."""
+
+    field_of_view_deg: float | None  # of FLASER lines; None: by the number of beams
+    sweeps: dict[str, list[Sweep]] = field(default_factory=lambda: {"ROBOTLASER1": [], "FLASER": [], "RAWLASER1": []})
+    odometry: Track = field(default_factory=Track)
+    reference: Track = field(default_factory=Track)
+    mount: dict[str, float] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def take(self, words: list[str]) -> None:
+        """Take in one line that is neither empty nor a comment. Raises `ValueError` for a damaged one."""
+        if words[0] in OTHER_LASERS:
+            self.counts["lines of another laser"] += 1
+        elif words[0] in READERS:
+            READERS[words[0]](self, words)
+        else:
+            self.counts["lines of other messages"] += 1
+
+    def param(self, words: list[str]) -> None:
+        """A parameter of the robot; those of no use here may have any value."""
+        if len(words) > 2 and words[1] in MOUNT:
+            self.mount[words[1]] = _number(words[2])
+
+    def odom(self, words: list[str]) -> None:
+        """The robot's pose by its wheels."""
+        self.odometry.add(_stamp(words, 7), _pose(words, 1))
+
+    def truepos(self, words: list[str]) -> None:
+        """The robot's true pose."""
+        self.reference.add(_stamp(words, 7), _pose(words, 1))
+
+    def flaser(self, words: list[str]) -> None:
+        """A sweep with the poses of laser and robot."""
+        ranges, tail = _readings(words, 1)
+        geometry = _plain_geometry(len(ranges), self.field_of_view_deg)
+        poses = {"T_odom_laser": _pose(tail, 0), "T_odom_robot": _pose(tail, 3)}
+        if len(tail) > 9:
+            raise ValueError
+        self.sweeps["FLASER"].append(Sweep(_stamp(tail, 6), ranges, geometry, **poses))
+
+    def rawlaser(self, words: list[str]) -> None:
+        """A sweep without a pose."""
+        ranges, tail = _readings(words, 8)
+        tail = tail[1 + _count(tail[0]) :]
+        if len(tail) > 3:
+            raise ValueError
+        self.sweeps["RAWLASER1"].append(Sweep(_stamp(tail, 0), ranges, _geometry(words, len(ranges))))
+
+    def robotlaser(self, words: list[str]) -> None:
+        """A sweep with the poses of laser and robot, in the old or the new form."""
+        ranges, tail = _readings(words, 8)
+        values = OLD_TAIL
+        if len(tail) != OLD_TAIL + 3:
+            tail, values = tail[1 + _count(tail[0]) :], NEW_TAIL
+        if not values < len(tail) <= values + 3:
+            raise ValueError
+        poses = {"T_odom_laser": _pose(tail, 0), "T_odom_robot": _pose(tail, 3)}
+        self.sweeps["ROBOTLASER1"].append(Sweep(_stamp(tail, values), ranges, _geometry(words, len(ranges)), **poses))
+
+
+READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
+    "PARAM": CarmenLog.param,
+    "ODOM": CarmenLog.odom,
+    "TRUEPOS": CarmenLog.truepos,
+    "FLASER": CarmenLog.flaser,
+    "RAWLASER1": CarmenLog.rawlaser,
+    "ROBOTLASER1": CarmenLog.robotlaser,
+}
+
+
+def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
+    """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
+    log = CarmenLog(field_of_view_deg)
+    for words in _lines(read_bytes(path, MOST_BYTES)):
+        try:
+            log.take(words)
+        except (ValueError, IndexError):
+            log.counts["damaged lines"] += 1
+    kind = _message(log, message)
+    counts = +log.counts
+    unused = sum(len(found) for name, found in log.sweeps.items() if name != kind)
+    counts["scans of another message"] += unused
+    mount = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
+    return Recording(path.name, log.sweeps[kind], log.odometry, log.reference, T_robot_laser=mount, counts=+counts)
+
+
+def _lines(data: bytes) -> Iterator[list[str]]:
+    """The words of each line that is neither empty nor a comment."""
+    for line in data.splitlines():
+        words = line.decode("latin-1").split()
+        if words and not words[0].startswith("#"):
+            yield words
+
+
+def _message(log: CarmenLog, asked: str | None) -> str:
+    """The laser message to read: as asked, or that with poses, unless it has less than half of the scans."""
+    counts = {name: len(found) for name, found in log.sweeps.items()}
+    if asked is not None:
+        if not counts.get(asked):
+            there = ", ".join(f"{name} ({n})" for name, n in counts.items() if n) or "none"
+            raise LogError(f"--scan-topic: no {asked!r:.40} in the log{guess(asked, counts)}; laser messages: {there}")
+        return asked
+    most = max(counts.values())
+    if not most:
+        raise LogError(f"no laser: no line of {', '.join(counts)} that can be read ({_found(log.counts)})")
+    return next(name for name, n in counts.items() if 2 * n >= most)
+
+
+def _found(counts: Counter[str]) -> str:
+    return ", ".join(f"{n} {what}" for what, n in counts.items()) or "the file is empty"
+
+
+def _number(word: str) -> float:
+    """A finite number."""
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+def _count(word: str) -> int:
+    """How many readings follow."""
+    count = int(word)
+    if not 0 <= count <= MOST_BEAMS:
+        raise ValueError
+    return count
+
+
+def _stamp(words: list[str], at: int) -> float:
+    return _number(words[at])
+
+
+def _pose(words: list[str], at: int) -> Array:
+    """(3,) x, y, heading from the words `at` and the two behind it."""
+    x, y, heading = map(_number, words[at : at + 3])
+    return np.array([x, y, heading])
+
+
+def _readings(words: list[str], at: int) -> tuple[Array, list[str]]:
+    """The readings (B,) whose number is word `at`, and the words behind them."""
+    count = _count(words[at])
+    ranges = np.array(words[at + 1 : at + 1 + count], np.float64)
+    if len(ranges) != count:
+        raise ValueError
+    return ranges, words[at + 1 + count :]
+
+
+def _geometry(words: list[str], beams: int) -> Geometry:
+    """That of a RAWLASER1 or ROBOTLASER1 line."""
+    start, view, step, max_range = map(_number, words[2:6])
+    return Geometry(beams, start, step or view / max(beams - 1, 1), 0.0, max_range if max_range > 0.0 else math.inf)
+
+
+def _plain_geometry(beams: int, view_deg: float | None) -> Geometry:
+    """That of an FLASER line: an odd number of beams reaches both ends of the field of view, an even one the first."""
+    view = math.radians(view_deg or WIDE_DEG.get(beams, 180.0))
+    return Geometry(beams, -0.5 * view, view / max(beams - beams % 2, 1))
