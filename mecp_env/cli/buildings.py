@@ -90,11 +90,11 @@ def resolve(word: str) -> str | Layout:
 
 
 def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
-    """Raise `ConfigError` if one of the files that will be written is one that these buildings are read from."""
+    """Raise `ConfigError` if a file that will be written is one that these buildings, logs or maps are read from."""
     sources = [source for word in words for source in _sources(Path(word))]
     for path in written:
         if any(exists(path) and path.samefile(source) for source in sources):
-            raise ConfigError(f"{path} is what the building is read from and would be overwritten; name another file")
+            raise ConfigError(f"{path} is what is read and would be overwritten; name another file")
 
 
 def _sources(path: Path) -> list[Path]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.core.array_types import Array
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.env import MecpEnv
+from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
@@ -80,7 +80,7 @@ class Run:
         for name, data in (("metrics.json", metrics), ("config.json", recipe)):
             (folder / name).write_text(json.dumps(data, indent=2) + "\n")
         for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
-            (folder / name).write_text(tum(poses, config.robot.period_s))
+            (folder / name).write_text(tum([step * config.robot.period_s for step in range(len(poses))], poses))
         return metrics
 
     def metrics(self, watch: Stopwatch) -> dict[str, Any]:
@@ -88,12 +88,3 @@ class Run:
         times = {name: round(value, 1) for name, value in watch.microseconds().items()}
         speed = {"steps_per_s": round(watch.steps_per_s, 1), "us_per_period": times}
         return {"ended": self.ended, **self.env.summary(), **speed}
-
-
-def tum(poses: list[Array], period_s: float) -> str:
-    """Poses (3,) as lines `time x y z qx qy qz qw`, the format that `evo` reads."""
-    lines = ["# time x y z qx qy qz qw (s, m, quaternion), map frame"]
-    for step, (x, y, heading) in enumerate(poses):
-        turn = f"0 0 {math.sin(heading / 2):.9f} {math.cos(heading / 2):.9f}"
-        lines.append(f"{step * period_s:.3f} {x:.6f} {y:.6f} 0 {turn}")
-    return "\n".join(lines) + "\n"

@@ -21,6 +21,7 @@ ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "slam": ("slam", "Slam", "map a recorded log: CARMEN, a ROS bag or an .npz; keep pictures and figures"),
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
     "train": ("train", "Train", "train a policy, or resume a run"),

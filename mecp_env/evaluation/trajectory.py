@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +82,15 @@ def coincident(t: Array, relations: Array, within_s: float = COINCIDENT_S) -> Ar
     off = np.minimum(abs(t[after] - relations[:, :2]), abs(t[after - 1] - relations[:, :2]))
     found: Array = relations[(off < within_s).all(axis=1)]
     return found
+
+
+def tum(t: Sequence[float] | Array, poses: Sequence[Array] | Array) -> str:
+    """Poses (n,3) at the stamps t (n,) s as lines `time x y z qx qy qz qw`, the format that `evo` reads."""
+    lines = ["# time x y z qx qy qz qw (s, m, quaternion), map frame"]
+    for stamp, (x, y, heading) in zip(t, poses, strict=True):
+        turn = f"0 0 {math.sin(heading / 2):.9f} {math.cos(heading / 2):.9f}"
+        lines.append(f"{stamp:.6f} {x:.6f} {y:.6f} 0 {turn}")
+    return "\n".join(lines) + "\n"
 
 
 def _rms(values: Array) -> float:

@@ -39,14 +39,16 @@ def boxes_for_missing_glyphs() -> Iterator[None]:
 
 
 def map_figure(view: SceneView) -> Figure:
-    """The map at the end of an episode, laid over the truth (in grey): rooms, doors, landmarks, both paths."""
+    """The map at the end of an episode: rooms, doors, landmarks, both paths, over the truth or the mapped walls."""
     width, height = view.bounds[1] - view.bounds[0]
     figure = Figure(figsize=(11.0, 11.0 * height / width + 1.6), layout="constrained")
     axes = figure.add_subplot()
-    _draw_truth(axes, view)
+    known = len(view.segments) > 0
+    (_draw_truth if known else _draw_mapped_walls)(axes, view)
     _draw_rooms(axes, view)
     _draw_doors(axes, view)
-    axes.plot(*view.path_world.T, color=unit(TRUE_PATH), linewidth=4.0, label="true path")
+    path = "true path" if known else "reference path" if len(view.path_world) else None
+    axes.plot(*view.path_world.T, color=unit(TRUE_PATH), linewidth=4.0, label=path)
     estimated = view.to_world(view.path_map).T
     axes.plot(*estimated, color=unit(palette.ESTIMATE), linewidth=1.1, label="estimated path")
     _draw_landmarks(axes, view)
@@ -70,6 +72,14 @@ def _draw_truth(axes: Axes, view: SceneView) -> None:
     if len(view.moving):
         looks: dict[str, Any] = {"facecolors": unit(palette.MOVER), "alpha": 0.6, "zorder": 3.0}
         axes.add_collection(PolyCollection(loops(view.moving), label="pedestrian, box", **looks))
+
+
+def _draw_mapped_walls(axes: Axes, view: SceneView) -> None:
+    """The semantic grid: walls dark, one colour per room."""
+    grid = view.slam_output.grid
+    (x, y), (height, width) = grid.origin.tolist(), grid.label.shape
+    extent = (x, x + grid.resolution_m * width, y, y + grid.resolution_m * height)
+    axes.imshow(shapes.cell_colours(grid), extent=extent, origin="lower", interpolation="nearest", zorder=0.5)
 
 
 def _draw_rooms(axes: Axes, view: SceneView) -> None:

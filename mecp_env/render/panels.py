@@ -12,7 +12,7 @@ from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
 from mecp_env.render.view import SceneView, loops, signed_area
-from mecp_env.slam.messages import Cell, SemanticGrid
+from mecp_env.slam.messages import SemanticGrid
 
 
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
@@ -60,6 +60,14 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
     draw_robot(brush, T_world_robot, view.robot_radius_m, camera, palette.ESTIMATE)
 
 
+def draw_scan(brush: Brush, view: SceneView, box: Box) -> None:
+    """Where the beams of the scan end, by the estimated pose, over what the robot believes."""
+    camera = Camera.fit(view.bounds, box)
+    ends, hit = shapes.beam_ends(view.slam_output, compose(view.T_world_map, view.slam_output.belief.T_map_robot))
+    for pixel in camera.pixels(ends[hit]):
+        brush.dot(pixel, 1.3, palette.HIT)
+
+
 def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Camera, colour: RGB) -> None:
     """A disc with a line towards where it looks."""
     x, y, heading = T_world_robot
@@ -71,7 +79,7 @@ def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Came
 
 def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Bytes:
     """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3)."""
-    colours = _cell_colours(grid)
+    colours = shapes.cell_colours(grid)
     across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
     pixels = np.column_stack([box.left + across.ravel(), box.top + down.ravel()])
     p_map = to_map(inverse(T_world_map), camera.world(pixels))
@@ -81,20 +89,6 @@ def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Bo
     picture = np.full((len(pixels), 3), palette.UNSEEN, np.uint8)
     picture[inside] = colours[rows[inside], cols[inside]]
     return picture.reshape(box.height, box.width, 3)
-
-
-def _cell_colours(grid: SemanticGrid) -> Bytes:
-    """(H,W,3) colour of every cell."""
-    rooms = np.array([palette.mix(palette.FREE, palette.room_colour(i), 0.2) for i in range(len(palette.ROOMS))])
-    colours = np.empty((*grid.label.shape, 3), np.uint8)
-    colours[:] = palette.UNSEEN
-    free = grid.label == Cell.FREE
-    colours[free] = palette.FREE
-    named = free & (grid.room >= 0)
-    colours[named] = rooms[grid.room[named] % len(palette.ROOMS)]
-    colours[grid.label == Cell.OCCUPIED] = palette.SOLID
-    colours[grid.label == Cell.DOOR] = palette.mix(palette.DOOR, palette.FREE, 0.55)
-    return colours
 
 
 def _draw_map(brush: Brush, view: SceneView, camera: Camera) -> None:

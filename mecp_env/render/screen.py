@@ -9,7 +9,7 @@ from mecp_env.core.array_types import Bytes
 from mecp_env.core.settings import Settings
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush
-from mecp_env.render.panels import draw_belief, draw_nothing, draw_world
+from mecp_env.render.panels import draw_belief, draw_nothing, draw_scan, draw_world
 from mecp_env.render.shapes import ELLIPSE_MAGNIFIED
 from mecp_env.render.view import SceneView, summary
 
@@ -77,12 +77,14 @@ class Screen:
             x += 18 + brush.text(name, (x + 18, y), 16, palette.FAINT) + 18
 
 
-def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str) -> Bytes:
+def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str, scan: bool = False) -> Bytes:
     """What the robot believes at one moment, uint8 (height, width, 3); `size` is width and height, px."""
     brush = Brush(size, palette.PAPER)
     box = Box(SMALL_MARGIN, SMALL_HEADER, size[0] - 2 * SMALL_MARGIN, size[1] - SMALL_HEADER - SMALL_MARGIN)
     with brush.inside(box):
         draw_belief(brush, view, box)
+        if scan:
+            draw_scan(brush, view, box)
     brush.text(title, (SMALL_MARGIN, 6), 22)
     brush.text(caption, (SMALL_MARGIN, 25), 17, palette.FAINT)
     return brush.image()

@@ -7,11 +7,12 @@ import math
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.array_types import Array, Bools, Bytes
 from mecp_env.core.se2 import compose, polar_to_points, to_map
+from mecp_env.render import palette
 from mecp_env.render.palette import RGB, room_colour
 from mecp_env.render.view import SceneView
-from mecp_env.slam.messages import Belief, SlamOutput
+from mecp_env.slam.messages import Belief, Cell, SemanticGrid, SlamOutput
 
 ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
 CHI2_95 = 5.991  # 2 degrees of freedom
@@ -91,3 +92,17 @@ def room_labels(output: SlamOutput, path: Array | None = None) -> dict[int, Arra
             row, col = np.unravel_index(np.argmax(depth), depth.shape)
             labels[room] = grid.origin + grid.resolution_m * (np.array([col, row]) - 0.5)
     return labels
+
+
+def cell_colours(grid: SemanticGrid) -> Bytes:
+    """(H,W,3) colour of every cell."""
+    rooms = np.array([palette.mix(palette.FREE, palette.room_colour(i), 0.2) for i in range(len(palette.ROOMS))])
+    colours = np.empty((*grid.label.shape, 3), np.uint8)
+    colours[:] = palette.UNSEEN
+    free = grid.label == Cell.FREE
+    colours[free] = palette.FREE
+    named = free & (grid.room >= 0)
+    colours[named] = rooms[grid.room[named] % len(palette.ROOMS)]
+    colours[grid.label == Cell.OCCUPIED] = palette.SOLID
+    colours[grid.label == Cell.DOOR] = palette.mix(palette.DOOR, palette.FREE, 0.55)
+    return colours

@@ -9,7 +9,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.se2 import to_map
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.messages import Cell, SlamOutput
 
 # shown name, format, and the names of the metrics it is made of; left out where one of them is missing
 ITEMS = (
@@ -23,9 +23,12 @@ ITEMS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneView:
-    """One moment of an episode: the truth, the estimate, and the goal of the agent."""
+    """One moment of an episode: the truth, the estimate, and the goal of the agent.
 
-    segments: Array  # (S,2,2) m, world frame: faces of all solids ring by ring, free space on the left
+    On a log there is no truth but perhaps a reference path: no segments, and the world frame is that of the map.
+    """
+
+    segments: Array  # (S,2,2) m, world frame: faces of all solids ring by ring, free space on the left; none on a log
     T_world_robot: Array  # (3,) true pose
     T_world_map: Array  # (3,) true pose at reset: where the map frame lies
     path_world: Array  # (n,2) m, world frame: where the robot has been
@@ -41,9 +44,16 @@ class SceneView:
 
     @property
     def bounds(self) -> Array:
-        """(2,2) m, world frame: lower left and upper right corner of the building."""
-        points = self.segments.reshape(-1, 2)
+        """(2,2) m, world frame: lower left and upper right corner of the building; without truth, of the map."""
+        points = self.segments.reshape(-1, 2) if len(self.segments) else self.to_world(self._mapped())
         return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    def _mapped(self) -> Array:
+        """(n,2) m, map frame: the path, the landmarks, and the corners of what the grid knows."""
+        grid, belief = self.slam_output.grid, self.slam_output.belief
+        cells = np.argwhere(grid.label != Cell.UNKNOWN)
+        ends = np.array([cells.min(axis=0), cells.max(axis=0) + 1])[:, ::-1] if len(cells) else np.empty((0, 2))
+        return np.vstack([self.path_map, belief.T_map_robot[:2], belief.p_map, grid.origin + grid.resolution_m * ends])
 
     def to_world(self, p_map: Array) -> Array:
         """Points (n,2) m of the map in the world frame."""

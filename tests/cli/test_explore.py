@@ -75,7 +75,7 @@ def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: C
     [
         ("--save-map .", "--save-map: . is a folder, not a file"),
         ("--save-map plan.json/map.zip", "plan.json is a file, not a folder"),
-        ("--save-map plan.json", "plan.json is what the building is read from"),
+        ("--save-map plan.json", "plan.json is what is read"),
         ("--save-map notes.txt", "notes.txt: no mecp_env map, or cut short; name another file"),
         ("--save-map map.zip --estimator known", "map.zip: a map of the estimator 'known' localises with ground truth"),
     ],

@@ -17,12 +17,13 @@ from rich.console import Console
 import mecp_env
 from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
-from mecp_env.cli.exploration import Run, tum
+from mecp_env.cli.exploration import Run
 from mecp_env.cli.fields import Fields, configuration
 from mecp_env.cli.progress import ExplorationBar, print_result, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
+from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans import load_plan
 from mecp_env.slam import SlamPipeline
 from mecp_env.slam.config import SlamConfig
@@ -132,7 +133,7 @@ def test_the_recipe_reproduces_the_run(kept: Path, tmp_path: Path) -> None:
     recipe = json.loads((kept / "config.json").read_text())
     run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
     run.explore(lambda run: None)
-    assert tum(run.estimated, 0.4) == (kept / "trajectory.tum").read_text()
+    assert tum(0.4 * np.arange(len(run.estimated)), run.estimated) == (kept / "trajectory.tum").read_text()
     steps = json.loads((kept / "metrics.json").read_text())["periods"]
     assert run.env.view().title == f"two_rooms, slam, step {steps}"  # the title of map.png
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -203,3 +204,18 @@ def test_a_log_is_immutable(tmp_path: Path) -> None:
         log.counts["x"] = 1  # type: ignore[index]
     assert len(log[2:5]) == 3
     assert log[-1].t == log.t[-1]
+
+
+def test_the_python_of_the_documentation_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (Path(__file__).parents[2] / "docs/logs.md").read_text()
+    of_a_log, stream = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    write_archive(tmp_path / "drive.npz")
+    exec(of_a_log, {})
+    assert "12 {'readings without a return': 1} 0.0" in capsys.readouterr().out
+    _, poses, ranges = drive()
+    exec(stream, {"sensor_stream": lambda: zip(ranges, poses, strict=True), "bearings": BEARINGS})
+    x, y, heading = (float(word) for word in re.findall(r"-?\d+\.\d+", capsys.readouterr().out)[:3])
+    assert (x, y, heading) == pytest.approx(poses[-1], abs=0.03)

@@ -1,0 +1,156 @@
+"""What `mecp-env slam` shows and keeps of a run on a log."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.text import sanitised
+from mecp_env.core.trajectories import composed
+from mecp_env.evaluation.log_run import LogRun
+from mecp_env.evaluation.trajectory import align, tum
+from mecp_env.floorplans.exporters import save_map_server, save_svg
+from mecp_env.logs import Log
+from mecp_env.render.figures import map_figure, save
+from mecp_env.render.film import Film
+from mecp_env.render.screen import thumbnail
+from mecp_env.render.view import SceneView
+from mecp_env.slam.messages import SlamOutput
+
+FILES = (  # what a run leaves behind; truth.tum only where the log has a reference path
+    *("map.png", "run.gif", "belief.yaml", "belief.pgm", "belief.svg"),
+    *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
+)
+FILM_SIZE = (800, 640)
+FRAMES = 150
+BAR_WIDTH = 20
+EVERY = 10  # scans between two updates of the bar
+
+
+class LogFiles:
+    """The film and the path of a run in progress, and the files at its end."""
+
+    def __init__(self, log: Log, planned: int) -> None:
+        self.log = log
+        self.film = Film(every=max(1, planned // FRAMES))
+        self.path: list[Array] = []  # (2,) m, map frame
+
+    def look(self, output: SlamOutput) -> None:
+        """Keep what belongs to one scan."""
+        self.path.append(output.belief.T_map_robot[:2].copy())
+        self.film.offer(len(self.path) - 1, lambda: self._frame(output))
+
+    def _frame(self, output: SlamOutput) -> Any:
+        rooms, doors = len(output.graph.rooms), len(output.graph.doors)
+        lost = "" if output.localised else ", the pose is searched for"
+        caption = f"scan {len(self.path)}: {rooms} rooms, {doors} doors, {len(output.belief.ids)} landmarks{lost}"
+        view = _view(output, np.array(self.path), np.empty((0, 2)), self.log.name)
+        return thumbnail(view, FILM_SIZE, self.log.name, caption, scan=True)
+
+    def keep(self, folder: Path, run: LogRun, recipe: Mapping[str, Any]) -> dict[str, Any]:
+        """Write `FILES` into `folder`; the metrics."""
+        folder.mkdir(parents=True, exist_ok=True)
+        metrics, reference = run.metrics(), _reference(run)
+        view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
+        save(map_figure(view), folder / "map.png")
+        self.film.frames.append(self._frame(run.output))
+        self.film.save(folder / "run.gif")
+        save_map_server(run.output.grid, folder / "belief")
+        save_svg(run.output.grid, folder / "belief.svg")
+        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
+            (folder / name).write_text(json.dumps(data, indent=2) + "\n")
+        (folder / "trajectory.tum").write_text(tum(run.t, run.T_map_robot))
+        (folder / "truth.tum").unlink(missing_ok=True)
+        if len(reference):
+            known = np.isfinite(reference[:, 0])
+            (folder / "truth.tum").write_text(tum(run.t[run.scored][known], reference[known]))
+        return metrics
+
+
+def _reference(run: LogRun) -> Array:
+    """(n,3) the reference path from the first known pose on, laid over the estimated one; none, or nan, without."""
+    if run.T_ref_robot is None or not run.localised.any():
+        return np.empty((0, 3))
+    T_ref, T_map = run.T_ref_robot[run.scored], run.T_map_robot[run.scored]
+    known = np.isfinite(T_ref[:, 0])
+    if not known.any():
+        return np.empty((0, 3))
+    return composed(align(T_map[known, :2], T_ref[known, :2]), T_ref)
+
+
+def _view(output: SlamOutput, path: Array, reference: Array, title: str) -> SceneView:
+    """One moment of a log, in the map frame."""
+    frames = np.empty((0, 2, 2)), output.belief.T_map_robot, np.zeros(3)
+    return SceneView(*frames, reference, path, output, title=title)
+
+
+def _caption(name: str, metrics: Mapping[str, Any]) -> str:
+    """What the figure says of a run: as far as there are a reference and relations."""
+    parts = (
+        "{landmarks} landmarks, {rooms} rooms, {doors} doors",
+        "trajectory error {ate_m:.2f} m",
+        "relations {relations_m:.3f} m, {relations_deg:.2f} deg",
+    )
+    return "    ".join([name, *_filled(parts, metrics)])
+
+
+def _filled(forms: Iterable[str], metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Those of the formats whose metrics there are."""
+    for form in forms:
+        with suppress(KeyError):
+            yield form.format(**metrics)
+
+
+class MappingBar(Progress):
+    """A bar of the scans, with the time that is left and what has been mapped."""
+
+    def __init__(self, name: str, planned: int, console: Console | None = None) -> None:
+        times = MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
+        super().__init__(BarColumn(BAR_WIDTH), *times, TextColumn("{task.description}"), console=console)
+        self.console.print(f"mapping {sanitised(name)}", style="bold", markup=False)
+        self.task, self.scans, self.planned = self.add_task("", total=planned), 0, planned
+
+    def show(self, output: SlamOutput) -> None:
+        """Bring the bar up to date, every few scans."""
+        self.scans += 1
+        if self.scans % EVERY == 0 or self.scans == self.planned:
+            said = f"rooms {len(output.graph.rooms)} doors {len(output.graph.doors)}"
+            self.update(self.task, completed=self.scans, description=said)
+
+
+ROWS = (  # shown name, format; left out where a metric is missing
+    ("scans", "{scans} over {seconds:.0f} s and {metres:.0f} m, {log_share:.0%} of the log"),
+    ("map", "{landmarks} landmarks ({landmarks_dropped} dropped), {rooms} rooms, {doors} doors"),
+    ("scans with a polygon", "{polygon_share:.1%}"),
+    ("scans with a known pose", "{localised_share:.1%}"),
+    ("trajectory error", "RMSE {ate_m:.3f} m, {ate_deg:.2f} deg; dead reckoning {dead_reckoning_ate_m:.3f} m"),
+    ("relations", "mean {relations_m:.3f} m, {relations_deg:.2f} deg ({relations} relations)"),
+    (
+        "  that hit two scans",
+        "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})",
+    ),
+    ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
+)
+
+
+def print_result(metrics: Mapping[str, Any], folder: Path) -> None:
+    """Print the figures of a run, what was skipped or repaired in the log, and where the files are."""
+    table = Table(title=sanitised(f"log {metrics['ended']}"), show_header=False, title_justify="left")
+    for name, form in ROWS:
+        for value in _filled([form], metrics):
+            table.add_row(name, value)
+    console = Console()
+    console.print(table)
+    for what, count in metrics["counts"].items():
+        console.print(f"counted: {count} {what}", markup=False)
+    there = [name for name in FILES if (folder / name).exists()]
+    console.print(f"{', '.join(there)} in {sanitised(str(folder))}/", markup=False)

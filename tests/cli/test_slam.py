@@ -1,0 +1,170 @@
+"""`mecp-env slam`: a drive through two rooms as a log, mapped, localised in its map, and everything that is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mecp_env.cli import main as cli
+from mecp_env.evaluation.log_run import LogDrive
+from mecp_env.floorplans import load_plan
+from mecp_env.slam.map_file import SlamMap
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.logs.files import write_archive, write_bag, write_carmen
+from tests.logs.simulated import write_simulated
+
+Said = pytest.CaptureFixture[str]
+FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
+    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
+}
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_simulated(tmp_path_factory.mktemp("logs") / "rooms.npz")
+
+
+@pytest.fixture(scope="module")
+def kept(log: Path) -> Path:
+    """The files of a run on that log."""
+    folder = log.parent / "run"
+    assert cli.main(["slam", str(log), "--out", str(folder), "--save-map", str(log.parent / "map.zip")]) == 0
+    return folder
+
+
+def metrics_of(folder: Path) -> dict[str, object]:
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def test_a_log_becomes_a_map(kept: Path) -> None:
+    assert {path.name for path in kept.iterdir()} == FILES
+    metrics = metrics_of(kept)
+    assert (metrics["ended"], metrics["rooms"], metrics["doors"]) == ("complete", 2, 1)
+    assert metrics["ate_m"] < 0.05 < metrics["dead_reckoning_ate_m"]
+    assert metrics["polygon_share"] > 0.5
+    assert len(load_plan(kept / "belief.yaml").rooms) == 2
+    with Image.open(kept / "run.gif") as film:
+        assert film.n_frames > 10
+
+
+def test_the_paths_are_in_one_frame(kept: Path) -> None:
+    estimated, reference = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
+    assert estimated.shape == reference.shape
+    np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
+    assert np.hypot(*(estimated - reference)[:, 1:3].T).max() < 0.2
+
+
+def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
+    folder = log.parent / "again"
+    line = ["slam", str(log), "--out", str(folder), "--from-map", str(log.parent / "map.zip"), "--start"]
+    assert cli.main([*line, "unknown"]) == 0
+    metrics = metrics_of(folder)
+    assert metrics["localised_share"] > 0.9
+    assert metrics["ate_m"] < 0.05
+    assert (metrics["rooms"], metrics["doors"]) == (2, 1)
+    assert cli.main([*line, "0,0,0"]) == 0
+    assert cli.main([*line, "here"]) == 2
+    assert cli.main([*line, "nan,0,0"]) == 2
+
+
+def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
+    line = ["slam", str(log), "--out", str(tmp_path / "run"), "--odometry", "reference", "--seed", "3"]
+    more = [
+        "--config.sensor.range-sigma-m",
+        "0.07",
+        "--noise.scale",
+        "0.5",
+        "--rest-m",
+        "0.3",
+        "--rest-deg",
+        "40",
+        "--max-range-m",
+        "9",
+    ]
+    assert cli.main([*line, *more]) == 0
+    recipe = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert recipe["config"]["sensor"]["range_sigma_m"] == 0.07
+    assert recipe["config"]["sensor"]["field_of_view_deg"] == 360.0
+    assert recipe["run"]["noise"]["scale"] == 0.5
+    assert recipe["run"]["seed"] == 3
+    assert metrics_of(tmp_path / "run")["counts"]["scans at rest, skipped"] > 5
+
+
+def test_carmen_and_bags(tmp_path: Path) -> None:
+    assert cli.main(["slam", str(write_carmen(tmp_path / "a.log")), "--out", str(tmp_path / "a")]) == 0
+    assert not (tmp_path / "a" / "truth.tum").exists()
+    pytest.importorskip("rosbags")
+    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
+    assert cli.main(["slam", str(bag), "--out", str(tmp_path / "b")]) == 2
+    assert cli.main(["slam", str(bag), "--out", str(tmp_path / "b"), "--scan-topic", "/rear"]) == 0
+
+
+def test_a_truncated_log_is_mapped_as_far_as_it_goes(tmp_path: Path, capsys: Said) -> None:
+    path = write_carmen(tmp_path / "a.log")
+    path.write_bytes(path.read_bytes()[:-300])
+    assert cli.main(["slam", str(path), "--out", str(tmp_path / "a")]) == 0
+    assert "counted: 1 damaged lines" in capsys.readouterr().out
+    assert metrics_of(tmp_path / "a")["counts"] == {"damaged lines": 1}
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "said"),
+    [
+        ("a.npz", {"odo": None}, "the log has none (it has a reference path"),
+        ("a.npz", {"odo": None, "ref": None}, "the log has none"),
+        ("a.npz", {"ranges": None}, "no ranges in the archive"),
+        ("none.npz", None, "no such file"),
+        (".", None, "no ROS 2 bag"),
+    ],
+)
+def test_what_cannot_be_mapped_is_one_line(
+    tmp_path: Path, capsys: Said, name: str, more: dict[str, None] | None, said: str
+) -> None:
+    if more is not None:
+        write_archive(tmp_path / name, **more)
+    assert cli.main(["slam", str(tmp_path / name), "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_options_that_contradict_each_other(log: Path, kept: Path, tmp_path: Path, capsys: Said) -> None:
+    saved, out = str(log.parent / "map.zip"), str(tmp_path / "run")
+    lines = {
+        "name one by --from-map": ["--start", "unknown"],
+        "a map has its own configuration": ["--from-map", saved, "--config.sensor.range-sigma-m", "0.1"],
+        "name another file": ["--save-map", str(log)],
+        "--scan-topic": ["--scan-topic", "FLASE"],
+    }
+    for said, more in lines.items():
+        source = write_carmen(tmp_path / "a.log") if "--scan-topic" in more else log
+        assert cli.main(["slam", str(source), "--out", out, *more]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = LogDrive._step
+
+    def interrupted(self: LogDrive, *args: object) -> object:
+        if len(self.rows) == 20:
+            raise KeyboardInterrupt
+        return step(self, *args)
+
+    monkeypatch.setattr(LogDrive, "_step", interrupted)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 130
+    assert metrics_of(out)["ended"] == "interrupted"
+    assert metrics_of(out)["scans"] == 20
+    assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
+
+
+def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:
+    small, saved = write_archive(tmp_path / "small.npz"), tmp_path / "map.zip"
+    assert cli.main(["slam", str(small), "--out", str(tmp_path / "a"), "--save-map", str(saved)]) == 0
+    assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--from-map", str(saved)]) == 2
+    assert "field_of_view_deg" in capsys.readouterr().err

@@ -1,0 +1,26 @@
+"""A drive through two rooms with the simulator's laser and odometry, as an archive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mecp_env.core.trajectories import chained
+from mecp_env.logs.motion import end_of
+from tests.slam.drives import scripted_drive
+
+
+def write_simulated(path: Path, seed: int = 0, **laser: object) -> Path:
+    drive = scripted_drive("two_rooms", preset="lms200", sweeps=1, seed=seed, **laser)
+    scans, readings = drive.scans[2:], drive.odometry[3:]  # the first three are at rest
+    np.savez_compressed(
+        path,
+        t=0.4 * np.arange(len(scans)),
+        ranges=[np.where(scan.hit[0], scan.ranges[0], np.nan) for scan in scans],
+        angles=scans[0].bearings[0],
+        odo=chained(np.array([end_of(reading.increments) for reading in readings])),
+        ref=np.array(drive.T_world_robot[2:]),
+        max_range_m=30.3,  # readings from 99 % on are no return
+    )
+    return path
