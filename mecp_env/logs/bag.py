@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags, by the package `rosbags`: LaserScan, Odometry, and the mounting pose from /tf_static."""
+"""ROS 1 and ROS 2 bags, by the package `rosbags`: LaserScan, Odometry, and the mounting pose from the frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.recording import Geometry, Recording, Sweep
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
-FRAMES, STATIC = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "/tf_static"
+FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+STATIC, MOVING = "/tf_static", "/tf"  # ROS 1 bags often have the fixed frames among the others
+REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
 MOST_FRAMES = 32  # between the laser and the robot
 Transform = Array  # (4,4)
 
@@ -93,7 +95,7 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
     except Exception as error:  # damaged bytes may raise anything
         if not log.recording.sweeps:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise LogError(f"no bag, or damaged ({reason:.160})") from None
+            raise LogError(f"no bag, or damaged; {REPAIR} ({reason:.160})") from None
         log.recording.counts["bag cut short"] += 1
     _turn_over(log)
     return log.recording
@@ -107,12 +109,17 @@ def _read(bag: Any, log: BagLog, scan_topic: str | None, odometry_topic: str | N
         raise LogError(f"no laser: no topic of type {SCAN}; topics: {_listed(kinds)}")
     odometry = _topic(kinds, ODOMETRY, odometry_topic, "--odometry-topic")
     takers = {scans: log.scan, odometry: log.odometry}
-    takers |= {topic: log.frames for topic, kind in kinds.items() if kind in FRAMES and topic == STATIC}
+    takers |= dict.fromkeys(_frame_topics(kinds), log.frames)
     for connection, received, data in bag.messages([c for c in bag.connections if c.topic in takers]):
         try:
             takers[connection.topic](bag.deserialize(data, connection.msgtype), 1e-9 * received)
         except Exception:  # damaged bytes may raise anything
             log.recording.counts["damaged messages"] += 1
+
+
+def _frame_topics(kinds: dict[str, str]) -> list[str]:
+    """The topic of the frames: of the fixed ones, or else of all."""
+    return [topic for topic in (STATIC, MOVING) if kinds.get(topic) in FRAMES][:1]
 
 
 def _topic(kinds: dict[str, str], kind: str, asked: str | None, option: str) -> str | None:

@@ -11,7 +11,10 @@ All but PARAM end with the stamp of the message, the host, and the stamp of the 
 
 from __future__ import annotations
 
+import gzip
+import io
 import math
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -25,7 +28,8 @@ from mecp_env.core.paths import read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
 
-MOST_BYTES = 2**31
+MOST_BYTES = 2**30  # unpacked, too
+PACKED, PIECE = ".gz", 2**14
 MOST_BEAMS = 20_000
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
 MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
@@ -108,7 +112,7 @@ READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
 def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     log = CarmenLog(field_of_view_deg)
-    for words in _lines(read_bytes(path, MOST_BYTES)):
+    for words in _lines(_content(path, log.counts)):
         try:
             log.take(words)
         except (ValueError, IndexError):
@@ -121,9 +125,28 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     return Recording(path.name, log.sweeps[kind], log.odometry, log.reference, T_robot_laser=mount, counts=+counts)
 
 
+def _content(path: Path, counts: Counter[str]) -> bytes:
+    """The bytes of a file, unpacked where it is packed; of a packed one that is cut short, what there is."""
+    data = read_bytes(path, MOST_BYTES)
+    if path.suffix != PACKED:
+        return data
+    content = io.BytesIO()
+    try:
+        with gzip.open(io.BytesIO(data)) as file:
+            while content.tell() <= MOST_BYTES and content.write(file.read(PIECE)):
+                pass
+    except (OSError, EOFError, zlib.error) as error:
+        if not content.tell():
+            raise LogError(f"no {PACKED} file, or damaged ({error!s:.80})") from None
+        counts["packed file cut short or damaged"] += 1
+    if content.tell() > MOST_BYTES:
+        raise LogError(f"it has more than {MOST_BYTES} bytes unpacked")
+    return content.getvalue()
+
+
 def _lines(data: bytes) -> Iterator[list[str]]:
     """The words of each line that is neither empty nor a comment."""
-    for line in data.splitlines():
+    for line in io.BytesIO(data):
         words = line.decode("latin-1").split()
         if words and not words[0].startswith("#"):
             yield words

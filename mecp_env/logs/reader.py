@@ -12,12 +12,12 @@ from mecp_env.core.settings import Settings
 from mecp_env.logs.archive import read_archive
 from mecp_env.logs.assemble import assemble
 from mecp_env.logs.bag import is_bag, read_bag
-from mecp_env.logs.carmen import read_carmen
+from mecp_env.logs.carmen import PACKED, read_carmen
 from mecp_env.logs.log import Log
 from mecp_env.logs.recording import Recording
 
 CARMEN = (".log", ".clf", ".carmen")
-FORMATS = f"{', '.join(CARMEN)} (CARMEN), .npz, .bag, .db3, .mcap or the folder of a ROS 2 bag"
+FORMATS = f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .bag, .db3, .mcap or the folder of a ROS 2 bag"
 
 
 class ReadOptions(Settings):
@@ -49,6 +49,6 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
     if path.suffix == ".npz":
         return read_archive(path)
-    if path.suffix in CARMEN:
+    if Path(path.name.removesuffix(PACKED)).suffix in CARMEN:
         return read_carmen(path, options.scan_topic, options.field_of_view_deg)
     raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")

@@ -88,7 +88,9 @@ def write_archive(path: Path, scans: int = 12, **more: object) -> Path:
     return path
 
 
-def write_bag(path: Path, scans: int = 12, scan_topics: tuple[str, ...] = ("/scan",), odometry: bool = True) -> Path:
+def write_bag(
+    path: Path, scan_topics: tuple[str, ...] = ("/scan",), odometry: bool = True, frames: str = "/tf_static"
+) -> Path:
     """A bag of ROS 1 (`.bag`) or ROS 2 (a folder, or the file in it with the suffix of `path`)."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -100,15 +102,15 @@ def write_bag(path: Path, scans: int = 12, scan_topics: tuple[str, ...] = ("/sca
     with _writer(path, folder) as writer:
         topics = dict.fromkeys(scan_topics, "sensor_msgs/msg/LaserScan")
         topics |= {"/odom": "nav_msgs/msg/Odometry"} if odometry else {}
-        topics |= {"/tf_static": "tf2_msgs/msg/TFMessage"}
+        topics |= {frames: "tf2_msgs/msg/TFMessage"}
         ends = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         pack = store.serialize_ros1 if ros1 else store.serialize_cdr
 
         def write(topic, stamp, message):
             writer.write(ends[topic], round(1e9 * stamp), pack(message, topics[topic]))
 
-        t, poses, ranges = drive(scans)
-        write("/tf_static", t[0], _frames(store, t[0]))
+        t, poses, ranges = drive()
+        write(frames, t[0], _frames(store, t[0]))
         for stamp, pose, one in zip(t, poses, ranges, strict=True):
             for topic in scan_topics:
                 write(topic, stamp, _scan(store, stamp, one))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from pathlib import Path
 
@@ -34,6 +35,22 @@ def test_carmen(tmp_path: Path, line: str) -> None:
     assert not log.counts
 
 
+def test_packed(tmp_path: Path) -> None:
+    data = gzip.compress(write_carmen(tmp_path / "a.log").read_bytes())
+    (tmp_path / "a.log.gz").write_bytes(data)
+    check(read_log(tmp_path / "a.log.gz"))
+    random = np.random.default_rng(0).integers(0, 256, 10**6).astype(np.uint8).tobytes()  # does not pack
+    long = write_carmen(tmp_path / "a.log").read_bytes() + b"\n# " + random.replace(b"\n", b"") + b"\n"
+    (tmp_path / "b.log.gz").write_bytes(gzip.compress(long)[:-1000])
+    log = read_log(tmp_path / "b.log.gz")
+    check(log)
+    assert log.counts == {"packed file cut short or damaged": 1}
+    for damaged in (b"", data[:5], b"no gzip"):
+        (tmp_path / "c.log.gz").write_bytes(damaged)
+        with pytest.raises(LogError, match=r"c.log.gz: no"):
+            read_log(tmp_path / "c.log.gz")
+
+
 def test_archive(tmp_path: Path) -> None:
     log = read_log(write_archive(tmp_path / "a.npz"))
     check(log)
@@ -47,6 +64,20 @@ def test_archive(tmp_path: Path) -> None:
 def test_bag(tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("rosbags")
     check(read_log(write_bag(tmp_path / f"a{suffix}")))
+
+
+def test_frames_of_a_bag_without_fixed_ones(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    check(read_log(write_bag(tmp_path / "a.bag", frames="/tf")))
+    np.testing.assert_array_equal(read_log(write_bag(tmp_path / "b.bag", frames="/other")).T_robot_laser, np.zeros(3))
+
+
+def test_a_bag_without_its_index_names_the_remedy(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    path = write_bag(tmp_path / "a.bag")
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(LogError, match="rosbag reindex"):
+        read_log(path)
 
 
 def test_two_lasers(tmp_path: Path) -> None:
