@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import LogError, MecpError
@@ -38,6 +38,14 @@ class LogRunConfig(Settings):
     rest_deg: float = Field(0.5, ge=0.0, le=45.0)  # turned less than this, since the last one that was used
     first: int = Field(0, ge=0)  # record to begin with
     scans: int | None = Field(None, ge=1)  # records at most
+
+    @field_validator("noise")
+    @classmethod
+    def _grows_with_the_path(cls, noise: OdometryConfig) -> OdometryConfig:
+        """Steps of a log have any length: noise per step or in proportion to it would depend on how they are cut."""
+        if noise.reading != "per_metre":
+            raise ValueError(f"reading: {noise.reading!r}, per_metre expected")
+        return noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

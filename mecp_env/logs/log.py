@@ -11,9 +11,7 @@ from typing import Any, overload
 import numpy as np
 
 from mecp_env.core.array_types import Array
-from mecp_env.core.messages import Odometry, Scan
-from mecp_env.core.trajectories import between
-from mecp_env.logs.motion import NoiseModel, arcs, reading
+from mecp_env.core.messages import Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +68,6 @@ class Log(Sequence[LogRecord]):
         ranges = self.ranges[index][None]
         hit = np.isfinite(ranges)
         return Scan(np.where(hit, ranges, self.max_range_m), self.bearings[None], hit, self.max_range_m)
-
-    def odometry(self, index: int, noise: NoiseModel, since: int | None = None) -> Odometry:
-        """The motion measured between record `since`, by default the one before, and record `index`."""
-        assert self.T_odom_robot is not None, "the log has no odometry"
-        since = index - 1 if since is None else since
-        motion = between(self.T_odom_robot[since], self.T_odom_robot[index])
-        return reading(arcs(motion), noise)
 
     @property
     def step_rad(self) -> float:
