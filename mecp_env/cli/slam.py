@@ -59,8 +59,8 @@ class Slam(Command):
     odometry_topic: str | None = None  # of a bag with several
     max_range_m: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None  # readings from here on are no return
     field_of_view_deg: Annotated[float, Field(ge=10.0, le=360.0)] | None = None  # of FLASER lines; others are cut to it
-    rest_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.01  # scans after less motion than this,
-    rest_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.5  # and less turn than this, are skipped
+    rest_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.001  # scans after less motion than this,
+    rest_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.05  # and less turn than this, are skipped
     from_map: Path | None = None  # a saved map to go on in
     start: str = "saved"  # where, in that map: saved, unknown (it is searched for), or a pose as X,Y,HEADING
     save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)

@@ -34,8 +34,8 @@ class LogRunConfig(Settings):
     odometry: Literal["log", "reference"] = "log"  # reference: of the reference path, with noise of `noise`
     noise: OdometryConfig = OdometryConfig()  # per metre: what the covariance of a reading is computed from
     seed: int = Field(0, ge=0)  # of that noise
-    rest_m: float = Field(0.01, ge=0.0, le=1.0)  # a scan is skipped where the robot has moved less than this, and
-    rest_deg: float = Field(0.5, ge=0.0, le=45.0)  # turned less than this, since the last one that was used
+    rest_m: float = Field(0.001, ge=0.0, le=1.0)  # a scan is skipped where the robot has moved less than this, and
+    rest_deg: float = Field(0.05, ge=0.0, le=45.0)  # turned less than this, since the last one that was used
     first: int = Field(0, ge=0)  # record to begin with
     scans: int | None = Field(None, ge=1)  # records at most
 
