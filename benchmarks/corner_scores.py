@@ -73,7 +73,7 @@ class Score:
 def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str, int]]) -> list[Place]:
     """`poses` random places in a layout, each with a scan for every preset (name, sweeps)."""
     outline = build_outline(load_layout(layout))
-    lasers = {key: Laser(outline, LaserConfig.parse({"preset": key[0], "sweeps": key[1]})) for key in presets}
+    lasers = {key: Laser(outline, with_noise_of(*key)) for key in presets}
     places = []
     for number in range(poses):
         rng = np.random.default_rng((seed, *layout.encode(), number))
@@ -81,6 +81,12 @@ def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str,
         scans = {key: laser.scan(T_world_robot, rng) for key, laser in lasers.items()}
         places.append(Place(layout, truth_at(outline, lasers[presets[0]], T_world_robot), scans))
     return places
+
+
+def with_noise_of(preset: str, sweeps: int) -> LaserConfig:
+    """The laser of the paper, which sees all around, with the noise of a preset."""
+    noise = LaserConfig.parse({"preset": preset})
+    return LaserConfig(range_sigma_m=noise.range_sigma_m, bearing_sigma_deg=noise.bearing_sigma_deg, sweeps=sweeps)
 
 
 def truth_at(outline: Outline, laser: Laser, T_world_robot: Array) -> Truth:
@@ -150,7 +156,7 @@ def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
 
 def score_places(places: Sequence[Place], preset: tuple[str, int], config: SlamConfig) -> list[Score]:
     """The scores of the scans of one preset, taken with the sensor model that fits it."""
-    laser = LaserConfig.parse({"preset": preset[0], "sweeps": preset[1]})
+    laser = with_noise_of(*preset)
     sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
     config = config.model_copy(update={"sensor": sensor})
     front_end(places[0].scans[preset], config)  # load compiled functions before timing

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.laser_view import LaserView
+from mecp_env.core.laser_view import LaserNoise
+from mecp_env.core.preset import PresetSettings
 from mecp_env.core.settings import Settings, guess, number
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.config import SlamConfig
@@ -166,7 +167,7 @@ S = TypeVar("S", bound=Settings)
 
 # fields that follow from another section unless they are set
 FOLLOWING = {
-    ("slam", "sensor"): ("range_sigma_m", "bearing_sigma_deg", *LaserView.model_fields),
+    ("slam", "sensor"): tuple(LaserNoise.model_fields),
     ("planning", "paths"): ("radius_m",),
     ("planning", "control"): ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "period_s"),
 }
@@ -178,12 +179,15 @@ def following(section: S, values: dict[str, float]) -> S:
 
 
 def dump(config: EnvConfig) -> dict[str, Any]:
-    """`config` as plain data, without unset values that follow from another section, so that they still follow it."""
+    """`config` as plain data, without unset values that follow from another section or a preset, so that they do."""
     data: dict[str, Any] = config.model_dump(mode="json")
     for (outer, inner), names in FOLLOWING.items():
         known = getattr(getattr(config, outer), inner).model_fields_set
         for name in set(names) - known:
             del data[outer][inner][name]
+    for outer, section in config:
+        if isinstance(section, PresetSettings):
+            data[outer] = section.model_dump(mode="json", include={"preset", *section.model_fields_set})
     return data
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -34,7 +35,8 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     with the episode. The rewards of its steps are summed. `info["event"]` is "reached", "refused", "ended" (with the
     episode) or "masked" (an empty row: one step of waiting), and `info["periods"]` is the number of steps, at least
     one. A drive after which no goal is left is followed by one step of waiting, in which the episode ends (unless
-    nothing was mapped yet; with pedestrians it ends after several such steps).
+    nothing was mapped yet; with pedestrians or a blind side it ends after several such steps, and a robot with a blind
+    side turns meanwhile).
 
     `callback`, if set, receives the result of every inner step. A snapshot taken inside a drive continues as a velocity
     environment: the drive itself is not part of it.
@@ -92,7 +94,11 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return steps
 
     def _wait(self) -> Step:
-        return self._step(0.0, 0.0)
+        """One step on the spot, in which a robot with a blind side looks around: once before the episode ends."""
+        config = self.base.config
+        around = 2.0 * math.pi / (config.end.quiet_steps * config.robot.period_s)
+        blind = self.base.slam_output.beams.blind
+        return self._step(0.0, min(around, config.robot.max_turn_rad_s) if blind else 0.0)
 
     def _step(self, v: float, w: float) -> Step:
         """One control step with a command in m/s and rad/s."""

@@ -161,7 +161,8 @@ class Case:
 
 
 TWO_ROOMS = {"layout": "two_rooms"}
-QUICK = {"laser": {"preset": "lms200", "sweeps": 1}}
+QUICK = {"laser": {"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0}}
+REAL = {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "skid_steer", "slip_share": 0.1}}
 MOVERS = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.2}}
 PUSHED = {"crowd": {"people": 12, "polite": False}, "clutter": {"movable_boxes": 12}}
 GOALS = {"actions": "goal"}
@@ -174,7 +175,8 @@ def _explored(**keywords: Any) -> Case:
 
 CASES = {
     "paper_map": Case(PAPER_MAP),
-    "two_rooms_lms200": Case(LAYOUT, TWO_ROOMS | QUICK),
+    "two_rooms_1_cm": Case(LAYOUT, TWO_ROOMS | QUICK),
+    "two_rooms_urg04lx": Case(LAYOUT, TWO_ROOMS | REAL),
     "paper_to_the_letter": Case(LAYOUT, {"config": EnvConfig.paper().to_dict()} | TWO_ROOMS),
     "breadth_first": Case(LAYOUT, TWO_ROOMS | GOALS, breadth_first),
     "breadth_first_paper_map": Case(PAPER_MAP, GOALS, breadth_first),

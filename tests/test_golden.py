@@ -9,7 +9,7 @@ import pytest
 
 from tests.golden import CASES, probe, run_hashes, stored
 
-OVER_PROCESSES = ("paper_map", "two_rooms_lms200", "paper_to_the_letter", "snapshot")
+OVER_PROCESSES = ("paper_map", "two_rooms_1_cm", "paper_to_the_letter", "snapshot")
 
 
 @pytest.mark.parametrize("case", CASES)

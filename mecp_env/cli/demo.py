@@ -22,6 +22,7 @@ class Demo(Command):
         "mecp-env demo --layout office --seed 3 --render human",
         "mecp-env demo --layout hard:7",
         "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
+        "mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot",
     )
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan

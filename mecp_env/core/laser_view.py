@@ -1,4 +1,4 @@
-"""Where a laser sits on the robot and which part of its surroundings it sees: the same for the world and estimator."""
+"""Where a laser sits on the robot, what it sees, and how noisy it is: the same for the world and estimator."""
 
 from __future__ import annotations
 
@@ -32,3 +32,17 @@ class LaserView(Settings):
     def T_robot_laser(self) -> Array:
         """(3,) m, rad: the pose of the laser in the robot's frame."""
         return np.array([self.x_m, self.y_m, math.radians(self.heading_deg)])
+
+
+class LaserNoise(LaserView):
+    """Also the noise of one beam (IV: sigma_r = 0.05 m, sigma_theta = 0.3 deg), and which beams do not return."""
+
+    range_sigma_m: float = Field(0.05, ge=0.0, le=1.0)  # of a range, or
+    range_sigma_share: float = Field(0.0, ge=0.0, le=0.5)  # this share of it, whichever is larger
+    bearing_sigma_deg: float = Field(0.3, ge=0.0, le=5.0)
+    grazing_deg: float = Field(90.0, gt=45.0, le=90.0)  # incidence (from the normal) beyond which nothing returns
+    dark_dropout: float = Field(0.0, ge=0.0, lt=1.0)  # share of the beams that does not return from a dark surface
+
+    @property
+    def bearing_sigma_rad(self) -> float:
+        return math.radians(self.bearing_sigma_deg)

@@ -39,6 +39,7 @@ SHAPES: Shapes = {
         "sizes": f"b 2 in 0:{FAR}",
         "closed": "d",
         "start": f"2 in {NEAR}",
+        "dark_seed": f" in 0:{LONG}",
     },
 }
 

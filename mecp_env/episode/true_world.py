@@ -23,6 +23,8 @@ from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.simulation import Motion, Simulation
 from mecp_env.world.walkways import WalkwayPlanner
 
+DARK_SEEDS = 1_000_000  # as many different choices of dark walls
+
 
 class TrueWorld:
     """The world of an environment, one building after the other, and the robot in it.
@@ -140,20 +142,23 @@ class TrueWorld:
         self._walkways: WalkwayPlanner | None = None  # None without pedestrians and boxes
 
     def _populate(self, start: Array, rng: np.random.Generator) -> None:
-        """Close doors and let pedestrians and boxes in, for an episode that starts at a pose (3,)."""
+        """Close doors, choose dark walls, let pedestrians and boxes in: an episode that starts at a pose (3,)."""
         clutter = self._config.clutter
         closed = draw_closed(self.outline.doors, start, clutter.closed_doors, rng)
-        self._admit(Moving(closed=closed, start=start[:2].copy()))
+        dark_seed = int(rng.integers(DARK_SEEDS)) if self._config.laser.has_dark_walls else 0
+        self._admit(Moving(closed=closed, start=start[:2].copy(), dark_seed=dark_seed))
         if wants_movers(self._config.crowd, clutter):
             self.movers.populate(self.outline, clutter, rng)
             self.simulation.admit(self.movers)
             self._obstacles = None
 
     def _admit(self, moving: Moving) -> None:
-        """Be in the building with these doors closed, among these pedestrians and boxes."""
+        """Be in the building with these doors closed and walls dark, among these pedestrians and boxes."""
         if len(moving.closed):
             layout = close_doors(self._source.layout(self.building), moving.closed, moving.start)
             self._enter(build_outline(layout))
+        if self._config.laser.has_dark_walls:
+            self.laser = Laser(self.outline, self._config.laser, moving.dark_seed)
         crowd = self._config.crowd
         if self._walkways is None and wants_movers(crowd, self._config.clutter):
             self._walkways = WalkwayPlanner(self.truth.free, self.truth.corner, CELL_M, crowd.radius_m[1])

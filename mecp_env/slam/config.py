@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field
 
-from mecp_env.core.laser_view import LaserView
+from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import Settings
 from mecp_env.slam.messages import Belief
@@ -32,11 +32,9 @@ METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associato
 KINDS = Names("riekf", "ekf")  # `register_filter` does
 
 
-class SensorModel(LaserView):
-    """What the estimator believes of its laser (IV: sigma_r = 0.05 m, sigma_theta = 0.3 deg)."""
+class SensorModel(LaserNoise):
+    """What the estimator believes of its laser; view and noise follow that of the environment (`FOLLOWING`)."""
 
-    range_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
-    bearing_sigma_deg: float = Field(0.3, ge=0.0, le=5.0)
     least_range_sigma_m: float = Field(0.001, gt=0.0, le=1.0)  # of an ideal laser: covariances stay invertible
     noise_sigmas: float = Field(3.0, gt=0.0, le=20.0)  # what differs by more standard deviations is not noise
     outlier_sigmas: float = Field(4.0, gt=0.0, le=20.0)  # a single beam that is off by more is an outlier
@@ -45,10 +43,6 @@ class SensorModel(LaserView):
     least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
     merge_slope: float = Field(4.0, ge=0.0, le=100.0)
     """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
-
-    @property
-    def bearing_sigma_rad(self) -> float:
-        return math.radians(self.bearing_sigma_deg)
 
 
 class ClusteringConfig(Settings):

@@ -11,6 +11,7 @@ from mecp_env.slam.filters.mounting import predict_mounted, robot_belief
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
@@ -61,9 +62,10 @@ class SlamPipeline(SlamParts):
 
     def _observe(self, scan: Scan) -> SlamOutput:
         config = self.config
-        beams = merge_sweeps(scan, config.sensor)  # III-A.1, dense scan
+        beams = restore_lost_beams(merge_sweeps(scan, config.sensor), config.sensor)  # III-A.1, dense scan
         clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)  # III-A.1, data clustering
         segments = extract_segments(beams, clusters, config.segments, config.sensor)  # III-A.1, Ramer-Douglas-Peucker
+        beams = stop_at_walls(beams, segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)  # III-A.1, line intersections, ends
         predicted = self.filter.belief()
         corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)

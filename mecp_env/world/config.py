@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mecp_env.core.laser_view import LaserView
+from mecp_env.core.laser_view import LaserNoise
+from mecp_env.core.preset import PresetSettings
 from mecp_env.core.settings import Settings
+from mecp_env.world.presets import LASERS, WHEELS
 
 
 def ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -24,9 +26,6 @@ Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
 Sizes = Annotated[tuple[Metres, Metres], AfterValidator(ordered)]
 Speeds = Annotated[tuple[Speed, Speed], AfterValidator(ordered)]
 Times = Annotated[tuple[Seconds, Seconds], AfterValidator(ordered)]
-
-RANGE_SIGMA_M = {"paper": 0.05, "lms200": 0.01, "ideal": 0.0}  # IV: sigma_r of the paper's SICK laser is 0.05 m
-BEARING_SIGMA_DEG = {"paper": 0.3, "lms200": 0.0, "ideal": 0.0}  # IV: sigma_theta = 0.3 deg, on every beam
 
 
 class RobotConfig(Settings):
@@ -56,44 +55,58 @@ class RobotConfig(Settings):
         return self
 
 
-class LaserConfig(LaserView):
-    """A laser scanner that takes a burst of sweeps at the end of a step (IV, III-A.1)."""
+class LaserConfig(LaserNoise, PresetSettings):
+    """A laser scanner that takes a burst of sweeps at the end of a step (IV, III-A.1).
 
-    preset: Literal["paper", "lms200", "ideal"] = "paper"
+    A beam returns nothing beyond the largest range, from a face that it grazes, and sometimes from a dark wall.
+    """
+
+    PRESETS: ClassVar = LASERS
+
+    preset: Literal["paper", "ideal", "lms200", "urg04lx", "utm30lx", "rplidar_a1"] = "paper"
     sweeps: int = Field(4, ge=1, le=8)
     beams: int = Field(720, ge=8, le=7200)  # over the field of view; paper: 720, one per 0.5 deg
     max_range_m: float = Field(30.0, gt=0.0, le=1000.0)
+    dark_share: float = Field(0.0, ge=0.0, le=1.0)  # of the walls' faces, drawn for each episode, that are dark
 
     @property
-    def range_sigma_m(self) -> float:
-        return RANGE_SIGMA_M[self.preset]
+    def loses_beams(self) -> bool:
+        """True when a beam may hit a face in range and not return."""
+        return self.grazing_deg < 90.0 or self.has_dark_walls
 
     @property
-    def bearing_sigma_deg(self) -> float:
-        return BEARING_SIGMA_DEG[self.preset]
-
-    @property
-    def bearing_sigma_rad(self) -> float:
-        return math.radians(self.bearing_sigma_deg)
+    def has_dark_walls(self) -> bool:
+        return self.dark_share > 0.0 and self.dark_dropout > 0.0
 
 
-class OdometryConfig(Settings):
+class OdometryConfig(PresetSettings):
     """Noise of the measured body motion: the paper's sigma_rR and sigma_thetaR (IV) in one of three readings.
 
     `per_metre`: sigmas per square root of a metre of path; a turn of 90 deg counts as `turn_m` of path.
     `per_step`: sigmas of every control step in which the robot moves.
     `linear`: sigmas grow in proportion to the step's path (distance) and turn (heading).
+    In a share of the steps the wheels slip, of which the covariance of the reading knows nothing.
     """
 
+    PRESETS: ClassVar = WHEELS
+
+    preset: Literal["paper", "pioneer", "turtlebot", "skid_steer"] = "paper"
     reading: Literal["per_metre", "per_step", "linear"] = "per_metre"
     distance_sigma_m: float = Field(0.1, ge=0.0, le=1.0)  # per sqrt(m), per step, or per metre
     turn_sigma_deg: float = Field(1.5, ge=0.0, le=30.0)  # per sqrt(m), per step, or per 90 deg and per metre
     turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path equivalent of a turn of 90 deg
     scale: float = Field(1.0, ge=0.0, le=10.0)  # of all sigmas: 0 is perfect odometry
+    slip_share: float = Field(0.0, ge=0.0, le=1.0)  # of the steps, in which
+    slip_most: float = Field(3.0, ge=1.0, le=10.0)  # the measured distance is up to this many times the true one, and
+    slip_turn_deg: float = Field(10.0, ge=0.0, le=90.0)  # the measured turn is off by an error of this sigma
 
     @property
     def turn_sigma_rad(self) -> float:
         return math.radians(self.turn_sigma_deg)
+
+    @property
+    def slip_turn_rad(self) -> float:
+        return math.radians(self.slip_turn_deg)
 
 
 class CrowdConfig(Settings):

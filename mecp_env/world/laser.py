@@ -22,6 +22,7 @@ Normals = NDArray[np.float32]
 
 CUT_SIGMAS = 4.0  # noise is truncated there: a face is tested by its own beams and those within this many sigmas of it
 QUANTILES = 65_536
+ON_FACE_M = 1e-6  # a point this near to a face is on it
 SEEN_M = 1e-3  # a point is visible when nothing is more than this in front of it
 MIN_RANGE_M = 1e-3
 
@@ -30,10 +31,11 @@ class Laser:
     """A laser in the world of `outline`: K sweeps of B beams with interleaved bearings, all at one pose.
 
     Beam i of sweep k has the nominal bearing -V / 2 + (i K + k + 1) V / (K B) for a field of view V: the bearings of
-    each sweep ascend in (-pi, pi], and `bearings.T.ravel()` is the whole burst in order.
+    each sweep ascend in (-pi, pi], and `bearings.T.ravel()` is the whole burst in order. Which walls are dark follows
+    from `dark_seed`.
     """
 
-    def __init__(self, outline: Outline, config: LaserConfig) -> None:
+    def __init__(self, outline: Outline, config: LaserConfig, dark_seed: int = 0) -> None:
         self.config = config
         self._segments = np.ascontiguousarray(outline.segments)
         rays = config.sweeps * config.beams
@@ -43,19 +45,22 @@ class Laser:
         self._table = np.stack([np.cos(ring), np.sin(ring)])
         self._bearings = np.ascontiguousarray(ring.reshape(config.beams, config.sweeps).T)  # shared by all scans
         self._normals = _normal_quantiles()
-        self._noiseless = config.range_sigma_m == 0.0 and config.bearing_sigma_rad == 0.0
-        self._whole_words = sys.byteorder == "little" and rays % 2 == 0  # the draws fill words of 64 bits
-        noise = config.bearing_sigma_rad, config.range_sigma_m
-        self._optics = np.array([*noise, config.max_range_m, float(config.sweeps), view])
+        noise = config.bearing_sigma_rad, config.range_sigma_m, config.range_sigma_share
+        self._rows = 3 if config.has_dark_walls else 2 if any(noise) else 0  # of draws
+        self._whole_words = sys.byteorder == "little" and self._rows * rays % 4 == 0  # they fill words of 64 bits
+        least_cosine = math.cos(math.radians(config.grazing_deg))
+        self._optics = np.array([*noise, config.max_range_m, float(config.sweeps), view, least_cosine])
+        self._dropout = self._dropouts(config, dark_seed)
         self._T_robot_laser = config.T_robot_laser
 
     def scan(self, T_world_robot: Array, rng: np.random.Generator, faces: Array | None = None) -> Scan:
         """A burst taken at the robot's true pose (3,), noise from `rng`; beside walls it sees the faces (m,2,2)."""
-        draws, segments = self._draw(rng), self._segments
+        draws, segments, dropout = self._draw(rng), self._segments, self._dropout
         if faces is not None and len(faces):
             segments = np.concatenate([segments, faces])
+            dropout = np.concatenate([dropout, np.zeros(len(faces) if len(dropout) else 0)])  # pedestrians are not dark
         T_world_laser = compose(T_world_robot, self._T_robot_laser)
-        ranges, hit = _burst(segments, T_world_laser, self._table, draws, self._normals, self._optics)
+        ranges, hit = _burst(segments, T_world_laser, self._table, draws, self._normals, self._optics, dropout)
         return Scan(ranges, self._bearings, hit, self.config.max_range_m)
 
     def visible(self, p_world: Array, T_world_robot: Array) -> Bools:
@@ -65,13 +70,21 @@ class Laser:
         return line_of_sight(self._segments, x, y, points)
 
     def _draw(self, rng: np.random.Generator) -> Draws:
-        """Quantiles (2,N) of the noise of bearings and ranges in the order of the ring; none drawn without noise."""
-        shape, bits = self._table.shape, rng.bit_generator
-        if self._noiseless:
-            return np.zeros(shape, dtype=np.uint16)
+        """Quantiles (2 or 3,N) of the noise of bearings and ranges, and of what dark walls swallow; else none drawn."""
+        shape, bits = (self._rows, self._table.shape[1]), rng.bit_generator
+        if self._rows == 0:
+            return np.zeros(self._table.shape, dtype=np.uint16)
         if self._whole_words and isinstance(bits, np.random.PCG64):  # as below, but three times as fast
-            return bits.random_raw(self._table.size // 4).view(np.uint16).reshape(shape)
+            words: NDArray[np.uint64] = bits.random_raw(shape[0] * shape[1] // 4)
+            return words.view(np.uint16).reshape(shape)
         return rng.integers(QUANTILES, size=shape, dtype=np.uint16)
+
+    def _dropouts(self, config: LaserConfig, dark_seed: int) -> Array:
+        """(S,) the share of the beams that each face swallows; (0,) for a laser that loses none."""
+        if not config.loses_beams:
+            return np.empty(0)
+        dark = np.random.default_rng(dark_seed).random(len(self._segments)) < config.dark_share
+        return np.where(dark, config.dark_dropout, 0.0)
 
 
 @cache
@@ -84,13 +97,21 @@ def _normal_quantiles() -> Normals:
 
 @compiled
 def _burst(
-    segments: Array, T_world_laser: Array, table: Array, draws: Draws, normals: Normals, optics: Array
+    segments: Array,
+    T_world_laser: Array,
+    table: Array,
+    draws: Draws,
+    normals: Normals,
+    optics: Array,
+    dropout: Array,
 ) -> tuple[Array, Bools]:
     """Ranges and hits (K,B) of a burst with the noise drawn (2,N) along the nominal directions (2,N).
 
-    `optics` (5,) holds the sigmas of bearings and ranges, the largest range, K and the field of view.
+    `optics` (7,) holds the sigmas of bearings and ranges, the least share of the range that the latter is, the largest
+    range, K, the field of view, and the least cosine of the incidence. Of a face with a `dropout` that share of the
+    beams does not return; none is lost where it is empty.
     """
-    bearing_sigma, range_sigma, max_range, sweeps = optics[0], optics[1], optics[2], int(optics[3])
+    bearing_sigma, range_sigma, share, max_range, sweeps = optics[0], optics[1], optics[2], optics[3], int(optics[4])
     directions = table
     if bearing_sigma > 0.0:  # turn the rays
         directions, errors = np.empty_like(table), np.empty(table.shape[1])
@@ -103,7 +124,24 @@ def _burst(
             s = e * (1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0)))
             directions[0, i] = c * table[0, i] - s * table[1, i]
             directions[1, i] = s * table[0, i] + c * table[1, i]
-    inverse = _cast(segments, T_world_laser, directions, optics[4], CUT_SIGMAS * bearing_sigma)
+    inverse = _cast(segments, T_world_laser, directions, optics[5], CUT_SIGMAS * bearing_sigma)
+    c, s = math.cos(T_world_laser[2]), math.sin(T_world_laser[2])
+    for k in range(dropout.shape[0]):  # the rays that end on this face
+        x, y = segments[k, 0, 0] - T_world_laser[0], segments[k, 0, 1] - T_world_laser[1]
+        u, v = segments[k, 1, 0] - segments[k, 0, 0], segments[k, 1, 1] - segments[k, 0, 1]
+        length = math.hypot(u, v)
+        distance = (x * v - y * u) / length  # of the face's line
+        ux, uy, along = (c * u + s * v) / length, (c * v - s * u) / length, (x * u + y * v) / length
+        if distance <= ON_FACE_M:
+            continue
+        for i in range(table.shape[1]):
+            cosine = directions[0, i] * uy - directions[1, i] * ux  # of the incidence
+            if inverse[i] <= 0.0 or abs(cosine - distance * inverse[i]) > ON_FACE_M * inverse[i]:
+                continue
+            place = (directions[0, i] * ux + directions[1, i] * uy) / inverse[i] - along
+            lost = cosine < optics[6] or (dropout[k] > 0.0 and draws[2, i] < dropout[k] * QUANTILES)
+            if lost and -ON_FACE_M <= place <= length + ON_FACE_M:
+                inverse[i] = 0.0
     beams = table.shape[1] // sweeps
     ranges, hit = np.full((sweeps, beams), max_range), np.zeros((sweeps, beams), np.bool_)
     for k in range(sweeps):
@@ -111,7 +149,8 @@ def _burst(
             i = j * sweeps + k  # the order of the ring
             if inverse[i] * max_range <= 1.0:
                 continue
-            measured = 1.0 / inverse[i] + range_sigma * normals[draws[1, i]]
+            r = 1.0 / inverse[i]
+            measured = r + max(range_sigma, share * r) * normals[draws[1, i]]
             if measured < max_range:
                 ranges[k, j], hit[k, j] = max(measured, MIN_RANGE_M), True
     return ranges, hit

@@ -33,7 +33,7 @@ DISC = np.array([pedestrians.X, pedestrians.Y, pedestrians.RADIUS])
 
 @dataclass(slots=True, eq=False)
 class Moving:
-    """Pedestrians, boxes and closed doors of the building; plain state."""
+    """Pedestrians, boxes, closed doors and dark walls of the building; plain state."""
 
     pedestrians: Array = field(
         default_factory=lambda: np.empty((0, pedestrians.PEDESTRIAN))
@@ -46,6 +46,7 @@ class Moving:
     sizes: Array = field(default_factory=lambda: np.empty((0, 2)))  # (b,2) m
     closed: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # doors of the layout
     start: Array = field(default_factory=lambda: np.zeros(2))  # (2,) m, the building is what can be reached from here
+    dark_seed: int = 0  # of the walls that the laser sees badly
     random: np.random.Generator = field(default_factory=lambda: np.random.Generator(np.random.PCG64(0)))
 
     def can_continue(self) -> bool:

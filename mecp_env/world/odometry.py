@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,7 +28,18 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
     """
     noise = rng.standard_normal(motion.increments.shape)
     measured, cov = _measure(motion.increments, noise, *_rules(config))
-    return Odometry(measured, cov, motion.contact)
+    odometry = Odometry(measured, cov, motion.contact)
+    return slip(odometry, config, rng) if config.slip_share > 0.0 else odometry
+
+
+def slip(odometry: Odometry, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
+    """What wheels measure that slip with a probability: they turn farther than the robot moves, and it turns aside."""
+    drawn, farther, aside = rng.random(), rng.uniform(1.0, config.slip_most), rng.normal(0.0, config.slip_turn_rad)
+    if drawn >= config.slip_share or not odometry.increments.any():  # a robot at rest does not slip
+        return odometry
+    increments = odometry.increments * [farther, 1.0]
+    increments[:, 1] += aside / len(increments)
+    return replace(odometry, increments=increments)
 
 
 @lru_cache

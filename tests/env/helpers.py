@@ -13,7 +13,7 @@ from mecp_env.world.layout import LIBRARY
 
 IDS = tuple(mecp_env.ENVIRONMENTS)
 NEEDED: dict[str, dict[str, Any]] = {"mecp_env/FloorPlan-v0": {"plan": str(LIBRARY / "furnished.json")}}  # to be made
-SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"preset": "lms200", "sweeps": 1}}
+SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0}}
 
 
 def make(**keywords: Any) -> gymnasium.Env:

@@ -136,3 +136,18 @@ def test_only_the_environment_itself_can_be_wrapped():
     wrapped.reset(seed=1)
     assert wrapped.step(0)[4]["periods"] >= 1
     assert wrapped.spec.additional_wrappers[-1].name == "GoalActions"
+
+
+def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
+    """Once around in the steps without a goal that end an episode; one that sees all around stays as it is."""
+    for laser, turns in (({"preset": "lms200"}, True), ({}, False)):
+        env = make(actions="goal", laser=laser)
+        env.reset(seed=0)
+        before = env.unwrapped.view().T_world_robot.copy()
+        for _ in range(3):
+            *_, info = env.step(GOALS - 1)
+            assert info["event"] == "masked"
+        moved = env.unwrapped.view().T_world_robot - before
+        assert (abs(moved[2]) > 0.1) == turns
+        assert np.hypot(*moved[:2]) < 1e-3
+        env.close()

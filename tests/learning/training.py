@@ -17,7 +17,7 @@ QUICK = {
     "environments": 2,
     "workers": "here",
     "buildings": {"difficulty": ["easy"], "spec": {"rooms": 3, "loops": 0}},
-    "env": {"laser": {"preset": "lms200", "sweeps": 1, "beams": 360}, "max_steps": 150},
+    "env": {"laser": {"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0, "beams": 360}, "max_steps": 150},
     "network": {"width": 16, "grid_channels": 4, "lstm": 8},
     "ppo": {"steps": 6, "batch": 6, "epochs": 1},
     "log": {"evaluate_every": 12, "evaluate_buildings": 1, "checkpoint_s": 0.0, "tensorboard": False},

@@ -43,11 +43,11 @@ class Drive:
         return error
 
 
-def scripted_drive(layout="two_rooms", waypoints=THROUGH_THE_DOOR, preset="paper", sweeps=4, seed=0, **view) -> Drive:
+def scripted_drive(layout="two_rooms", waypoints=THROUGH_THE_DOOR, sweeps=4, seed=0, **laser_fields) -> Drive:
     """Straight from waypoint to waypoint (world frame), three scans at rest first."""
     outline, rng = build_outline(load_layout(layout)), np.random.default_rng(seed)
     simulation = Simulation(outline, RobotConfig())
-    laser = Laser(outline, LaserConfig(preset=preset, sweeps=sweeps, **view))
+    laser = Laser(outline, LaserConfig(sweeps=sweeps, **laser_fields))
     simulation.reset(np.array(outline.starts[0], float))
     drive = Drive(outline, [], [], [])
     for _ in range(3):

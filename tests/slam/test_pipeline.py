@@ -17,10 +17,10 @@ from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from tests.slam.drives import scripted_drive
 
-SENSORS = {
-    "paper": SensorModel(),
-    "lms200": SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0),
-    "ideal": SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0),
+NOISE: dict[str, dict[str, float]] = {
+    "paper": {},
+    "1 cm": {"range_sigma_m": 0.01, "bearing_sigma_deg": 0.0},
+    "none": {"range_sigma_m": 0.0, "bearing_sigma_deg": 0.0},
 }
 
 
@@ -52,9 +52,9 @@ def share_right(steps):
     return right / total, total
 
 
-@pytest.mark.parametrize("preset", SENSORS)
-def test_every_noise_preset_gives_a_right_map(preset):
-    run = list(scripted_drive(preset=preset).run(SlamConfig(sensor=SENSORS[preset])))
+@pytest.mark.parametrize("noise", NOISE)
+def test_every_noise_gives_a_right_map(noise):
+    run = list(scripted_drive(**NOISE[noise]).run(SlamConfig(sensor=SensorModel(**NOISE[noise]))))
     _, output, _, _ = run[-1]
     precision, pairs = share_right(run)
     assert precision > 0.99

@@ -16,12 +16,14 @@ Records = Any  # a structured array
 class Noise(NamedTuple):
     """The noise of one raw beam, and what counts as noise."""
 
-    range_m: float  # standard deviation
+    range_m: float  # standard deviation, or
+    share: float  # this share of the range, whichever is larger
     bearing: float  # rad, standard deviation
     gate: float  # `noise_sigmas`
     outlier: float  # `outlier_sigmas`
     least_cosine: float
     edge: int  # `edge_beams`
+    grazing: float  # rad, incidence beyond which no beam returns; pi: each does
 
 
 @compiled
@@ -29,8 +31,9 @@ def laser_noise(sensor: Rows) -> Noise:
     """The noise of `SensorModel.record`; a perfect laser gets a small range sigma."""
     model = sensor[0]
     range_m = max(model.range_sigma_m, model.least_range_sigma_m)
-    gates = model.noise_sigmas, model.outlier_sigmas
-    return Noise(range_m, model.bearing_sigma_rad, gates[0], gates[1], model.least_cosine, model.edge_beams)
+    gates, edge = (model.noise_sigmas, model.outlier_sigmas), (model.least_cosine, model.edge_beams)
+    grazing = model.grazing_rad if model.grazing_deg < 90.0 else np.pi
+    return Noise(range_m, model.range_sigma_share, model.bearing_sigma_rad, *gates, *edge, grazing)
 
 
 @compiled

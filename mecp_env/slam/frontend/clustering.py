@@ -15,11 +15,12 @@ from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
 
 
 class Threshold(NamedTuple):
-    """The largest distance of two consecutive hits of one cluster: fixed + per_metre * range + sigma * noise."""
+    """The largest distance of two consecutive hits of one cluster: fixed + per_metre * range + noise."""
 
     fixed: float  # m
     per_metre: float
-    sigma: float  # m, of one raw beam, times the number of sigmas
+    sigma: float  # m, of one raw beam, times the number of sigmas; at least
+    sigma_share: float  # this share of the range
 
 
 def cluster_beams(
@@ -57,7 +58,8 @@ def find_clusters(
     size, (fixed, cosine, sigmas) = ranges.shape[0], rule
     step = (bearings[size - 1] - bearings[0]) / max(size - 1, 1)
     per_metre = 2.0 * math.sin(step / 2.0) / cosine if cosine > 0.0 else 0.0  # d / cos 85, d = 2 r sin(t/2)
-    joined = join_beams(beams, step, Threshold(fixed, per_metre, sigmas * laser_noise(sensor).range_m))
+    noise = laser_noise(sensor)
+    joined = join_beams(beams, step, Threshold(fixed, per_metre, sigmas * noise.range_m, sigmas * noise.share))
     roll = -1
     for i in range(size):
         if not joined[i]:
@@ -90,7 +92,7 @@ def may_join(ranges: tuple[float, float], turn: float, count: tuple[int, int], t
     (a, b), nearer = ranges, min(ranges[0], ranges[1])
     jump, across = abs(a - b), a * b * turn * turn
     allowed = threshold.fixed + threshold.per_metre * nearer
-    allowed += threshold.sigma * math.sqrt(1.0 / count[0] + 1.0 / count[1])
+    allowed += max(threshold.sigma, threshold.sigma_share * nearer) * math.sqrt(1.0 / count[0] + 1.0 / count[1])
     return jump * jump + across <= allowed * allowed
 
 

@@ -42,7 +42,8 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
     )
     if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
         noise = laser_noise(sensor.record)
-        cov = np.diag(np.tile([noise.range_m**2, noise.bearing**2], len(z)))
+        sigma_m = np.maximum(noise.range_m, noise.share * z[:, 0])
+        cov = np.diag(np.stack([sigma_m**2, np.full(len(z), noise.bearing**2)], axis=1).ravel())
     return Corners(z, cov, kind, convex, normals, beyond, sites, Doorways(*doorways))
 
 

@@ -51,7 +51,8 @@ def average_sweeps(
         ranges, bearings, hit = sort_beams(raw_ranges, raw_bearings, hit)
     step = (raw_bearings[-1] - raw_bearings[0]) / max(raw_bearings.shape[0] - 1, 1)
     noise = laser_noise(sensor)
-    split = noise.gate * noise.range_m, sensor[0].merge_slope * (step + noise.bearing)
+    slope = sensor[0].merge_slope * (step + noise.bearing) + noise.gate * noise.share
+    split = noise.gate * noise.range_m, slope
     mean_ranges, mean_bearings, any_hit, count = average_beams(ranges, bearings, hit, max_range, split)
     return mean_ranges, mean_bearings, any_hit, count, raw_ranges, raw_bearings
 

@@ -46,6 +46,11 @@ def add_end(
     Either something farther follows (the line end of III-A.1), or a second face at a right angle is seen that is too
     short for a segment of its own; it recedes at a convex corner and comes nearer at a concave one.
     """
+    last = (lines.first, lines.last)[(side + 1) // 2][segment]
+    range_m = max(noise.range_m, noise.share * scan.polar[0, last])  # the beams beside an end are about as far
+    noise = Noise(
+        *(range_m, noise.share, noise.bearing, noise.gate, noise.outlier, noise.least_cosine, noise.edge, noise.grazing)
+    )
     jump = limits.detail_m + noise.outlier * noise.range_m
     end = end_of(scan, lines, segment, side, jump, limits, noise)
     if not end.free and end.rest < noise.edge:
@@ -83,19 +88,22 @@ def end_of(
     """The end of a segment on a side, with the beams that follow up to a jump (m).
 
     A beam that may have hit the extension of the segment's line, as uncertain as that is, is no jump. Where that line
-    leaves the laser's range, or the field of view ends, no end is in reach: the wall may go on unseen.
+    leaves the laser's range, is too slanting to return a beam, or the field of view ends, no end is in reach: the wall
+    may go on unseen.
     """
     alpha, rho, cov = lines.line[segment, 0], lines.line[segment, 1], lines.cov[segment]
     position = lines.last[segment] if side > 0 else lines.first[segment]
     inner = min(limits.reach_beams, lines.last[segment] - lines.first[segment] - 2)
     end_range = rho / math.cos(scan.polar[1, position] - alpha)
-    previous, far, in_range = end_range, 0, scan.max_range - noise.outlier * noise.range_m
+    previous, far = end_range, 0
+    in_range = scan.max_range - noise.outlier * max(noise.range_m, noise.share * scan.max_range)
+    steepest = noise.grazing - noise.gate * math.sqrt(cov[0, 0]) - noise.edge * scan.step
     for k in range(1, limits.reach_beams + noise.edge + 1):
         q = (position + side * k) % scan.polar.shape[1]
         r, turn = scan.polar[0, q], scan.polar[1, q] - alpha
         behind, cosine = r - end_range > jump, math.cos(turn)
         blind = abs(wrap_angle(scan.polar[1, q] - scan.polar[1, (q - side) % scan.polar.shape[1]])) > 2.0 * scan.step
-        if blind or not (scan.hit[q] or rho < cosine * in_range):
+        if blind or not (scan.hit[q] or (rho < cosine * in_range and abs(wrap_angle(turn)) < steepest)):
             return LineEnd(alpha, rho, position, side, inner, k - 1 - far, False)
         if behind and cosine >= noise.least_cosine:
             expected = rho / cosine

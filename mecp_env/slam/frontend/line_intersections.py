@@ -75,7 +75,7 @@ def add_intersection(
     x, y = write_intersection(found, lines.line, pair)
     if found.z[0] < 1e-3:  # at the robot
         return False
-    floor, far = limits.floor_share * noise.range_m, 0.0
+    floor, far = limits.floor_share * max(noise.range_m, noise.share * found.z[0]), 0.0
     variance = spread_of(found, lines.cov) + floor**2
     for slot in range(2):  # along each line, from the end of its segment, less what beam spacing explains
         alpha, rho = lines.line[pair[slot], 0], lines.line[pair[slot], 1]

@@ -36,7 +36,7 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
         cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
         sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
     for i in range(size):
-        along_ray[i] = noise.range_m**2 / count[i]
+        along_ray[i] = max(noise.range_m, noise.share * ranges[i]) ** 2 / count[i]
         across_ray[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
     for k in range(8):
         sums[0, k] = 0.0

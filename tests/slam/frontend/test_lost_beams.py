@@ -1,0 +1,102 @@
+"""Beams that walls swallow: short runs are restored, slanting walls hide what is behind, noise grows with range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.core.messages import Scan
+from mecp_env.slam.config import SensorModel, SlamConfig
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.lost_beams import longest_run, restore_lost_beams, stop_at_walls
+from tests.slam.scans import ROOM, cast, chain, front_end, nominal_bearings, ring, take_scan
+
+DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
+SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
+GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
+
+
+def without(scan, lost):
+    """The scan without the returns of the beams `lost`."""
+    hit = scan.hit.copy()
+    hit[:, lost] = False
+    return replace(scan, ranges=np.where(hit, scan.ranges, scan.max_range_m), hit=hit)
+
+
+def test_a_laser_that_loses_no_beams_changes_nothing():
+    beams = merge_sweeps(without(take_scan(ROOM), [5, 6]), SensorModel())
+    assert longest_run(SensorModel()) == 0
+    assert restore_lost_beams(beams, SensorModel()) is beams
+    segments = front_end(take_scan(ROOM))[2]
+    assert stop_at_walls(beams, segments, SensorModel()) is beams
+
+
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_short_runs_are_restored_and_long_ones_are_not(sweeps):
+    """Also across the bearing of 180 degrees."""
+    scan = take_scan(ROOM, DARK, sweeps=sweeps)
+    few, many = [718, 719, 0, 100, 101, 102, 103], list(range(300, 305))
+    assert longest_run(DARK) == 4
+    whole, beams = (merge_sweeps(one, DARK) for one in (scan, without(scan, few + many)))
+    restored = restore_lost_beams(beams, DARK)
+    assert restored.hit[few].all()
+    assert not restored.hit[many].any()
+    np.testing.assert_allclose(restored.ranges[few], whole.ranges[few], atol=0.05)
+    kept = np.delete(np.arange(720), few)
+    assert np.array_equal(restored.ranges[kept], beams.ranges[kept])
+
+
+def test_an_opening_between_two_surfaces_is_not_closed():
+    faces = np.concatenate([chain((3.0, -1.0), (3.0, 0.0)), chain((6.0, 0.0), (6.0, 3.0))])
+    scan = take_scan(faces, DARK, sweeps=1)
+    edge = np.flatnonzero(scan.hit[0] & (scan.ranges[0] < 4.0)).max()
+    beams = merge_sweeps(without(scan, [edge]), DARK)
+    assert not restore_lost_beams(beams, DARK).hit[edge]
+
+
+def test_nothing_behind_a_slanting_wall_is_free():
+    """A wall 1 m to the left of the robot is seen up to 80 degrees, and hides what is behind it beyond that."""
+    faces = chain((30.0, 1.0), (-30.0, 1.0))
+    bearings = nominal_bearings(1)
+    ranges = cast(faces, bearings)
+    hit = (bearings > math.radians(10.0)) & (bearings < math.radians(170.0))
+    scan = Scan(np.where(hit, ranges, 30.0), bearings, hit, 30.0)
+    beams, _, segments, corners = front_end(scan, SLANTING)
+    assert len(segments.line) == 1
+    assert len(corners) == 0  # the wall goes on unseen: it has no end there
+    assert len(front_end(scan, SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0))[-1]) > 0
+    stopped = stop_at_walls(beams, segments, SLANTING)
+    towards = (bearings[0] > math.radians(3.0)) & (bearings[0] < math.radians(177.0))
+    np.testing.assert_allclose(stopped.ranges[towards], 1.0 / np.sin(bearings[0][towards]), rtol=0.01)
+    assert (stopped.ranges[bearings[0] < 0.0] == 30.0).all()
+    assert np.array_equal(stopped.hit, beams.hit)
+
+
+@pytest.mark.parametrize("distance_m", [1.0, 6.0])
+def test_lines_are_as_certain_as_the_noise_at_their_range(distance_m):
+    """The errors of a wall's direction and distance have the covariance that the front end gives them."""
+    d = distance_m
+    faces, errors = ring((d, -d), (d, d), (-d, d), (-d, -d)), []
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        bearings = nominal_bearings(1)
+        true = cast(faces, bearings)
+        ranges = true + rng.normal(0.0, 1.0, true.shape) * np.maximum(0.01, 0.01 * true)
+        scan = Scan(ranges, bearings, np.ones(true.shape, bool), 30.0)
+        segments = front_end(scan, GROWING)[2]
+        for (alpha, rho), cov in zip(segments.line, segments.cov, strict=True):
+            turn = (alpha + math.pi / 4.0) % (math.pi / 2.0) - math.pi / 4.0  # from the normal of the nearest wall
+            if abs(turn) < 0.1:  # not a short cut across a corner
+                errors.append(np.array([turn, rho - d]) @ np.linalg.solve(cov, [turn, rho - d]))
+    assert len(errors) > 350
+    assert np.mean(errors) == pytest.approx(2.0, abs=0.4)
+
+
+def test_the_papers_constant_covariance_grows_with_range_as_well():
+    config = SlamConfig.paper()
+    corners = front_end(take_scan(ROOM, GROWING, sweeps=1), GROWING, config)[-1]
+    assert len(corners) >= 3
+    np.testing.assert_allclose(np.sqrt(corners.cov.diagonal()[::2]), np.maximum(0.01, 0.01 * corners.z[:, 0]))

@@ -1,0 +1,175 @@
+"""Lasers and wheels that exist: their statistics are those of the data sheets (docs/sensors.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mecp_env.config import EnvConfig
+from mecp_env.core.errors import ConfigError
+from mecp_env.world.config import LaserConfig, OdometryConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout
+from mecp_env.world.odometry import measure
+from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.presets import LASERS, WHEELS
+from mecp_env.world.simulation import Motion
+from tests.env.helpers import IDS, NEEDED
+
+REAL = sorted(LASERS.keys() - {"paper", "ideal"})
+VIEW_DEG = {"lms200": 180.0, "urg04lx": 240.0, "utm30lx": 270.0, "rplidar_a1": 360.0}
+STEP_DEG = {"lms200": 0.5, "urg04lx": 360.0 / 1024.0, "utm30lx": 0.25, "rplidar_a1": 1.0}
+RANGE_M = {"lms200": 80.0, "urg04lx": 5.6, "utm30lx": 30.0, "rplidar_a1": 12.0}
+SIGMA_M = {  # at (m)
+    "lms200": {1.0: 0.01, 5.0: 0.01, 20.0: 0.01},
+    "urg04lx": {0.5: 0.01, 1.0: 0.01, 2.0: 0.02, 4.0: 0.04},
+    "utm30lx": {1.0: 0.01, 10.0: 0.01, 28.0: 0.028},
+    "rplidar_a1": {0.2: 0.002, 1.0: 0.01, 5.0: 0.05, 10.0: 0.1},
+}
+LONG_M, WIDE_M = 60.0, 20.0
+
+
+@pytest.fixture(scope="module")
+def hall() -> Outline:
+    """A room of 60 m x 20 m, its lower left corner at the origin, for the laser alone."""
+    ring = np.array([(0.0, 0.0), (LONG_M, 0.0), (LONG_M, WIDE_M), (0.0, WIDE_M)])
+    faces = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)  # the floor on the left
+    return replace(build_outline(load_layout("two_rooms")), segments=faces)
+
+
+def square_ranges(
+    outline: Outline, config: LaserConfig, distance_m: float, scans: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measured and true ranges of the beams within 2 degrees of the normal to the wall in the east."""
+    laser, rng = Laser(outline, config), np.random.default_rng(3)
+    pose = np.array([LONG_M - distance_m - config.x_m, 0.5 * WIDE_M, 0.0])
+    taken = [laser.scan(pose, rng) for _ in range(scans)]
+    square = np.abs(taken[0].bearings) < math.radians(2.0)
+    true = distance_m / np.cos(taken[0].bearings[square])
+    return np.array([scan.ranges[square] for scan in taken]), true
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_geometry_is_that_of_the_sheet(hall: Outline, name: str) -> None:
+    config = LaserConfig(preset=name)
+    assert config.field_of_view_deg == pytest.approx(VIEW_DEG[name], abs=0.5)
+    assert config.field_of_view_deg / config.beams == pytest.approx(STEP_DEG[name], rel=1e-3)
+    assert (config.max_range_m, config.sweeps) == (RANGE_M[name], 1)
+    scan = Laser(hall, config).scan(np.array([30.0, 10.0, 0.0]), np.random.default_rng(0))
+    assert scan.ranges.shape == (1, config.beams)
+    assert np.diff(scan.bearings[0]) == pytest.approx(np.full(config.beams - 1, math.radians(STEP_DEG[name])), rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "distance_m"), [(name, r) for name in REAL for r in SIGMA_M[name]])
+def test_range_noise_is_that_of_the_sheet(hall: Outline, name: str, distance_m: float) -> None:
+    """From 2,000 beams or more: unbiased, with the sheet's standard deviation at that range."""
+    config = LaserConfig(preset=name, dark_share=0.0)
+    scans = math.ceil(2000 * STEP_DEG[name] / 4.0)
+    measured, true = square_ranges(hall, config, distance_m, scans)
+    errors = ((measured - true) / SIGMA_M[name][distance_m]).ravel()
+    assert len(errors) >= 1500
+    assert errors.mean() == pytest.approx(0.0, abs=4.0 / math.sqrt(len(errors)))
+    assert errors.std() == pytest.approx(1.0, abs=0.07)
+
+
+def test_nothing_returns_from_a_slanting_wall(hall: Outline) -> None:
+    """Along the wall in the south, 1 m to the right of the robot."""
+    config = LaserConfig(preset="lms200", range_sigma_m=0.0, x_m=0.0, beams=1800)
+    laser, pose = Laser(hall, config), np.array([5.0, 1.0, 0.0])
+    scan = laser.scan(pose, np.random.default_rng(0))
+    incidence = math.pi / 2 + scan.bearings[0]  # of beams to the right
+    on_wall = (scan.bearings[0] < 0.0) & (np.tan(incidence) < LONG_M - 5.0 - 1.0)
+    seen = incidence < math.radians(config.grazing_deg)
+    assert np.array_equal(scan.hit[0][on_wall], seen[on_wall])
+    assert (scan.ranges[0][on_wall & ~seen] == config.max_range_m).all()
+
+
+def test_dark_walls_swallow_their_share(hall: Outline) -> None:
+    """Each wall is dark or not for a whole episode; of a dark one the named share of the beams does not return."""
+    config = LaserConfig(preset="utm30lx", dark_share=0.5, dark_dropout=0.3, grazing_deg=90.0)
+    shares = []
+    for seed in range(40):
+        laser, rng = Laser(hall, config, seed), np.random.default_rng(0)
+        scans = [laser.scan(np.array([LONG_M - 3.0, 0.5 * WIDE_M, 0.0]), rng) for _ in range(20)]
+        ahead = np.abs(scans[0].bearings) < math.radians(20.0)
+        shares.append(1.0 - np.mean([scan.hit[ahead] for scan in scans]))
+    dark = np.array(shares) > 0.1
+    assert 8 < dark.sum() < 32
+    assert np.array(shares)[dark] == pytest.approx(np.full(dark.sum(), 0.3), abs=0.04)
+    assert not np.array(shares)[~dark].any()
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_the_estimator_follows_the_sensor(name: str) -> None:
+    config = EnvConfig.build(laser={"preset": name})
+    sensor = config.estimator_config.sensor
+    for field, value in LASERS[name].items():
+        if field in type(sensor).model_fields:
+            assert getattr(sensor, field) == value
+    assert EnvConfig.build(config.to_dict()) == config
+    later = EnvConfig.build(config, laser={"preset": "paper"})
+    assert later.laser == LaserConfig()
+    assert EnvConfig.build(config.to_dict(), laser={"preset": "paper"}) == later
+
+
+def test_single_fields_override_a_preset() -> None:
+    laser = LaserConfig(preset="urg04lx", max_range_m=4.0)
+    assert (laser.max_range_m, laser.beams, laser.range_sigma_share) == (4.0, 682, 0.01)
+    kept = EnvConfig.build(EnvConfig.build(laser=laser).to_dict(), laser={"beams": 341})
+    assert (kept.laser.preset, kept.laser.max_range_m, kept.laser.beams) == ("urg04lx", 4.0, 341)
+    wheels = OdometryConfig(preset="skid_steer", slip_share=0.0)
+    assert (wheels.slip_share, wheels.turn_sigma_deg) == (0.0, WHEELS["skid_steer"]["turn_sigma_deg"])
+
+
+@pytest.mark.parametrize(("section", "known"), [("laser", LASERS), ("odometry", WHEELS)])
+def test_an_unknown_preset_is_refused_with_all_names(section: str, known: dict[str, object]) -> None:
+    with pytest.raises(ConfigError) as refused:
+        EnvConfig.build({section: {"preset": "urg04lz"}})
+    for name in known:
+        assert f"'{name}'" in str(refused.value)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_presets_work_in_every_environment(env_id: str) -> None:
+    keywords = NEEDED.get(env_id, {}) | {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "turtlebot"}}
+    env = gymnasium.make(env_id, **keywords)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    state = env.unwrapped.get_state()
+    steps = [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(3)]
+    env.unwrapped.set_state(state)
+    again = [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(3)]
+    for one, two in zip(steps, again, strict=True):
+        assert all(np.array_equal(one[key], two[key]) for key in one)
+    env.close()
+
+
+@pytest.mark.parametrize("name", sorted(WHEELS))
+def test_odometry_noise_is_as_named(name: str) -> None:
+    """Over a metre straight on, and over a quarter turn on the spot, without slip."""
+    config, rng = OdometryConfig(preset=name, slip_share=0.0), np.random.default_rng(5)
+    straight = Motion(np.array([[0.25, 0.0]] * 4), False)
+    turn = Motion(np.array([[0.0, math.pi / 8]] * 4), False)
+    ahead = np.array([measure(straight, config, rng).increments.sum(axis=0) for _ in range(4000)])
+    around = np.array([measure(turn, config, rng).increments.sum(axis=0) for _ in range(4000)])
+    assert ahead.std(axis=0) == pytest.approx([config.distance_sigma_m, config.turn_sigma_rad], rel=0.05)
+    assert around[:, 1].std() == pytest.approx(config.turn_sigma_rad * math.sqrt(config.turn_m), rel=0.05)
+
+
+def test_wheels_slip_in_their_share_of_the_steps() -> None:
+    config, rng = OdometryConfig(slip_share=0.2, scale=0.0), np.random.default_rng(7)
+    motion = Motion(np.array([[0.1, 0.0]] * 4), False)
+    readings = [measure(motion, config, rng) for _ in range(5000)]
+    far = np.array([reading.increments[:, 0].sum() for reading in readings])
+    aside = np.array([reading.increments[:, 1].sum() for reading in readings])
+    slipped = far > 0.4 + 1e-12
+    assert slipped.mean() == pytest.approx(0.2, abs=0.02)
+    assert far.max() < 0.4 * config.slip_most
+    assert aside[slipped].std() == pytest.approx(config.slip_turn_rad, rel=0.1)
+    assert not aside[~slipped].any()
+    at_rest = Motion(np.zeros((4, 2)), False)
+    assert not any(measure(at_rest, config, rng).increments.any() for _ in range(50))
