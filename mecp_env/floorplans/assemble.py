@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import count
+from typing import Any
 
 import numpy as np
 import shapely
@@ -17,13 +18,14 @@ from mecp_env.floorplans.door_detection import (
     find_doors,
     is_between_walls,
     measure,
-    without_furniture,
 )
-from mecp_env.floorplans.furniture import fitted
+from mecp_env.floorplans.door_frames import with_frames
+from mecp_env.floorplans.furniture import are_walls, fitted, without_furniture
+from mecp_env.floorplans.narrow_doors import with_wider_doors
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
-from mecp_env.floorplans.reachable_floor import largest_part, reachable_floor
+from mecp_env.floorplans.reachable_floor import largest_part, reachable_floor, without_hollows
 from mecp_env.floorplans.room_partition import Rooms, split
-from mecp_env.floorplans.straighten import along_directions, directions, straightened, thinned
+from mecp_env.floorplans.straighten import FINE, along_directions, directions, straightened, thinned
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
@@ -52,8 +54,7 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     _require_few(floor, MAX_VERTICES)
     thin = thinned(floor, plan.noise_m)
     _require_few(thin, MAX_THINNED)
-    read = reachable_floor(floor if given <= MANY_VERTICES else thin)
-    area = _drawn(read, plan.noise_m, options)
+    read, area = _floors(floor if given <= MANY_VERTICES else thin, plan, options)
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     _require_rooms(plan.drawn, rooms.floors)
     try:
@@ -62,11 +63,27 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
         return _layout(plan, area, rooms, [])
 
 
+def _floors(floor: Polygon, plan: FreeSpace, options: PlanOptions) -> tuple[Polygon, Polygon]:
+    """The part of `floor` that a robot can reach, as it was read and with straight walls.
+
+    In a clean plan whose doors have to be found, narrow doorways are widened and door frames kept.
+    """
+    solid = without_hollows(floor)
+    if plan.crossings is not None or _is_ragged(thinned(solid, plan.noise_m)):
+        read = reachable_floor(solid)
+        return read, reachable_floor(_drawn(read, plan.noise_m, options))
+    drawn = _drawn(solid, plan.noise_m, options)
+    read = reachable_floor(with_wider_doors(solid, drawn, directions(drawn), options))
+    area = reachable_floor(_drawn(read, plan.noise_m, options))
+    fine = thinned(read, FINE * plan.noise_m)
+    return read, reachable_floor(with_frames(area, fine, directions(area), options))
+
+
 def _layout(plan: FreeSpace, area: Polygon, rooms: Rooms, read: list[Polygon]) -> Layout:
     """The checked layout of a floor and its rooms; islands are furniture where one as `read` looks like that."""
     names = _names(rooms.floors, plan.labels)
     holes = [Polygon(hole) for hole in area.interiors]
-    pieces = [fitted(hole, read, plan.noise_m) if read else None for hole in holes]
+    pieces = _pieces(area, read, plan.noise_m)
     layout = Layout(
         name=plan.name[:80],
         description=plan.description,
@@ -81,12 +98,20 @@ def _layout(plan: FreeSpace, area: Polygon, rooms: Rooms, read: list[Polygon]) -
     return layout
 
 
+def _pieces(area: Polygon, read: list[Polygon], noise_m: float) -> list[dict[str, Any] | None]:
+    """The obstacle of each island in `area` that is furniture and looks like one in `read`; None for the others."""
+    if not read:
+        return [None] * len(area.interiors)
+    pairs = zip(area.interiors, are_walls(area), strict=True)
+    return [None if wall else fitted(Polygon(hole), read, noise_m) for hole, wall in pairs]
+
+
 def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
     """`floor` with straight edges; a ragged one is drawn more coarsely. Raises LayoutError when it stays ragged."""
     noises = [noise_m, *(noise for noise in RAGGED_NOISES_M if noise > noise_m)]
     _require_few(thinned(floor, noises[-1]), MAX_FACES)
     chosen = next((noise for noise in noises if not _is_ragged(thinned(floor, noise))), noises[-1])
-    return reachable_floor(straightened(floor, chosen, options.straighten))
+    return straightened(floor, chosen, options.straighten)
 
 
 def _is_ragged(floor: Polygon) -> bool:

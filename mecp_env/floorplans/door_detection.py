@@ -1,8 +1,7 @@
 """Doors as short narrow passages: between two posts, wider on both sides, with walls that continue behind the posts.
 
-Candidates run from a convex corner of the walls to another one, or square to a face. At each the width of the floor is
-measured along lines parallel to it, a little before and behind. The best of them is closed first: a passage that was
-wide only because of that opening is then no door.
+At each candidate the width of the floor is measured along lines parallel to it, a little before and behind. The best of
+them is closed first: a passage that was wide only because of that opening is then no door.
 """
 
 from __future__ import annotations
@@ -12,25 +11,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Polygon, box
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.array_types import Array
+from mecp_env.floorplans.door_candidates import STRAIGHT, crossings, wall_faces
+from mecp_env.floorplans.furniture import without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
-SQUARE_COS = math.cos(math.radians(72.0))  # a passage is narrowest where it is square to the walls beside it
-STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building is turned to it
 SAME_WIDTH_M = 0.08  # a passage may vary so much between its faces
 POST_M = 0.5  # a wall continues at least so far behind a post
-FLUSH_COS = math.cos(math.radians(14.0))  # the face of the wall continues behind a post in the direction of the passage
-FURNITURE_M = (0.2, 2.0)  # an island at least so wide and at most so long is a piece of furniture, not a wall,
-PILLAR_M = 0.45  # and so is a smaller one of any shape
-FURNITURE_FILL = 0.55  # when it fills so much of the rectangle around it
 SAME_DOOR_M = 0.5  # two doorways so near to each other are one
 SIGHT_M = 4.0  # how far is far enough
 LEAST_DEPTH_M = 0.004  # of a doorway: of a wall as thin as a pixel less than a pixel may be left
+FRAME_M, FRAME_WIDTH_M = 0.25, 1.45  # a thinner doorway of less width may be a frame,
+FRAME_GAIN_M = 0.12  # beside which it is wider by so much;
+GAIN = 0.3  # beside any other doorway it is wider by such a share of its width,
+DEEP_GAIN = 1.1  # and by such a share beside one that may be the narrow part of a room:
+THICK_M, SINGLE_M = 0.4, 1.1  # at least so deep and so wide,
+DEEP = 0.5  # and with a jamb on one side only or a depth of such a share of its width
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
 
 
@@ -43,6 +43,7 @@ class Gap:
     width_m: float
     depth_m: float
     gain_m: float  # how much wider it is beside the doorway, on the narrower side
+    jamb_m: float  # how far the weaker of both jambs stands out, before or behind it
     post_m: float  # how far the wall continues behind the weaker post, at most `POST_M`
     to_walls_m: tuple[float, float]  # from the centre to the walls, against `along` and with it
 
@@ -88,8 +89,13 @@ class Walls:
 
 def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> list[Gap]:
     """The doorways of `area`, the surest first."""
-    walls = Walls.around(without_furniture(area))
-    measured = [measure(crossing, walls, axes, options) for crossing in _candidates(walls, options.door_width_m)]
+    return doorways(Walls.around(without_furniture(area)), axes, options)
+
+
+def doorways(walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> list[Gap]:
+    """The doorways between `walls`, the surest first."""
+    candidates = crossings(walls.area, walls.faces, axes, options.door_width_m)
+    measured = [measure(crossing, walls, axes, options) for crossing in candidates]
     likely = [gap for gap in measured if gap and _is_door(gap, options)]
     found: list[Gap] = []
     for gap in sorted(likely, key=lambda gap: (-round(gap.post_m, 1), gap.width_m)):
@@ -117,88 +123,12 @@ def is_between_walls(gap: Gap, area: Polygon) -> bool:
     return bool(area.contains(middle) and off.max() <= OFF_M)
 
 
-def without_furniture(area: Polygon) -> Polygon:
-    """`area` without free-standing furniture."""
-    return Polygon(area.exterior, [hole for hole in area.interiors if not is_furniture(Polygon(hole))])
-
-
-def is_furniture(island: Polygon) -> bool:
-    """True when an island in the floor is furniture, not a wall."""
-    around = np.array(shapely.minimum_rotated_rectangle(island).exterior.coords)
-    sides = np.hypot(*np.diff(around, axis=0).T)
-    full = island.area >= FURNITURE_FILL * sides[0] * sides[1] and sides.min() >= FURNITURE_M[0]
-    return bool(sides.max() <= PILLAR_M or (full and sides.max() <= FURNITURE_M[1]))
-
-
-def wall_faces(area: Polygon) -> Array:
-    """Faces (n,2,2) of all rings of `area`, the floor on their left."""
-    rings = [np.array(ring.coords) for ring in (area.exterior, *area.interiors)]
-    return np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])
-
-
 def _crosses(gap: Gap, walls: Walls) -> bool:
     """Whether the doorway touches one that is closed already, or is the same drawn once more."""
     closed = walls.closed_near(gap.centre, gap.width_m)
     touching = shapely.distance(shapely.linestrings(closed), LineString(gap.closing)) < 0.02
     same = np.linalg.norm(closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
     return bool(np.any(touching | same))
-
-
-def _candidates(walls: Walls, width_m: tuple[float, float]) -> list[Crossing]:
-    """Lines from convex corners of the walls to others and to faces, square enough to both and across free floor."""
-    corners, before, after = _convex_corners(walls.area)
-    if not len(corners):
-        return []
-    pairs = [_corner_pairs(corners, before, after, width_m), _corner_faces(corners, before, after, walls, width_m)]
-    starts, ends = (np.concatenate(column) for column in zip(*pairs, strict=True))
-    inset = 0.01 * (ends - starts)
-    free = shapely.covers(walls.area, shapely.linestrings(np.stack([starts + inset, ends - inset], axis=1)))
-    return [Crossing((a + b) / 2.0, (b - a) / math.dist(a, b)) for a, b in zip(starts[free], ends[free], strict=True)]
-
-
-def _convex_corners(area: Polygon) -> tuple[Array, Array, Array]:
-    """Corners (n,2) of the walls where the solid is convex; unit vectors (n,2) to the corner before and after."""
-    columns = []
-    for ring in (area.exterior, *area.interiors):
-        points = np.array(ring.coords)[:-1]
-        back, ahead = np.roll(points, 1, axis=0) - points, np.roll(points, -1, axis=0) - points
-        back, ahead = (v / np.linalg.norm(v, axis=1)[:, None] for v in (back, ahead))
-        convex = back[:, 0] * ahead[:, 1] - back[:, 1] * ahead[:, 0] > 0.05
-        columns.append((points[convex], back[convex], ahead[convex]))
-    corners, before, after = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return corners, before, after
-
-
-def _corner_pairs(corners: Array, before: Array, after: Array, width_m: tuple[float, float]) -> tuple[Array, Array]:
-    i, j = cKDTree(corners).query_pairs(width_m[1], output_type="ndarray").reshape(-1, 2).T
-    width = np.linalg.norm(corners[j] - corners[i], axis=1)
-    i, j, width = (column[width >= width_m[0]] for column in (i, j, width))
-    direction = (corners[j] - corners[i]) / width[:, None]
-    square = _is_square(direction, before[i], after[i]) & _is_square(-direction, before[j], after[j])
-    return corners[i[square]], corners[j[square]]
-
-
-def _is_square(direction: Array, before: Array, after: Array) -> Bools:
-    """Whether (n,) the unit vectors `direction` lead away from a corner, straight on from one of its faces."""
-    to_before, to_after = np.sum(direction * before, axis=1), np.sum(direction * after, axis=1)
-    square: Bools = np.maximum(to_before, to_after) < SQUARE_COS
-    flush: Bools = square & (np.minimum(to_before, to_after) < -FLUSH_COS)
-    return flush
-
-
-def _corner_faces(
-    corners: Array, before: Array, after: Array, walls: Walls, width_m: tuple[float, float]
-) -> tuple[Array, Array]:
-    """From each corner the perpendicular to every face near it."""
-    i, j = walls.tree.query(shapely.buffer(shapely.points(corners), width_m[1]), predicate="intersects")
-    first, step = walls.faces[j, 0], walls.faces[j, 1] - walls.faces[j, 0]
-    share = np.sum((corners[i] - first) * step, axis=1) / np.sum(step**2, axis=1)
-    feet = first + share[:, None] * step
-    width = np.linalg.norm(feet - corners[i], axis=1)
-    fits = (share > 0.0) & (share < 1.0) & (width >= width_m[0]) & (width <= width_m[1])
-    i, feet = i[fits], feet[fits]
-    square = _is_square((feet - corners[i]) / width[fits, None], before[i], after[i])
-    return corners[i[square]], feet[square]
 
 
 def measure(
@@ -209,14 +139,15 @@ def measure(
     through = np.array([-along[1], along[0]])
     reach = options.door_depth_m + AROUND_M
     ahead = np.arange(-reach, reach + step_m, step_m)
-    left, right = _extent(crossing.middle + ahead[:, None] * through, along, walls)
+    left, right = extent(crossing.middle + ahead[:, None] * through, along, walls)
     first, last = _passage(left + right)
     if last < first:
         return None
     depth = ahead[last] - ahead[first] + step_m
     low, high = -left[first : last + 1].min(), right[first : last + 1].min()
     beside = round(AROUND_M / step_m)
-    gain = min(_widest(left + right, first, -beside), _widest(left + right, last, beside)) - (high - low)
+    gain = min(_beside(left + right, first, last, beside)) - (high - low)
+    jambs = max(_beside(left, first, last, beside)) + low, max(_beside(right, first, last, beside)) - high
     centre = crossing.middle + (ahead[first] + ahead[last]) / 2.0 * through + (low + high) / 2.0 * along
     middle = (first + last) // 2
     return Gap(
@@ -225,7 +156,8 @@ def measure(
         width_m=float(high - low),
         depth_m=float(depth),
         gain_m=float(gain),
-        post_m=_posts(centre, along, high - low, walls),
+        jamb_m=float(min(jambs)),
+        post_m=min(post_lengths(centre, along, float(high - low), walls)),
         to_walls_m=(float(left[middle] + (low + high) / 2.0), float(right[middle] - (low + high) / 2.0)),
     )
 
@@ -238,7 +170,7 @@ def _straight(along: Array, axes: tuple[float, ...]) -> Array:
     return np.array([math.cos(angle), math.sin(angle)])
 
 
-def _extent(points: Array, along: Array, walls: Walls) -> tuple[Array, Array]:
+def extent(points: Array, along: Array, walls: Walls) -> tuple[Array, Array]:
     """How far (n,) it is from each of `points` to the wall against `along` and with it; 0 both for points in a wall."""
     place = _hits(points, along, walls.near(points))
     right = np.where(place > 0.0, place, np.inf).min(axis=1, initial=SIGHT_M)
@@ -267,25 +199,33 @@ def _passage(width: Array) -> tuple[int, int]:
     return first, start + int(after[0]) - 1 if len(after) else len(width) - 1
 
 
-def _widest(width: Array, edge: int, count: int) -> float:
-    """Greatest width of so many lines behind line `edge`, before it where `count` is negative; 0 without any."""
-    beside = width[edge + 1 : edge + 1 + count] if count > 0 else width[max(0, edge + count) : edge]
-    return float(beside.max(initial=0.0))
+def _beside(width: Array, first: int, last: int, count: int) -> tuple[float, float]:
+    """Greatest width of so many lines before line `first` and behind line `last`; 0 without any."""
+    before, behind = width[max(0, first - count) : first], width[last + 1 : last + 1 + count]
+    return float(before.max(initial=0.0)), float(behind.max(initial=0.0))
 
 
-def _posts(centre: Array, along: Array, width: float, walls: Walls) -> float:
-    """How far the wall continues behind the weaker of both posts, at most `POST_M`."""
+def post_lengths(centre: Array, along: Array, width: float, walls: Walls) -> tuple[float, float]:
+    """How far the wall continues behind the posts, against `along` and with it, at most `POST_M`."""
     behind = np.arange(0.04, POST_M + 1e-9, 0.02)
     lengths = []
     for direction in (-along, along):
-        left, right = _extent(centre + (width / 2.0 + behind)[:, None] * direction, along, walls)
+        left, right = extent(centre + (width / 2.0 + behind)[:, None] * direction, along, walls)
         open_floor = np.flatnonzero(left + right > 0.0)
-        lengths.append(behind[open_floor[0]] if len(open_floor) else POST_M)
-    return float(min(lengths))
+        lengths.append(float(behind[open_floor[0]]) if len(open_floor) else POST_M)
+    return lengths[0], lengths[1]
 
 
 def _is_door(gap: Gap, options: PlanOptions) -> bool:
     """Short, of a door's width, and clearly wider on both sides: the deeper and wider it is, the more."""
-    needed = 0.15 if gap.depth_m < 0.4 and gap.width_m < 1.3 else 0.3 * gap.width_m
     fits = options.door_width_m[0] <= gap.width_m <= options.door_width_m[1]
-    return fits and LEAST_DEPTH_M <= gap.depth_m <= options.door_depth_m and gap.gain_m >= needed
+    return fits and LEAST_DEPTH_M <= gap.depth_m <= options.door_depth_m and gap.gain_m >= _needed(gap)
+
+
+def _needed(gap: Gap) -> float:
+    """How much wider, m, it must be on both sides."""
+    if gap.depth_m < FRAME_M and gap.width_m < FRAME_WIDTH_M:
+        return FRAME_GAIN_M
+    deep = gap.depth_m >= THICK_M and gap.width_m >= SINGLE_M
+    one_sided = gap.jamb_m < FRAME_GAIN_M or gap.depth_m > DEEP * gap.width_m
+    return (DEEP_GAIN if deep and one_sided else GAIN) * gap.width_m

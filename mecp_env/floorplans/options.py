@@ -11,7 +11,7 @@ from shapely.geometry import Point, Polygon
 from mecp_env.core.array_types import Array
 from mecp_env.core.settings import Settings, as_range
 
-Width = Annotated[float, Field(ge=0.4, le=4.0)]
+Width = Annotated[float, Field(ge=0.3, le=4.0)]
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -25,8 +25,8 @@ class PlanOptions(Settings):
 
     resolution_m: float | None = Field(None, ge=0.005, le=1.0)  # side of a pixel; only for images without a yaml
     free_above: int | None = Field(None, ge=0, le=254)  # grey levels above this are floor; None: Otsu's threshold
-    door_width_m: Annotated[tuple[Width, Width], BeforeValidator(as_range), AfterValidator(_ordered)] = (0.55, 1.9)
-    door_depth_m: float = Field(0.5, ge=0.05, le=2.0)  # a longer passage is a corridor, not a door
+    door_width_m: Annotated[tuple[Width, Width], BeforeValidator(as_range), AfterValidator(_ordered)] = (0.3, 1.9)
+    door_depth_m: float = Field(1.0, ge=0.05, le=2.0)  # a longer passage is a corridor, not a door
     straighten: bool = True  # turn edges to the dominant directions of the building
     smallest_room_m2: float = Field(1.0, ge=0.2, le=100.0)
 

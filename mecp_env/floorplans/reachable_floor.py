@@ -9,12 +9,19 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.world.outline import ROBOT_RADIUS_M
 
 CLEARANCE_M = ROBOT_RADIUS_M + 0.02
 NICHE_M = 0.4  # a niche too narrow for the robot stays when it is no deeper
+ON_EDGE_M = 1e-6  # the middle of an edge this close to a line is on it
 SPECK_M2 = 0.02  # solids smaller than this are dirt
+
+
+def without_hollows(area: BaseGeometry) -> Polygon:
+    """`area` without what only slits too narrow for the robot lead to, as the hollows of double walls."""
+    return largest_part(_closed(area, CLEARANCE_M, _inner(area, CLEARANCE_M), NICHE_M))
 
 
 def reachable_floor(area: BaseGeometry) -> Polygon:
@@ -22,12 +29,16 @@ def reachable_floor(area: BaseGeometry) -> Polygon:
 
     Passages that are too narrow end where they begin. Raises LayoutError when nothing is wide enough.
     """
-    inner = area.buffer(-CLEARANCE_M, quad_segs=2)
+    floor = largest_part(_closed(area, CLEARANCE_M, largest_part(_inner(area, CLEARANCE_M)), NICHE_M))
+    return Polygon(floor.exterior, [hole for hole in floor.interiors if Polygon(hole).area >= SPECK_M2])
+
+
+def _inner(area: BaseGeometry, radius: float) -> BaseGeometry:
+    """Where in `area` the centre of a circle may be."""
+    inner = area.buffer(-radius, quad_segs=4)
     if inner.is_empty:
         raise LayoutError(f"no floor is wide enough for a radius of {ROBOT_RADIUS_M} m")
-    wide = largest_part(inner).buffer(CLEARANCE_M + 1e-3, quad_segs=2)
-    floor = largest_part(area.difference(_deep_parts(area.difference(wide), wide).buffer(1e-6)))
-    return Polygon(floor.exterior, [hole for hole in floor.interiors if Polygon(hole).area >= SPECK_M2])
+    return inner
 
 
 def largest_part(area: BaseGeometry) -> Polygon:
@@ -35,9 +46,36 @@ def largest_part(area: BaseGeometry) -> Polygon:
     return orient(max(shapely.get_parts(area), key=lambda part: part.area), 1.0)
 
 
-def _deep_parts(rest: BaseGeometry, wide: BaseGeometry) -> BaseGeometry:
-    """The parts of `rest` that reach further away from `wide` than a niche."""
-    parts: NDArray[np.object_] = shapely.get_parts(rest)
-    near = wide.buffer(NICHE_M, quad_segs=2)
-    shapely.prepare(near)
-    return shapely.union_all(parts[~shapely.covers(near, parts)])
+def _closed(area: BaseGeometry, radius: float, inner: BaseGeometry, depth: float) -> BaseGeometry:
+    """`area` without the parts that circles with centres in `inner` do not cover, where those are deep."""
+    wide = inner.buffer(radius + 1e-3, quad_segs=4)
+    return area.difference(_deep_parts(area.difference(wide), wide, depth).buffer(1e-6))
+
+
+def _deep_parts(rest: BaseGeometry, wide: BaseGeometry, depth: float) -> BaseGeometry:
+    """The parts of `rest` that reach further than `depth` from their mouths, each up to the line across its mouth."""
+    parts = shapely.get_parts(rest)
+    mouths = _mouths(parts, wide)
+    deep = ~shapely.covers(shapely.buffer(mouths, depth), parts)
+    arcs = shapely.get_parts(shapely.line_merge(mouths[deep]))
+    arcs = arcs[shapely.get_num_coordinates(arcs) > 3]
+    fronts = [Polygon(arc.coords) for arc in arcs]
+    return shapely.union_all([*parts[deep], *(shapely.make_valid(front).buffer(1e-3) for front in fronts)])
+
+
+def _mouths(parts: NDArray[np.object_], wide: BaseGeometry) -> NDArray[np.object_]:
+    """Where each of `parts` ends at `wide`: lines, empty for a part that does not touch it."""
+    edges, part = _edges(parts)
+    tree = shapely.STRtree(shapely.linestrings(_edges(shapely.get_parts(wide))[0]))
+    touching = np.unique(tree.query(shapely.points(edges.mean(axis=1)), "dwithin", ON_EDGE_M)[0])
+    mouths = np.full(len(parts), shapely.MultiLineString(), dtype=np.object_)
+    shapely.multilinestrings(shapely.linestrings(edges[touching]), indices=part[touching], out=mouths)
+    return mouths
+
+
+def _edges(parts: NDArray[np.object_]) -> tuple[Array, Ints]:
+    """The edges (n,2,2) of polygons, and the index (n,) of the polygon that each belongs to."""
+    rings, part = shapely.get_rings(parts, return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    within = ring[1:] == ring[:-1]
+    return np.stack([points[:-1], points[1:]], axis=1)[within], part[ring[1:][within]]

@@ -26,6 +26,7 @@ FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a fi
 BELIEVED = ((1.0, 1.0), (1.0, 0.5), (1.0, 0.25), (1.0, 0.0), (0.6, 0.6), (0.4, 0.4))
 LEAST_WALL_M = 0.01  # a thinner one is lost
 BEVEL = 4.0  # times the noise: a shorter edge between two square ones is their blurred corner
+END, MOST_OF_END = 3.0, 8  # times the noise: the end of a wall may be so uneven, of fewer lines
 THIN = 0.75  # of the noise, for the vertices that stay
 AXES = 3  # directions that a building may have, each with its square
 AXIS_SHARE = 0.12  # of the length of all edges, for a direction to be one of the building
@@ -225,18 +226,38 @@ def _squared(lines: list[Line], noise_m: float) -> list[Line]:
 
 
 def _with_whole_ends(lines: list[Line], noise_m: float) -> list[Line]:
-    """`lines` of a ring with one line for two oblique ones that are the blurred end of a wall."""
+    """`lines` of a ring with one line for several that are the blurred end of a wall, or a door frame in it."""
     whole: list[Line] = []
-    for line, after in zip(lines, [*lines[1:], lines[0]], strict=True):
-        before, last = (whole[-2], whole[-1]) if len(whole) > 1 else (line, line)
-        faces = before.on_axis and after.on_axis and math.cos(before.angle - after.angle) < -0.999
-        if faces and _is_oblique(last, before, noise_m) and _is_oblique(line, before, noise_m):
-            length = last.length + line.length
-            middle = (last.length * last.middle + line.length * line.middle) / length
-            whole[-1] = _end_of_wall(before, replace(line, length=length, middle=middle))
-        else:
-            whole.append(line)
+    rest = [*lines, lines[0]]
+    while len(rest) > 1:
+        face, *rest = rest
+        whole.append(face)
+        count = _lines_of_end(face, rest, noise_m)
+        if count:
+            length = sum(line.length for line in rest[:count])
+            middle = sum((line.length * line.middle for line in rest[:count]), start=np.zeros(2)) / length
+            whole.append(_end_of_wall(face, replace(rest[count - 1], length=length, middle=middle)))
+            rest = rest[count:]
     return whole
+
+
+def _lines_of_end(face: Line, after: list[Line], noise_m: float) -> int:
+    """How many of the lines `after` one face of a wall are its end, before the other face; 0 where it has no end."""
+    reach = END * noise_m
+    ahead = np.array([math.cos(face.angle), math.sin(face.angle)])
+    for count in range(2, min(MOST_OF_END, len(after))):
+        steps = np.array([line.end - face.end for line in after[:count]])
+        along, across = steps @ ahead, steps @ (-ahead[1], ahead[0])
+        if np.abs(along).max() > reach or np.ptp(along) > reach:
+            return 0
+        between = np.abs(across - across[-1] / 2.0).max() <= abs(across[-1]) / 2.0 + noise_m
+        if between and _are_faces(face, after[count]) and min(face.length, after[count].length) > reach:
+            return count
+    return 0
+
+
+def _are_faces(a: Line, b: Line) -> bool:
+    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) < -0.999
 
 
 def _is_oblique(line: Line, face: Line, noise_m: float) -> bool:

@@ -51,6 +51,28 @@ def corridor_picture() -> Picture:
     return picture
 
 
+def office_picture() -> Picture:
+    """Four rooms behind a double wall with a hollow, a corridor with a door frame, and three rooms below it.
+
+    The doors of the upper rooms lead through both faces of the double wall; between two of them is 1.5 m of it. Below,
+    a partition ends 0.9 m before the wall of the corridor, and the door of the last room is 0.4 m wide.
+    """
+    picture = np.zeros((240, 400), dtype=np.uint8)
+    for left, right in ((10, 100), (103, 190), (193, 280), (283, 390)):
+        picture[10:100, left:right] = 255
+    picture[103:109, 10:390] = 255  # the hollow
+    for left in (40, 110, 157, 220, 330):
+        picture[100:112, left : left + 17] = 255
+    picture[112:144, 10:390] = 255  # the corridor
+    picture[112:114, 200:202] = picture[142:144, 200:202] = 0  # a frame
+    for left, right in ((10, 120), (123, 280), (283, 390)):
+        picture[147:230, left:right] = 255
+    picture[147:165, 120:123] = 255  # beside the end of the partition
+    picture[144:147, 50:68] = 255
+    picture[144:147, 330:338] = 255
+    return picture
+
+
 def save(picture: Picture, path: Path) -> Path:
     Image.fromarray(picture).save(path)
     return path

@@ -28,7 +28,7 @@ from tests.floorplans.plans import RESOLUTION_M
 REAL_PLANS = {  # rooms and doors by eye
     "houseexpo/0a1b29dba355df2ab02630133187bfab.json": (7, 6),
     "ros_map/skirk.yaml": (1, 0),
-    "ros_map/stata_basement.yaml": (2, 1),
+    "ros_map/stata_basement.yaml": (3, 2),
     "dungeon/1.png": (1, 0),
     "dungeon/10.png": (1, 0),
     "dungeon/100.png": (1, 0),
@@ -63,6 +63,25 @@ def test_a_corridor_has_doors_to_rooms_only(tmp_path: Path) -> None:
     corridor = Polygon(layout.rooms[0].polygon)
     assert corridor.contains(Point(9.5, 3.0))
     assert corridor.contains(Point(2.0, 5.2))
+
+
+@pytest.mark.parametrize("turn", [0.0, 25.0])
+def test_doors_in_double_walls_beside_partitions_and_in_frames(turn: float, tmp_path: Path) -> None:
+    """Seen: 6 rooms and 6 doors; the corridor and two rooms were one, and the last room was lost."""
+    path = plans.map_pair(tmp_path, plans.office_picture(), origin=[0.0, 0.0, math.radians(turn)])
+    layout = load_plan(path)
+    assert (len(layout.rooms), len(layout.doors)) == (9, 9)
+    assert not layout.obstacles  # the piece of wall between two doors is none
+    doors = sorted((d.width_m, d.depth_m or 0.0) for d in layout.doors)
+    assert doors[0] == pytest.approx((0.6, 0.15), abs=0.03)  # 0.4 m in the picture
+    assert doors[-1] == pytest.approx((1.4, 0.1), abs=0.05)  # between the posts of the frame
+    assert sum(depth == pytest.approx(0.6, abs=0.03) for _, depth in doors) == 5
+
+
+def test_narrow_doors_are_not_widened_where_their_width_is_excluded(tmp_path: Path) -> None:
+    path = plans.map_pair(tmp_path, plans.office_picture())
+    layout = load_plan(path, door_width_m=(0.6, 1.9))
+    assert (len(layout.rooms), len(layout.doors)) == (8, 8)
 
 
 @pytest.mark.parametrize("turn", [7.0, 33.0, 60.0])

@@ -1,0 +1,59 @@
+"""Rooms of an imported floor plan against labels, the true room number of each pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from mecp_env.world.schema import Layout
+
+LEAST_M2 = 2.0  # smaller labelled rooms need not be found
+MATCH = 0.5  # IoU above which an imported room is a labelled one; no room can then match two
+
+
+@dataclass(frozen=True, slots=True)
+class RoomScore:
+    """How many labelled rooms of at least `LEAST_M2` there are and how many are found; rooms that match no label."""
+
+    labelled: int
+    found: int
+    imported: int
+    false: int
+
+
+def room_pixels(layout: Layout, shape: tuple[int, int], resolution_m: float) -> NDArray[np.int32]:
+    """Number (h,w) of the room at each pixel, from 1, 0 elsewhere; row 0 at the top, the origin below left."""
+    image = Image.new("I", shape[::-1])
+    draw = ImageDraw.Draw(image)
+    for number, room in enumerate(layout.rooms, 1):
+        corners = np.array(room.polygon) / resolution_m * (1.0, -1.0) + (-0.5, shape[0] - 0.5)
+        draw.polygon([tuple(corner) for corner in corners.tolist()], fill=number)
+    return np.asarray(image, np.int32)
+
+
+def overlaps(found: NDArray[np.int32], labels: NDArray[np.int32]) -> NDArray[np.float64]:
+    """IoU (f+1,l+1) of every room of `found` with every label, each (h,w); row and column 0 are no rooms."""
+    count = int(labels.max()) + 1
+    pairs = np.bincount((found.astype(np.int64) * count + labels).ravel(), minlength=(int(found.max()) + 1) * count)
+    shared = pairs.reshape(-1, count).astype(np.float64)
+    union = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
+    iou: NDArray[np.float64] = shared / np.maximum(union, 1.0)
+    iou[0], iou[:, 0] = 0.0, 0.0
+    return iou
+
+
+def score_rooms(layout: Layout, labels: NDArray[np.int32], resolution_m: float) -> RoomScore:
+    """The score of a layout against `labels` (h,w) of pixels with a side of `resolution_m`."""
+    pixels = room_pixels(layout, labels.shape, resolution_m)
+    matches = np.greater(overlaps(pixels, labels), MATCH)
+    sizes = np.bincount(labels.ravel(), minlength=matches.shape[1]) * resolution_m**2
+    large = (sizes >= LEAST_M2) & (np.arange(len(sizes)) > 0)
+    return RoomScore(
+        int(large.sum()),
+        int(matches.any(axis=0)[large].sum()),
+        len(layout.rooms),
+        len(layout.rooms) - int(matches.any(axis=1).sum()),
+    )
