@@ -13,7 +13,7 @@ from mecp_env.core.jit import compiled
 Costs = NDArray[np.int32]
 Distances = NDArray[np.float32]
 
-FREE, OCCUPIED, DOOR = 1, 2, 3  # as in mecp_env.slam.messages.Cell
+UNKNOWN, FREE, OCCUPIED, DOOR = 0, 1, 2, 3  # as in mecp_env.slam.messages.Cell
 HALF_LENGTH = np.array([5, 5, 5, 5, 7, 7, 7, 7])  # of the steps, in tenths of a cell
 OPEN_COST = 10  # of a tenth of a cell far from walls; more near them
 MAX_COST = 250
@@ -75,20 +75,25 @@ def cell_costs(label: Bytes, distance: Distances, least: float, comfort: float, 
     return cost
 
 
-def open_start(cost: Bytes, label: Bytes, distance: Distances, row: int, column: int, radius: int) -> None:
-    """Let a robot that stands too near to a wall out: over cells near it, at most a cell nearer to walls than it is.
+def open_start(
+    cost: Bytes, label: Bytes, distance: Distances, cell: tuple[int, int], radius: float, body: float
+) -> None:
+    """Let a robot at a cell (row, column) out: over the unknown cells under its body, which a laser may not see.
 
-    That cell is for the way round: past a barred cell there is no diagonal step.
+    If it stands too near to a wall, also over free cells within `radius`. None is more than a cell nearer to walls than
+    the robot is; that cell is for the way round: past a barred cell there is no diagonal step. Lengths are in cells.
     """
-    if cost[row, column] > 0:
-        return
-    cost[row, column] = MAX_COST
-    around = slice(max(row - radius, 0), row + radius + 1), slice(max(column - radius, 0), column + radius + 1)
+    (row, column), reach = cell, int(max(radius, body))
+    barred = cost[row, column] == 0
+    around = slice(max(row - reach, 0), row + reach + 1), slice(max(column - reach, 0), column + reach + 1)
     rows, columns = np.arange(cost.shape[0])[around[0], None], np.arange(cost.shape[1])[around[1]]
-    near = (rows - row) ** 2 + (columns - column) ** 2 <= radius * radius
-    free = (label[around] == FREE) | (label[around] == DOOR)
+    square = (rows - row) ** 2 + (columns - column) ** 2
+    opened = (square <= body * body) & (label[around] == UNKNOWN)
+    if barred:
+        cost[row, column] = MAX_COST
+        opened |= (square <= radius * radius) & ((label[around] == FREE) | (label[around] == DOOR))
     away = distance[around].astype(np.float64) >= float(distance[row, column]) - 1.0
-    cost[around][near & free & away & (cost[around] == 0)] = MAX_COST
+    cost[around][opened & away & (cost[around] == 0)] = MAX_COST
 
 
 @compiled

@@ -62,7 +62,8 @@ def cost_to_go_field(grid: SemanticGrid, T_map_robot: Array, config: PathsConfig
 
     A cell is passable when its centre is radius + margin + half a cell from the centre of every OCCUPIED cell; for
     tight paths need only the radius: the robot then passes a door whose jambs are drawn too thick.
-    A robot that stands nearer to a wall (or on an unknown cell) may leave over the cells around it.
+    A robot that stands nearer to a wall (or on an unknown cell) may leave over the cells around it, and over the
+    unknown cells under its body.
     """
     x, y = ((T_map_robot[:2] - grid.origin) / grid.resolution_m).tolist()
     row, column = (int(min(max(0.0, at), size - 1)) for at, size in zip((y, x), grid.label.shape, strict=True))
@@ -77,5 +78,6 @@ def _field_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, 
     comfort = max(config.comfort_m * cells, least)
     clearance = grid_paths.clearance(grid.label, comfort)
     cost = grid_paths.cell_costs(grid.label, clearance, least, comfort, config.wall_cost)
-    grid_paths.open_start(cost, grid.label, clearance, row, column, int(0.5 * cells))
+    body = config.radius_m * cells
+    grid_paths.open_start(cost, grid.label, clearance, (row, column), int(0.5 * cells), body)
     return CostToGoField(grid, clearance, cost, *grid_paths.cost_to_go(cost, row, column), config.shortcut_m * cells)

@@ -123,7 +123,20 @@ def test_no_path_cuts_a_corner_nearer_than_the_radius(seed: int) -> None:
     reached = np.argwhere(costs.total < grid_paths.FAR)
     path = costs.path(tuple(rng.choice(reached).tolist()))
     assert nearest_wall_face(label, path) >= RADIUS_M
-    assert (label[tuple(cells_on(path).T)] != Cell.UNKNOWN).all()
+    on_path = cells_on(path)
+    beyond_body = np.hypot(*(on_path - start).T) > RADIUS_M / 0.1 + 1.0
+    assert (label[tuple(on_path[beyond_body].T)] != Cell.UNKNOWN).all()
+
+
+def test_a_robot_leaves_the_floor_that_its_laser_does_not_see() -> None:
+    """Unknown cells under its body are no obstacle, unlike those farther away."""
+    label = np.full((40, 40), int(Cell.FREE), np.uint8)
+    label[[0, -1]] = label[:, [0, -1]] = int(Cell.OCCUPIED)
+    label[19:22, 19:22] = int(Cell.UNKNOWN)
+    label[19:22, 30:33] = int(Cell.UNKNOWN)
+    total = costs_from(label, (20, 20)).total
+    assert total[5, 5] < grid_paths.FAR
+    assert total[20, 31] == grid_paths.FAR
 
 
 def cells_on(path: np.ndarray) -> np.ndarray:

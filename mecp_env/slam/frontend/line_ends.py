@@ -89,13 +89,14 @@ def end_of(
 
     A beam that may have hit the extension of the segment's line, as uncertain as that is, is no jump. Where that line
     leaves the laser's range, is too slanting to return a beam, or the field of view ends, no end is in reach: the wall
-    may go on unseen.
+    may go on unseen. Where a laser loses beams, those without return say nothing: what follows them decides, and it may
+    be nearer; an end is free when only such beams follow.
     """
     alpha, rho, cov = lines.line[segment, 0], lines.line[segment, 1], lines.cov[segment]
     position = lines.last[segment] if side > 0 else lines.first[segment]
     inner = min(limits.reach_beams, lines.last[segment] - lines.first[segment] - 2)
     end_range = rho / math.cos(scan.polar[1, position] - alpha)
-    previous, far = end_range, 0
+    previous, far, silent, loses = end_range, 0, 0, noise.grazing < math.pi
     in_range = scan.max_range - noise.outlier * max(noise.range_m, noise.share * scan.max_range)
     steepest = noise.grazing - noise.gate * math.sqrt(cov[0, 0]) - noise.edge * scan.step
     for k in range(1, limits.reach_beams + noise.edge + 1):
@@ -104,7 +105,10 @@ def end_of(
         behind, cosine = r - end_range > jump, math.cos(turn)
         blind = abs(wrap_angle(scan.polar[1, q] - scan.polar[1, (q - side) % scan.polar.shape[1]])) > 2.0 * scan.step
         if blind or not (scan.hit[q] or (rho < cosine * in_range and abs(wrap_angle(turn)) < steepest)):
-            return LineEnd(alpha, rho, position, side, inner, k - 1 - far, False)
+            return LineEnd(alpha, rho, position, side, inner, k - 1 - far - silent, False)
+        if loses and not scan.hit[q]:
+            silent += 1
+            continue
         if behind and cosine >= noise.least_cosine:
             expected = rho / cosine
             slant = expected * math.tan(turn)
@@ -114,12 +118,13 @@ def end_of(
         if behind or not scan.hit[q]:
             far += 1
             if far == noise.edge:
-                return LineEnd(alpha, rho, position, side, inner, k - noise.edge, True)
+                return LineEnd(alpha, rho, position, side, inner, k - noise.edge - silent, True)
             continue
         if abs(r - previous) > limits.step_share * previous + noise.outlier * noise.range_m:
-            return LineEnd(alpha, rho, position, side, inner, k - 1 - far, False)
+            return LineEnd(alpha, rho, position, side, inner, k - 1 - far - silent, False)
         far, previous = 0, r  # a lone far beam: bearing noise mixes the beams beside an edge
-    return LineEnd(alpha, rho, position, side, inner, limits.reach_beams, False)
+    only_silent = silent == limits.reach_beams + noise.edge
+    return LineEnd(alpha, rho, position, side, inner, 0 if only_silent else limits.reach_beams, only_silent)
 
 
 @compiled

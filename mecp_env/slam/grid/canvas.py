@@ -115,14 +115,18 @@ class Canvas:
             self.grid = SemanticGrid(label, polygon, room, self.grid.origin, self.resolution_m, version)
         return self.grid
 
-    def fill_pockets(self, complete: Bools, occupied_ratio: float) -> None:
-        """Turn the unknown pockets of completed rooms, flags (r,) by room id, into walls."""
+    def fill_pockets(self, complete: Bools, occupied_ratio: float, p_laser: Array) -> None:
+        """Turn the unknown pockets of completed rooms, flags (r,) by room id, into walls.
+
+        Not those right beside a place p_laser (n,2) m of the laser: the robot was there, on its blind side.
+        """
         layer = self.layers[cells.POCKET]
         self._touch(layer)
         layer[:] = 0
         grid = self.publish(occupied_ratio)
         if complete.any():
-            layer[:] = find_pockets(grid.label, grid.room, complete)
+            stood = np.floor((p_laser - grid.origin) / grid.resolution_m).astype(np.int64)
+            layer[:] = apart_from(find_pockets(grid.label, grid.room, complete), stood)
         self._touch(layer)
 
     def _touch(self, layer: NDArray[np.int16]) -> None:
@@ -156,3 +160,12 @@ def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bool
     pocket[pocket] = np.append(complete, False)[np.minimum(least[pocket], len(complete))]
     pockets: Bools = pocket.take(part)
     return pockets
+
+
+def apart_from(pockets: Bools, stood: Ints) -> Bools:
+    """The pockets (H,W) without those of which a cell is one of `stood` (n,2), column and row, or beside one."""
+    part, _ = ndimage.label(pockets)
+    near = (stood[:, None, None, :] + np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1)).reshape(-1, 2)
+    inside = near[((near >= 0) & (near < part.shape[::-1])).all(axis=1)]
+    kept: Bools = pockets & ~np.isin(part, part[inside[:, 1], inside[:, 0]])
+    return kept

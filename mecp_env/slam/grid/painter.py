@@ -143,5 +143,5 @@ class GridPainter:
             return
         flags = np.zeros(max(completed, default=-1) + 1, np.bool_)
         flags[list(completed)] = True
-        self.canvas.fill_pockets(flags, self.config.occupied_ratio)
+        self.canvas.fill_pockets(flags, self.config.occupied_ratio, self.scans.T_map_robot[:, :2])
         self.filled = completed

@@ -100,3 +100,17 @@ def test_the_papers_constant_covariance_grows_with_range_as_well():
     corners = front_end(take_scan(ROOM, GROWING, sweeps=1), GROWING, config)[-1]
     assert len(corners) >= 3
     np.testing.assert_allclose(np.sqrt(corners.cov.diagonal()[::2]), np.maximum(0.01, 0.01 * corners.z[:, 0]))
+
+
+@pytest.mark.parametrize(("behind_m", "is_end"), [(6.0, True), (1.0, False), (None, True)])
+def test_what_follows_lost_beams_decides_whether_a_wall_ends(behind_m, is_end):
+    """A nearer surface that swallows beams hides the wall; a farther one, or nothing at all, shows its end."""
+    faces = chain((3.0, -2.0), (3.0, 0.0))
+    if behind_m is not None:
+        faces = np.concatenate([faces, chain((behind_m, 0.04 * behind_m), (behind_m, 3.0))])  # six beams later
+    bearings = nominal_bearings(1)
+    ranges = cast(faces, bearings)
+    hit = np.isfinite(ranges)
+    corners = front_end(Scan(np.where(hit, ranges, 30.0), bearings, hit, 30.0), SLANTING)[-1]
+    at_end = np.abs(corners.z - [3.0, 0.0]).max(axis=1, initial=0.0) < 0.05
+    assert at_end.any() == is_end

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from mecp_env.slam.grid import cells
-from mecp_env.slam.grid.canvas import NOTHING, find_pockets
+from mecp_env.slam.grid.canvas import NOTHING, apart_from, find_pockets
 from mecp_env.slam.messages import Cell
 
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
@@ -71,3 +71,14 @@ def test_pockets_are_unknown_cells_within_one_complete_room(seed: int) -> None:
         assert (find_pockets(label, room, complete) == expected).all()
         found += int(expected.any())
     assert found > 5
+
+
+def test_a_pocket_beside_the_laser_is_where_the_robot_stands():
+    """A laser with a blind side does not see the floor under the robot; other pockets become walls."""
+    pockets = np.zeros((8, 10), np.bool_)
+    pockets[2:4, 2:4] = pockets[5:7, 7:9] = True
+    beside = np.array([[4, 4], [40, -3]])  # column and row, the second one outside of the grid
+    kept = apart_from(pockets, beside)
+    assert not kept[:4].any()
+    assert kept[5:7, 7:9].all()
+    assert (apart_from(pockets, np.array([[5, 2]])) == pockets).all()
