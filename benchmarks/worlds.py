@@ -199,6 +199,7 @@ def totals(finals: list[dict[str, float]]) -> Figures:
     recalled = [p - f for p, f in zip(of("association_pairs"), of("association_false"), strict=True)]
     return {
         "coverage": estimate(of("coverage")),
+        "rooms_left": ratio(of("rooms"), [a + b for a, b in zip(of("rooms"), of("rooms_cut_off"), strict=True)]),
         "room_recall": ratio(of("rooms_found"), of("rooms")),
         "room_precision": ratio(of("rooms_found"), believed("rooms_found", "rooms_false")),
         "door_recall": ratio(of("doors_found"), of("doors")),

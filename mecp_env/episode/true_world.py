@@ -99,9 +99,17 @@ class TrueWorld:
         return self._obstacles
 
     def counts(self) -> dict[str, float]:
-        """The numbers of pedestrians, boxes and closed doors; fewer than configured where no more fit."""
+        """The numbers of pedestrians, boxes and closed doors, and of the rooms that those cut off.
+
+        They are fewer than configured where no more fit, and where too few rooms would be left.
+        """
         moving = self.movers.state
-        return {"people": len(moving.pedestrians), "boxes": len(moving.boxes), "closed_doors": len(moving.closed)}
+        return {
+            "people": len(moving.pedestrians),
+            "boxes": len(moving.boxes),
+            "closed_doors": len(moving.closed),
+            "rooms_cut_off": len(self._open.rooms) - len(self.outline.rooms),
+        }
 
     def check_building(self, number: Any) -> int | None:
         """`number` if there is a building of that number, or None. Raises `ConfigError`."""
@@ -144,7 +152,7 @@ class TrueWorld:
     def _populate(self, start: Array, rng: np.random.Generator) -> None:
         """Close doors, choose dark walls, let pedestrians and boxes in: an episode that starts at a pose (3,)."""
         clutter = self._config.clutter
-        closed = draw_closed(self.outline.doors, start, clutter.closed_doors, rng)
+        closed = draw_closed(self.outline, start, clutter, rng)
         dark_seed = int(rng.integers(DARK_SEEDS)) if self._config.laser.has_dark_walls else 0
         self._admit(Moving(closed=closed, start=start[:2].copy(), dark_seed=dark_seed))
         if wants_movers(self._config.crowd, clutter):

@@ -5,22 +5,47 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from shapely.geometry import Polygon
+import shapely
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry import Point, Polygon
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.world.outline import GAP_POST_M, Doors, build_outline
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.world.config import ClutterConfig
+from mecp_env.world.outline import GAP_POST_M, Outline, build_outline
 from mecp_env.world.schema import DoorSpec, Layout, Solid, Start
 
 START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
 LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
 
 
-def draw_closed(doors: Doors, start: Array, share: float, rng: np.random.Generator) -> Ints:
-    """Which doors are closed, each with the probability `share`; 0 draws nothing from `rng`."""
-    if share == 0.0:
+def draw_closed(outline: Outline, start: Array, config: ClutterConfig, rng: np.random.Generator) -> Ints:
+    """Which doors are closed: each with the probability `config.closed_doors`, as long as enough rooms are left.
+
+    A door stays open if without it fewer than `config.reachable_share` of the rooms that could be reached from `start`
+    (2,) m were left. With a probability of 0, nothing is drawn from `rng`.
+    """
+    if config.closed_doors == 0.0:
         return np.empty(0, np.int64)
+    doors = outline.doors
     far = np.hypot(*(doors.centre - start[:2]).T) > START_M + 0.5 * doors.width
-    return np.flatnonzero((rng.random(len(doors)) < share) & far)
+    drawn = rng.random(len(doors))
+    wanted = np.flatnonzero((drawn < config.closed_doors) & far)
+    home = int(np.argmin(shapely.distance(np.array(outline.rooms), Point(start[:2]))))
+    is_open = np.ones(len(doors), np.bool_)
+    least = config.reachable_share * _rooms_left(outline, is_open, home)
+    for door in wanted[np.argsort(drawn[wanted])]:
+        is_open[door] = False
+        is_open[door] = _rooms_left(outline, is_open, home) < least
+    return np.flatnonzero(~is_open)
+
+
+def _rooms_left(outline: Outline, is_open: Bools, home: int) -> int:
+    """How many rooms can be reached from room `home` through the open doors."""
+    count, (one, other) = len(outline.rooms), outline.doors.rooms[is_open].T
+    graph = csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    _, group = connected_components(graph, directed=False)
+    return int(np.sum(group == group[home]))
 
 
 def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:

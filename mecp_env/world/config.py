@@ -125,3 +125,4 @@ class ClutterConfig(Settings):
     movable_boxes: int = Field(0, ge=0, le=50)  # at most; fewer if no more fit, see `summary()`
     box_m: Sizes = (0.3, 0.6)  # length of a side
     closed_doors: float = Field(0.0, ge=0.0, le=1.0)  # probability of each door that is not at the start
+    reachable_share: float = Field(0.8, ge=0.0, le=1.0)  # of the rooms at least; doors that would leave fewer stay open

@@ -52,7 +52,7 @@ def test_a_torn_state_is_refused_and_changes_nothing() -> None:
 
 
 def test_rooms_behind_closed_doors_do_not_count() -> None:
-    env = make(clutter={"closed_doors": 1.0})
+    env = make(clutter={"closed_doors": 1.0, "reachable_share": 0.0})
     _, info = env.reset(seed=0)
     assert info["rooms"] == 1
     assert info["doors"] == 0
@@ -65,13 +65,13 @@ def test_rooms_behind_closed_doors_do_not_count() -> None:
 
 def test_the_summary_tells_how_many_found_room() -> None:
     """Seen: fewer than the requested 50 pedestrians and 50 boxes fitted in two rooms, and this was not reported."""
-    crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0}}
+    crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0, "reachable_share": 0.0}}
     env = make(**crowded)
     env.reset(seed=0)
     moving, told = env.unwrapped._true_world.movers.state, env.unwrapped.summary()
     assert (told["people"], told["boxes"]) == (len(moving.pedestrians), len(moving.boxes))
     assert 0 < told["people"] + told["boxes"] < 100
-    assert told["closed_doors"] == 1
+    assert (told["closed_doors"], told["rooms"], told["rooms_cut_off"]) == (1, 1, 1)
     twin = make(**crowded)
     twin.unwrapped.set_state(env.unwrapped.get_state())
     assert twin.unwrapped.summary() == told
@@ -80,8 +80,22 @@ def test_the_summary_tells_how_many_found_room() -> None:
     assert [bare.unwrapped.summary()[name] for name in ("people", "boxes", "closed_doors")] == [0, 0, 0]
 
 
+@pytest.mark.parametrize(("share", "most"), [(1.0, 0), (0.8, 1), (0.5, 4)])
+def test_enough_rooms_are_left(share: float, most: int) -> None:
+    """Of the nine rooms of `paper`; a loop of doors may lose one without a room being cut off."""
+    env = make(layout="paper", clutter={"closed_doors": 1.0, "reachable_share": share})
+    for seed in range(5):
+        env.reset(seed=seed)
+        summary = env.unwrapped.summary()
+        assert summary["rooms"] + summary["rooms_cut_off"] == 9
+        assert summary["rooms_cut_off"] <= most
+        assert summary["closed_doors"] > 0
+
+
 def test_an_explorer_ends_behind_closed_doors() -> None:
-    env = gymnasium.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", clutter={"closed_doors": 1.0})
+    env = gymnasium.make(
+        "mecp_env/Layout-v0", layout="two_rooms", actions="goal", clutter={"closed_doors": 1.0, "reachable_share": 0.0}
+    )
     env.reset(seed=0)
     terminated = False
     for _ in range(30):

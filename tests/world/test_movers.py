@@ -211,13 +211,15 @@ def test_closed_doors_are_wall_and_what_is_behind_is_gone() -> None:
 
 
 def test_doors_are_drawn_by_their_probability_and_not_beside_the_start() -> None:
-    doors, rng = OUTLINES["paper"].doors, np.random.default_rng(0)
-    state = rng.bit_generator.state
-    assert not len(draw_closed(doors, np.zeros(3), 0.0, rng))
+    outline, rng = OUTLINES["paper"], np.random.default_rng(0)
+    doors, state = outline.doors, rng.bit_generator.state
+    half, every = ({"closed_doors": share, "reachable_share": 0.0} for share in (0.5, 1.0))
+    assert not len(draw_closed(outline, np.zeros(3), ClutterConfig(), rng))
     assert rng.bit_generator.state == state
-    counts = [len(draw_closed(doors, np.array([1.0, 1.0, 0.0]), 0.5, rng)) for _ in range(200)]
+    start = np.array([1.0, 1.0, 0.0])
+    counts = [len(draw_closed(outline, start, ClutterConfig(**half), rng)) for _ in range(200)]
     assert np.mean(counts) == pytest.approx(0.5 * len(doors), rel=0.15)
-    assert 2 not in draw_closed(doors, np.array([*doors.centre[2], 0.0]), 1.0, rng)
+    assert 2 not in draw_closed(outline, np.array([*doors.centre[2], 0.0]), ClutterConfig(**every), rng)
 
 
 def test_a_leg_is_clear_when_no_face_comes_near() -> None:
