@@ -39,6 +39,7 @@ IN_UNITS = (
     "kidnap",
     "loop",
     "noise",
+    "real",
     "worlds",
 )  # of work, kept and divided
 NAMES = (
@@ -52,6 +53,7 @@ NAMES = (
     "noise",
     "explorers",
     "worlds",
+    "real",
     "vector",
 )
 
@@ -116,7 +118,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME[:COUNT]",
-        help="of association, loop, noise and worlds: only these; written only with --json",
+        help="of association, loop, noise, real and worlds: only these; written only with --json",
     )
     made.add_argument(
         "--with",

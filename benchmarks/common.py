@@ -74,6 +74,12 @@ def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict
     return counts
 
 
+def shared_data(kind: str) -> Path | None:
+    """The folder `shared/data/KIND` beside the repository, None elsewhere."""
+    folders = (parent / "shared" / "data" / kind for parent in Path(__file__).resolve().parents)
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
 def load_modules(names: Iterable[str]) -> None:
     """Import modules that register custom associators or filters. Raises `OptionError` for a missing module."""
     for name in names:

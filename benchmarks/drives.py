@@ -61,6 +61,7 @@ class Replay:
     associate_ms: float  # median per scan
     far: int  # corners beyond 93 % of the laser's range
     phantoms: int  # those of them that do not exist
+    polygon_share: float  # of the scans, with a polygon
 
 
 @dataclass(slots=True, eq=False)
@@ -127,7 +128,7 @@ def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], A
     pipeline = SlamPipeline(slam, associator=associator)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])
-    errors, nees, far = [], [], np.zeros(2, np.int64)
+    errors, nees, polygons, far = [], [], [], np.zeros(2, np.int64)
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
         if isinstance(associator.timed, OracleAssociator):
             associator.timed.correspondences = drive.truth.correspondences(T_world_robot)
@@ -135,6 +136,7 @@ def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], A
         true = drive.truth.identify(output.corners, T_world_robot)
         log.record(output, true)
         far += far_corners(output, true)
+        polygons.append(bool(output.polygons))
         error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         errors.append(error)
@@ -146,7 +148,7 @@ def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], A
     metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
     of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
     scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, *of_map, output.diverged
-    return Replay(*scores, associator.median_ms, *far.tolist())
+    return Replay(*scores, associator.median_ms, *far.tolist(), float(np.mean(polygons)))
 
 
 def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:

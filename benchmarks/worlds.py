@@ -21,7 +21,19 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    ratio,
+    share,
+    shared_data,
+    table,
+)
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.planning.breadth_first import BreadthFirst
@@ -107,8 +119,7 @@ def counts(options: Options) -> dict[str, int]:
 
 def plans_at_hand() -> list[Path]:
     """The real floor plans in `shared/data/plans` beside the repository, none elsewhere; images only without a yaml."""
-    folders = (parent / "shared" / "data" / "plans" for parent in Path(__file__).resolve().parents)
-    folder = next((folder for folder in folders if folder.is_dir()), None)
+    folder = shared_data("plans")
     files = sorted(folder.rglob("*.*")) if folder is not None else []
     named = {file.with_suffix("") for file in files if file.suffix == ".yaml"}
     return [
@@ -128,19 +139,24 @@ def visit(task: tuple[str, int]) -> Visit:
     """Explore one building, from a start given by its number."""
     setting, index = task
     layout = building(setting, index)
-    env = make(layout=layout, actions="goal", max_steps=MAX_STEPS, start="random", **added(setting))
+    found, env = explored(layout, index, MAX_STEPS, **added(setting))
+    if found.outcome != "complete":
+        keep(layout, task, found, env)
+    return found
+
+
+def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -> tuple[Visit, GoalActions]:
+    """A breadth-first exploration from a start given by the seed, and the environment at its end."""
+    env = make(layout=layout, actions="goal", max_steps=max_steps, start="random", **keywords)
     assert isinstance(env, GoalActions)
     policy, begun = BreadthFirst(), time.thread_time()
-    observation, info = env.reset(seed=index)
+    observation, info = env.reset(seed=seed)
     policy.reset()
     terminated = truncated = False
     while not (terminated or truncated):
         observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
     speed = info["period"] / (time.thread_time() - begun)
-    found = Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"])
-    if found.outcome != "complete":
-        keep(layout, task, found, env)
-    return found
+    return Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"]), env
 
 
 def added(setting: str) -> dict[str, Any]:

@@ -83,7 +83,7 @@ class GapConfig(Settings):
     deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on behind the gap for
     deep_m: float = Field(0.7, gt=0.0, le=10.0)  # so far: else it is a niche
     plain_width_m: float = Field(1.3, gt=0.0, le=10.0)  # wider, a gap is a door only between walls in line, and
-    # where the floor is seen to get wider behind it, between the wall's thickness and `deep_m`
+    # where the floor is seen to get wider behind it, just deeper than any wall
 
 
 class CornerConfig(Settings):
@@ -96,7 +96,7 @@ class CornerConfig(Settings):
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
     step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
-    wall_thickness_m: float = Field(0.4, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
+    wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
     passing_cost: float = Field(5.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
@@ -245,7 +245,7 @@ class RoomConfig(Settings):
     GONE: ClassVar = frozenset({"hysteresis_m", "recognise_by_corners_m"})
 
     confirm_sightings: int = Field(3, ge=1, le=MOST_SIGHTINGS)
-    wall_thickness_m: Limits = (0.05, 0.4)  # gaps whose middles are nearer than the larger one are the same
+    wall_thickness_m: Limits = (0.05, 0.75)  # gaps whose middles are nearer than the larger one are the same
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
     recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
     recognise_corners: int = Field(3, ge=1, le=100)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
+    _from_doorways,
     distances,
     door_centres,
     doors_found,
@@ -245,6 +247,17 @@ def test_a_perfect_map_gets_full_marks(truth, T_world_map):
     assert rooms_found(truth, output, T_world_map) == (len(truth.outline.rooms), 0)
     assert doors_found(truth, output, T_world_map) == (len(truth.outline.doors), 0)
     assert grid_iou(truth, output.grid, T_world_map) > 0.95
+
+
+def test_one_face_of_a_door_in_a_thick_wall_is_that_door(truth):
+    """In the double walls of KTH floors, 0.7 m thick, half of the right doors counted as false."""
+    doors = truth.outline.doors
+    thick = Report(outline=Report(doors=replace(doors, thickness=np.full(len(doors.thickness), 0.7))))
+    ahead = np.stack([np.cos(doors.normal), np.sin(doors.normal)], axis=1)
+    aside = ahead[:, ::-1] * (1.0, -1.0)
+    for offset, found in ((0.35 * ahead, True), (0.6 * ahead, True), (0.7 * ahead, False), (0.35 * aside, False)):
+        far = _from_doorways(thick, doors.centre + offset)
+        assert (np.diag(far) < 0.3).all() == found
 
 
 def test_false_doors_and_rooms_are_counted_once(truth):

@@ -152,7 +152,7 @@ def passes_through(
 def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record, noise: Noise) -> int:
     """On how many sides the floor behind the gap from a to b gets wider than the gap; -1: on none, 0: not to be seen.
 
-    Looked at are beams through the gap that cross the line square to it at a jamb, as deep as no wall is thick. Behind
+    Looked at are beams through the gap that cross the line square to it at a jamb, just deeper than any wall. Behind
     a door they go on, at least on one side; in the mouth of a corridor and in a niche they end there, on both sides.
     """
     width = math.hypot(b[0] - a[0], b[1] - a[1])
@@ -170,7 +170,7 @@ def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record,
             continue
         side = 1 if sideways > 0.0 else 0
         reach = ((width if side == 1 else 0.0) - along) / sideways
-        if not limits.wall_thickness_m <= depth + reach * onward <= gaps.deep_m:
+        if not 0.0 <= depth + reach * onward - limits.wall_thickness_m <= limits.detail_m:
             continue
         outside = (scan.polar[0, q] - reach) * abs(sideways)
         passed[side] += (not scan.hit[q]) or outside > limits.line_m

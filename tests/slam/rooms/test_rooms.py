@@ -16,6 +16,8 @@ LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, l
 UPPER = {2: (-0.45, 0.06), 3: (0.45, 0.06)}  # seen from above: right is -x
 OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (2.0, 3.0), 9: (2.0, 0.06)}
 
+THIN_WALLS = RoomConfig(wall_thickness_m=(0.05, 0.4))
+
 
 def belief_at(x, y, heading=0.0):
     points = {**LOWER, **UPPER, **OTHERS}
@@ -151,6 +153,7 @@ def test_passing_the_wall_beside_the_door_is_no_crossing():
 
 def test_what_is_seen_through_a_door_is_marked_and_no_site():
     keeper = keeper_with_door()
+    keeper.config = THIN_WALLS
     belief = belief_at(0.0, -2.0)
     corners, _ = sighting(belief, (0, 2, 7, 8, 4))
     marked, through = keeper.mark_beyond(corners, belief)
@@ -167,7 +170,7 @@ def test_what_is_seen_beside_the_gap_by_less_than_a_wall_is_seen_through_it():
     belief, row = belief_at(-0.6, -0.56), np.empty(1, np.int64)  # the line to landmark 7 crosses the wall at x = -0.8
     for half, expected in ((0.85, 0), (0.65, 0), (0.55, -1)):
         door = np.array([[0.0, -0.06, 0.0, -1.0, half]])
-        beyond_doors(belief.T_map_robot, belief.p_map[[7]], door, RoomConfig().behind_wall_m, row)
+        beyond_doors(belief.T_map_robot, belief.p_map[[7]], door, THIN_WALLS.behind_wall_m, row)
         assert row[0] == expected
 
 
@@ -383,3 +386,15 @@ def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
     assert [door.rooms for door in keeper.door_map.doors] == [(0, 1)]
     assert not keeper.door_map.candidates
     assert walk(keeper, (0.1, -0.5)) == [1, 0]
+
+
+def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now():
+    """Its door named the old room, in which the robot was on its way back; the next merge ended the exploration."""
+    keeper = RoomGraphEstimator(RoomConfig())
+    keeper.current, keeper.rooms, keeper.next_room = 1, [0, 1], 2
+    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
+    keeper._merge(1, 0, features(), belief_at(0.0, -1.5))
+    keeper.place(0)
+    walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5))
+    assert [door.rooms for door in keeper.door_map.doors] == [(0, 2)]
+    assert walk(keeper, (0.1, -0.5)) == [2, 0]

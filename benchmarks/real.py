@@ -1,0 +1,299 @@
+"""Real buildings and logs: imported floor plans, explorations of them, recorded logs, and lasers that exist.
+
+Plans and logs are those of `shared/data` beside the repository; without them, their sets are skipped and the page says
+so. `plans`: rooms of at least 2 m2 that are found (IoU above 0.5), of the rooms in the labels of the KTH floors, and
+imported rooms that match no label. `explored`: breadth first, three starts in each plan, at most 12 control steps per
+m2 of the floor that a robot can reach. An exploration is seen when it ends by itself with 95 % of that floor seen,
+ended early when it ends by itself with less, complete when it is seen, not lost, and has every room and door; lost and
+the other figures are those of the benchmark `worlds`. `fr079`: odometry is made of the reference path with the paper's
+noise, five seeds; `intel_raw`, `csail_raw`: raw odometry, whose noise `benchmarks/real_logs.py` gives. Relations are
+the mean errors of relative poses measured by hand (Kuemmerle et al. 2009), with poses interpolated to their times;
+`at_scans` are those that need no interpolation; times are those of one core. `view_180_deg`: drives on `paper` with the
+true pose as the driver, cut to 180 degrees as in `noise`, and an estimator that knows it. `urg04lx`: explorations with
+that laser.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from benchmarks import noise, worlds
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    ratio,
+    share,
+    shared_data,
+    table,
+)
+from benchmarks.drives import replay
+from benchmarks.plan_scores import score_rooms
+from benchmarks.real_logs import LOGS, map_log
+from benchmarks.real_logs import summarise as summarise_log
+from benchmarks.real_maps import MapData, small_multiples
+from benchmarks.variants import with_change
+from benchmarks.worlds import Visit, explored
+from mecp_env.floorplans import load_plan
+from mecp_env.world.outline import build_outline
+from mecp_env.wrappers import GoalActions
+
+PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
+URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
+VIEW_DEG = 180.0
+KTH = "kth"  # the folder of the labelled plans
+PIXEL_M = 0.05  # of the labels
+STEPS_PER_M2 = 12.0
+MAPS = Path("runs/real")  # of each log, and of the first start in each plan
+COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
+SETS, MOST = tuple(COUNTS), 100
+QUICK = {PLANS: 1, EXPLORED: 1, "fr079": 1, "csail_raw": 1, VIEW: 1, "urg04lx_paper": 1}
+QUICK_PLANS, QUICK_SCANS = ("0a1b29dba355df2ab02630133187bfab", "50052752", "skirk"), 300
+
+GATES = (
+    Gate("plans/all/found", "share", 0.01),
+    Gate("explored/kth/seen", "share", 0.06),
+    Gate("explored/kth/precision", "share", 0.003),
+    Gate("fr079/relations_m", "error", 1.1),
+    Gate("fr079/polygon_share", "share", 0.02),
+    Gate(f"{VIEW}/precision", "share", 0.003),
+    *(Gate(f"{name}/complete", "share", 0.1) for name in URG),
+)
+Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or seed
+
+
+def run(options: Options) -> Figures:
+    """Results of every set that there are data for."""
+    counts = chosen(options.sets, COUNTS, MOST) or (QUICK if options.quick else COUNTS)
+    skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
+    for name, reason in skipped.items():
+        print(f"{name}: skipped, {reason}", file=sys.stderr)
+    tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
+    results: dict[str, dict[str, list[Figures]]] = {}
+    for (name, what), of_one in grouped(tasks, in_parallel(measure, dict[str, Any], tasks, options)).items():
+        results.setdefault(name, {})[what] = of_one
+    figures = {name: SUMMARIES[name](of_set) for name, of_set in results.items()}
+    return figures | ({"skipped": skipped} if skipped else {})
+
+
+def missing(name: str) -> str | None:
+    """What a set would need that is not there."""
+    if name in LOGS:
+        there = (folder := shared_data("logs")) is not None and (folder / f"{name}.npz").is_file()
+        return None if there else f"shared/data/logs/{name}.npz"
+    return "shared/data/plans" if name in (PLANS, EXPLORED) and not plans() else None
+
+
+def tasks_of(name: str, count: int, quick: bool) -> list[Task]:
+    """The units of work of a set."""
+    if name in LOGS:
+        return [(name, str(QUICK_SCANS if quick else "all"), seed) for seed in range(count)]
+    if name in (PLANS, EXPLORED):
+        known = [
+            plan for plan in plans() if (not quick or plan in QUICK_PLANS) and (name == EXPLORED or is_labelled(plan))
+        ]
+        return [(name, plan, start) for plan in known for start in range(count)]
+    return [(name, URG.get(name, noise.LAYOUT), seed) for seed in range(count)]
+
+
+def plans() -> dict[str, Path]:
+    """The real floor plans by their names: those of a building, not the drawn dungeons."""
+    return {path.stem: path for path in worlds.plans_at_hand() if path.suffix in (".json", ".yaml")}
+
+
+def is_labelled(plan: str) -> bool:
+    """True when there is an image with the true room of each pixel."""
+    return plans()[plan].with_suffix(".rooms.png").is_file()
+
+
+def measure(task: Task) -> Figures:
+    """The figures of one unit of work."""
+    name, what, seed = task
+    if name == PLANS:
+        return score(plans()[what])
+    if name == EXPLORED:
+        return explore(what, seed)
+    if name in LOGS:
+        return run_on_log(name, seed, None if what == "all" else int(what))
+    return look_ahead(seed) if name == VIEW else explore_with_urg(name, seed)
+
+
+def score(path: Path) -> Figures:
+    """Rooms of a labelled plan."""
+    labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
+    found = score_rooms(load_plan(path), labels, PIXEL_M)
+    return {"labelled": found.labelled, "found": found.found, "imported": found.imported, "false": found.false}
+
+
+def explore(plan: str, start: int) -> Figures:
+    """One exploration of a plan."""
+    layout = load_plan(plans()[plan])
+    most = int(STEPS_PER_M2 * build_outline(layout).free_area.area)
+    visit, env = explored(layout, start, most)
+    if start == 0:
+        map_of(env).save(MAPS / f"{plan}.npz")
+    return figures_of(visit) | {"step_limit": most}
+
+
+def explore_with_urg(name: str, seed: int) -> Figures:
+    """One exploration with that laser."""
+    layout = URG[name] if name == "urg04lx_paper" else worlds.building(URG[name], seed)
+    visit, _ = explored(layout, seed, worlds.MAX_STEPS, laser={"preset": "urg04lx"})
+    return figures_of(visit)
+
+
+def figures_of(visit: Visit) -> Figures:
+    """The figures of an exploration."""
+    final = {name: float(value) for name, value in visit.final.items()}
+    early = visit.terminated and not visit.seen
+    return final | {"seen": visit.seen, "complete": visit.outcome == "complete", "early": early}
+
+
+def map_of(env: GoalActions) -> MapData:
+    """What is drawn of an exploration, in the world frame."""
+    view = env.get_wrapper_attr("view")()
+    paths = {"reference": view.path_world, "path": view.to_world(view.path_map)}
+    return MapData.of_output(view.slam_output, view.T_world_map, segments=view.segments, **paths)
+
+
+def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
+    """One run on a log."""
+    folder = shared_data("logs")
+    assert folder is not None
+    metrics, drawn = map_log(folder, name, seed, scans)
+    if seed == 0:
+        drawn.save(MAPS / f"{name}.npz")
+    return metrics
+
+
+def look_ahead(seed: int) -> Figures:
+    """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
+    drive = noise.recorded(noise.BASE, seed)
+    cut = replace(drive, scans=[noise.narrowed(scan, VIEW_DEG) for scan in drive.scans])
+    outcome = replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}}))
+    return noise.counts(outcome) | {"polygon_share": outcome.polygon_share}
+
+
+def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
+    """Rooms of each plan, and of all together with the interval over plans."""
+    each = {plan: scores[0] for plan, scores in results.items()}
+    of = {name: [scores[name] for scores in each.values()] for name in next(iter(each.values()))}
+    both = {"found": ratio(of["found"], of["labelled"]), "false": ratio(of["false"], of["imported"])}
+    return {"all": both | {name: sum(of[name]) for name in ("labelled", "imported")}, **each}
+
+
+def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
+    """Explorations of all labelled plans together, and of each plan."""
+    labelled = [visit for plan, visits in results.items() if is_labelled(plan) for visit in visits]
+    each = {plan: summarise_visits(visits) for plan, visits in results.items()}
+    return ({KTH: summarise_visits(labelled)} if labelled else {}) | each
+
+
+def summarise_visits(visits: list[Figures]) -> Figures:
+    """Figures of explorations, each with its 95 % interval."""
+
+    def of(*names: str) -> Any:
+        return sum(np.array([float(visit[name]) for visit in visits]) for name in names)
+
+    return {
+        **{name: share(visit[name] for visit in visits) for name in ("seen", "complete", "lost", "early")},
+        "coverage": estimate(of("coverage")),
+        "precision": ratio(of("association_pairs") - of("association_false"), of("association_pairs")),
+        "pose_rmse_m": estimate(of("pose_rmse_m")),
+        "pose_rmse_worst_m": float(of("pose_rmse_m").max()),
+        "nees": estimate(of("nees_mean")),
+        "rooms_found": ratio(of("rooms_found"), of("rooms")),
+        "rooms_false": estimate(of("rooms_false")),
+        "doors_found": ratio(of("doors_found"), of("doors")),
+        "doors_false_per_10_true": ratio(10.0 * of("doors_false"), of("doors")),
+        "duplicates": estimate(of("duplicates")),
+        "contacts_per_100_m": ratio(100.0 * of("contacts"), of("metres")),
+        "periods_per_m2": ratio(of("periods"), of("free_area_m2")),
+        "metres": estimate(of("metres")),
+        "free_area_m2": float(of("free_area_m2").mean()),
+    }
+
+
+def only(results: Mapping[str, list[Figures]]) -> list[Figures]:
+    """The results of a set without parts."""
+    return next(iter(results.values()))
+
+
+def summarise_view(results: Mapping[str, list[Figures]]) -> Figures:
+    """As in `noise`, with the share of scans that have a polygon."""
+    return noise.summarise(only(results)) | {"polygon_share": estimate([d["polygon_share"] for d in only(results)])}
+
+
+SUMMARIES: dict[str, Any] = {
+    PLANS: summarise_plans,
+    EXPLORED: summarise_explored,
+    **dict.fromkeys(LOGS, lambda results: summarise_log(only(results))),
+    VIEW: summarise_view,
+    **dict.fromkeys(URG, lambda results: summarise_visits(only(results))),
+}
+
+
+def report(figures: Figures) -> str:
+    """A table for the plans, the explorations, the logs and the lasers."""
+    parts = [__doc__ or "", *(f"Skipped: {name}, {why}." for name, why in figures.get("skipped", {}).items())]
+    if PLANS in figures:
+        rows = [(plan, *(of[name] for name in PLAN_COLUMNS)) for plan, of in figures[PLANS].items()]
+        parts.append(f"## Rooms of the imported KTH floors\n\n{table(['plan', *PLAN_COLUMNS], rows)}")
+    logs = {name: figures[name] for name in LOGS if name in figures}
+    lasers = {name: figures[name] for name in URG if name in figures}
+    tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
+    tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
+    parts += [f"## {title}\n\n{columns(of)}" for title, of in tables.items() if of]
+    return "\n\n".join(parts)
+
+
+PLAN_COLUMNS = ("labelled", "found", "imported", "false")
+
+
+def columns(settings: Mapping[str, Figures]) -> str:
+    """A table with a row for each figure and a column for each setting."""
+    names = dict.fromkeys(name for of in settings.values() for name in of)
+    rows = [(name.replace("_", " "), *(of.get(name, "") for of in settings.values())) for name in names]
+    return table(["", *(short(name) for name in settings)], rows)
+
+
+def short(name: str) -> str:
+    """A name that fits in a column."""
+    return name if len(name) <= 20 else f"{name[:8]}..."
+
+
+def figure(figures: Figures) -> Figure:
+    """The map of each log, and of the first start in each plan."""
+    names: Iterable[str] = [*(name for name in LOGS if name in figures), *figures.get(EXPLORED, {})]
+    return small_multiples(
+        {caption(figures, name): MapData.load(MAPS / f"{name}.npz") for name in names if name != KTH}
+    )
+
+
+def caption(figures: Figures, name: str) -> str:
+    """What is said above a map."""
+    if name not in LOGS:
+        of = figures[EXPLORED][name]
+        return f"{short(name)}: {of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * of['pose_rmse_m']['value']:.1f} cm"
+    said = [f"{text} {mean(figures[name][key]):.2f} m" for key, text in SAID.items() if key in figures[name]]
+    return f"{name}: {', '.join(said)}"
+
+
+SAID = {"relations_m": "relations", "ate_m": "trajectory error", "dead_reckoning_ate_m": "dead reckoning"}
+
+
+def mean(figure: Any) -> float:
+    """An estimate or a number as a number."""
+    return float(figure["value"] if isinstance(figure, dict) else figure)

@@ -1,0 +1,105 @@
+"""The benchmark `real`: a tiny part where the data are there, and what it says where they are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import real, real_logs
+from benchmarks.common import Options, shared_data
+from benchmarks.real_maps import MapData
+from benchmarks.worlds import explored
+from mecp_env.core.errors import LogError
+from mecp_env.logs import read_log
+from mecp_env.world.layout import load_layout
+
+HOUSE = "0a1b29dba355df2ab02630133187bfab"
+plans = pytest.mark.skipif(shared_data("plans") is None, reason="shared/data/plans is not beside the repository")
+logs = pytest.mark.skipif(shared_data("logs") is None, reason="shared/data/logs is not beside the repository")
+
+
+@pytest.fixture
+def maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setattr(real, "MAPS", tmp_path)
+    return tmp_path
+
+
+@plans
+def test_a_home_is_explored_and_drawn(maps: Path) -> None:
+    visit = real.measure((real.EXPLORED, HOUSE, 0))
+    figures = {real.EXPLORED: real.summarise_explored({HOUSE: [visit]})}
+    assert visit["seen"]
+    assert not visit["early"]
+    assert figures[real.EXPLORED][HOUSE]["precision"]["value"] > 0.98
+    assert "## Explorations\n\n|  | 0a1b29db... |" in real.report(figures)
+    (axes,) = (axes for axes in real.figure(figures).axes if axes.get_title())
+    assert axes.get_title().startswith("0a1b29db...: 116 m2, pose RMSE ")
+
+
+@plans
+def test_rooms_of_a_labelled_plan_are_counted() -> None:
+    figures = real.summarise_plans({"50052752": [real.measure((real.PLANS, "50052752", 0))]})
+    assert figures["all"]["labelled"] == 26
+    assert figures["all"]["found"]["value"] > 0.9
+    assert "| 50052752 | 26 |" in real.report({real.PLANS: figures})
+
+
+@logs
+@pytest.mark.parametrize("name", ["fr079", "csail_raw"])
+def test_a_part_of_a_log_gives_all_figures(maps: Path, name: str) -> None:
+    run = real.measure((name, "20", 0))
+    figures = {name: real_logs.summarise([run, run])}
+    assert figures[name]["scans"] <= 20
+    assert figures[name]["ate_m"]["value"] < 0.3
+    assert real.figure(figures).axes[0].get_title().startswith(f"{name}: ")
+    assert "polygon share" in real.report(figures)
+
+
+@logs
+def test_the_odometry_of_intel_is_moved_to_the_laser() -> None:
+    folder = shared_data("logs")
+    assert folder is not None
+    log = read_log(folder / "intel_raw.npz")
+    moved = real_logs.at_laser(log, 0.08)
+    assert log.T_odom_robot is not None
+    assert moved.T_odom_robot is not None
+    offset = moved.T_odom_robot - log.T_odom_robot
+    np.testing.assert_allclose(np.hypot(offset[:, 0], offset[:, 1]), 0.08)
+    assert real_logs.at_laser(log, 0.0) is log
+
+
+def test_without_data_the_sets_are_skipped_and_the_page_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(real, "shared_data", lambda kind: None)
+    monkeypatch.setattr(real, "plans", dict)
+    figures = real.run(Options(sets=("plans", "explored:1", "fr079")))
+    assert set(figures) == {"skipped"}
+    assert "Skipped: fr079, no shared/data/logs/fr079.npz." in real.report(figures)
+
+
+def test_a_map_is_kept_and_read_again(tmp_path: Path) -> None:
+    _, env = explored("two_rooms", 0, 40)
+    drawn = real.map_of(env)
+    drawn.save(tmp_path / "map.npz")
+    for kept, array in zip(MapData.load(tmp_path / "map.npz"), drawn, strict=True):
+        np.testing.assert_allclose(kept, array, atol=1e-5)
+
+
+def test_a_door_in_a_double_wall_is_one_door() -> None:
+    """Walls of KTH floors are up to 0.7 m thick: each face of a doorway was a door of its own, or none."""
+    layout = load_layout("two_rooms")
+    walls = layout.walls[0], layout.walls[1].model_copy(update={"thickness_m": 0.65})
+    visit, env = explored(layout.model_copy(update={"walls": walls}), 0, 2000)
+    assert visit.outcome == "complete"
+    assert visit.final["doors_false"] == 0
+    (door,) = env.get_wrapper_attr("view")().slam_output.graph.doors
+    assert door.other_face is not None
+
+
+def test_every_set_has_a_summary_and_every_gate_a_set() -> None:
+    assert set(real.SUMMARIES) == set(real.SETS)
+    assert {gate.path.split("/")[0] for gate in real.GATES} <= set(real.SETS)
+    assert set(real.QUICK) <= set(real.SETS)
+    with pytest.raises(LogError):
+        real_logs.map_log(Path("nowhere"), "fr079", 0)
