@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from mecp_env.cli.exit_codes import print_error
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.paths import exists, is_folder
 from mecp_env.core.settings import guess
@@ -29,10 +31,20 @@ Buildings = Annotated[
 
 @dataclass(frozen=True)
 class Reading:
-    """How files are read, where they do not say it themselves."""
+    """How plans are read, where the files do not say it themselves (docs/plans.md)."""
 
     resolution_m: float | None = None  # metres per pixel, of an image without a map_server yaml
     kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
+    free_above: int | None = None  # grey levels above this are floor, 0 to 254; default: found from the image
+    door_width_m: tuple[float, float] | None = None  # narrowest and widest doorway; default: 0.3 1.9
+    door_depth_m: float | None = None  # of the deepest doorway; a longer passage is a corridor; default: 1
+    smallest_room_m2: float | None = None  # a smaller part of the floor belongs to its neighbour; default: 1
+    straighten: bool = True  # turn walls to the directions of the building
+
+    def options(self) -> dict[str, Any]:
+        """The options of `load_plan` that are given."""
+        given = {name: value for name, value in asdict(self).items() if value is not None}
+        return given if not self.straighten else {name: given[name] for name in given if name != "straighten"}
 
 
 AS_FOUND = Reading()
@@ -72,21 +84,21 @@ def expand_all(words: Sequence[str], reading: Reading = AS_FOUND) -> list[str]:
     return [single for word in words for single in expand(word, reading)]
 
 
-def one(word: str) -> str:
+def one(word: str, reading: Reading = AS_FOUND) -> str:
     """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
-    first, *others = expand(word)
+    first, *others = expand(word, reading)
     if others:
         raise ConfigError(f"layout: {word} is {1 + len(others)} buildings; name one building, as {first}")
     return first
 
 
-def resolve(word: str) -> str | Layout:
+def resolve(word: str, reading: Reading = AS_FOUND) -> str | Layout:
     """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
 
     Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
     """
-    word = one(word)
-    return word if word in shipped_layouts() else load(word)
+    word = one(word, reading)
+    return word if word in shipped_layouts() else load(word, reading)
 
 
 def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
@@ -129,7 +141,11 @@ def load(word: str, reading: Reading = AS_FOUND) -> Layout:
         raise _no_such(word)
     from mecp_env.floorplans import load_plan
 
-    return load_plan(word, kind=reading.kind, resolution_m=reading.resolution_m)
+    with warnings.catch_warnings(record=True, action="always") as found:
+        layout = load_plan(word, **reading.options())
+    for warning in found:
+        print_error(f"note: {warning.message}")
+    return layout
 
 
 def _no_such(word: str) -> MecpError:

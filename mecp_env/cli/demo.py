@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from mecp_env.cli.base import Command, Seed, check_folder
+from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import INTERRUPTED
 from mecp_env.cli.fields import Fields, configuration
 
@@ -21,6 +22,7 @@ class Demo(Command):
         "mecp-env demo --layout two_rooms",
         "mecp-env demo --layout office --seed 3 --render human",
         "mecp-env demo --layout hard:7",
+        "mecp-env demo --layout scan.png --resolution-m 0.05 --free-above 230",
         "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
         "mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot",
     )
@@ -30,6 +32,7 @@ class Demo(Command):
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
+    reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
     def run(self, line: Sequence[str]) -> int:
@@ -43,10 +46,10 @@ class Demo(Command):
         from mecp_env.env import MecpEnv
         from mecp_env.render.window import require_display
 
-        folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout))}-{self.seed}")
+        folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout, self.reading))}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
-        config = configuration(resolve(self.layout), self.config, line)
-        check_map(self.save_map, one(self.layout), config.estimator)
+        config = configuration(resolve(self.layout, self.reading), self.config, line)
+        check_map(self.save_map, one(self.layout, self.reading), config.estimator)
         if self.render == "human":
             require_display()
         warm_up.prepare()

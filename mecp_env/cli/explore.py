@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 
 from mecp_env.cli.base import Command, Seed, Steps
-from mecp_env.cli.buildings import resolve
+from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.core.errors import ConfigError
@@ -42,6 +42,7 @@ class Explore(Command):
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     start: Start = "layout"  # random: anywhere in free space
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
+    reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
     def run(self, line: Sequence[str]) -> int:
@@ -76,7 +77,7 @@ class Explore(Command):
         Raises `ConfigError` or `LayoutError`.
         """
         if self.layout.count(":") != 2:
-            return {"id": "mecp_env/Layout-v0", "layout": resolve(self.layout)}, None
+            return {"id": "mecp_env/Layout-v0", "layout": resolve(self.layout, self.reading)}, None
         difficulty, split, number = self.layout.split(":")
         for word, known in ((difficulty, DIFFICULTIES), (split, SPLITS)):
             if word not in known:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field
 
 from mecp_env.cli.base import Command, OutFolder, Seed
+from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import echo
 from mecp_env.core.errors import ConfigError
 
@@ -32,6 +33,7 @@ class OneScan(Command):
     seed: Seed = 0  # the same seed gives the same run
     step: Annotated[int, Field(ge=0)] = 40  # the first scan from here on in which a polygon of the map is recognised
     out: OutFolder = Path("runs/one-scan")  # folder for the pictures
+    reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
@@ -42,7 +44,7 @@ class OneScan(Command):
         from mecp_env.render.stages import stage_figures
         from mecp_env.slam.frontend.clustering import cluster_beams
 
-        run = Run(MecpEnv(layout=resolve(self.layout)), self.seed)
+        run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
         output, slam = recognition(run, self.step), run.env.config.estimator_config
         clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor)
         self.out.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ from PIL import Image as Pictures
 from pydantic import Field
 
 from mecp_env.cli.base import Command, OutFolder, Seed
-from mecp_env.cli.buildings import SERIES, expand, resolve
+from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.fields import Fields, configuration
 from mecp_env.core.array_types import Bytes
@@ -67,17 +67,22 @@ class Play(Command):
         6.0  # control steps of 0.4 s per second, while a key is held; 2.5 is real time
     )
     out: OutFolder = Path("runs/play")  # folder for pictures (P)
+    reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
     def run(self, line: Sequence[str]) -> int:
         """Drive until the window is closed."""
-        words = expand(self.layout)
-        first = MecpEnv(configuration(resolve(words[0]), self.config, line))  # before the window: it may be refused
+        words = expand(self.layout, self.reading)
+        first = MecpEnv(
+            configuration(resolve(words[0], self.reading), self.config, line)
+        )  # before the window: it may be refused
         require_display()
 
         def make(number: int) -> tuple[MecpEnv, int]:
             word, seed = later(words, self.seed, number)
-            return first if word == words[0] else MecpEnv(configuration(resolve(word), self.config, line)), seed
+            if word == words[0]:
+                return first, seed
+            return MecpEnv(configuration(resolve(word, self.reading), self.config, line)), seed
 
         game, window = Game(make, self.out), Window("mecp_env: play")
         try:

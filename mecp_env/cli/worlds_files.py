@@ -107,7 +107,10 @@ class Convert(Command):
             self.target.parent.mkdir(parents=True, exist_ok=True)
             for path in Path(folder).iterdir():
                 shutil.copy(path, self.target.with_name(path.name))
-        echo(f"{self.target}: {layout.name}, {counted(layout)}")
+        echo(
+            f"{self.target}: {layout.name}, {counted(layout)}",
+            *([layout.description] if Path(source).is_file() else []),
+        )
         return 0
 
 

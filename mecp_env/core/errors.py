@@ -19,3 +19,7 @@ class LayoutError(MecpError):
 
 class LogError(MecpError):
     """A log is damaged, of an unknown format, or without the laser or odometry that is asked for."""
+
+
+class PlanWarning(UserWarning):
+    """A floor plan can be read in more than one way; the message names the level, its share and the option."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
@@ -23,7 +24,7 @@ from mecp_env.floorplans.door_frames import with_frames
 from mecp_env.floorplans.furniture import are_walls, fitted, without_furniture
 from mecp_env.floorplans.narrow_doors import with_wider_doors
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
-from mecp_env.floorplans.reachable_floor import largest_part, reachable_floor, without_hollows
+from mecp_env.floorplans.reachable_floor import largest_part, left_out, reachable_floor, without_hollows
 from mecp_env.floorplans.room_partition import Rooms, split
 from mecp_env.floorplans.straighten import FINE, along_directions, directions, straightened, thinned
 from mecp_env.world.checks import check_geometry
@@ -55,6 +56,7 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     thin = thinned(floor, plan.noise_m)
     _require_few(thin, MAX_THINNED)
     read, area = _floors(floor if given <= MANY_VERTICES else thin, plan, options)
+    plan = replace(plan, description=f"{plan.description} {left_out(floor, area, options)}".strip())
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     _require_rooms(plan.drawn, rooms.floors)
     try:

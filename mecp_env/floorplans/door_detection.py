@@ -30,7 +30,7 @@ FRAME_GAIN_M = 0.12  # beside which it is wider by so much;
 GAIN = 0.3  # beside any other doorway it is wider by such a share of its width,
 DEEP_GAIN = 1.1  # and by such a share beside one that may be the narrow part of a room:
 THICK_M, SINGLE_M = 0.4, 1.1  # at least so deep and so wide,
-DEEP = 0.5  # and with a jamb on one side only or a depth of such a share of its width
+DEEP = 0.45  # and with a jamb on one side only or a depth of such a share of its width
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
 
 

@@ -16,8 +16,8 @@ from mecp_env.core.array_types import Array
 FURNITURE_M = (0.2, 2.0)  # an island at least so wide and at most so long is a piece of furniture, not a wall,
 PILLAR_M = 0.45  # and so is a smaller one of any shape
 FURNITURE_FILL = 0.55  # when it fills so much of the rectangle around it,
-DOORWAY_M = (0.3, 2.0)  # unless it is so far from the end of a wall
-THICKEST_M, IN_LINE_M = 0.8, 0.12  # at most so thick, whose faces are in line with its own
+DOORWAY_M = (0.3, 2.0)  # unless it is so far from the end of a wall, at most so thick, whose faces are in line with
+THICKEST_M, IN_LINE_M, IN_LINE = 0.8, 0.12, 0.25  # its own, within so much and such a share of its thickness
 ROUND = 0.93  # 4 pi area / perimeter^2: 0.79 for a square, 0.95 for an octagon
 HULL = 0.9  # of its convex hull a pillar fills
 FULL = 0.9  # of the rectangle around it a box fills
@@ -60,7 +60,7 @@ def _is_in_line(island: Polygon, ends: Array) -> bool:
         along = (end - start) / max(width, 1e-9)
         across, beside = (ends - start) @ (-along[1], along[0]), (ends - start) @ along
         away = np.abs(across - sum(DOORWAY_M) / 2.0).max(axis=1) < (DOORWAY_M[1] - DOORWAY_M[0]) / 2.0
-        same = np.abs(np.sort(beside, axis=1) - (0.0, width)).max(axis=1) < IN_LINE_M
+        same = np.abs(np.sort(beside, axis=1) - (0.0, width)).max(axis=1) < min(IN_LINE_M, IN_LINE * width)
         square = np.ptp(across, axis=1) < IN_LINE_M
         if FURNITURE_M[0] <= width <= THICKEST_M and bool(np.any(away & same & square)):
             return True

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import struct
 import warnings
+import zlib
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +13,28 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mecp_env.core.array_types import Bools
-from mecp_env.core.errors import LayoutError
+from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.paths import exists, read_bytes
+from mecp_env.floorplans.image_check import check_content
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 
 MAX_IMAGE_BYTES = 20_000_000
 MAX_PIXELS = 4096 * 4096
 MAX_PLAIN_PIXELS = 1_000_000  # of an image written in digits, which is slow to read
+UNKNOWN_SHARE, APART = 0.02, 25  # of the pixels that a grey level has, so far from others, to mean something of its own
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
-DAMAGE = OSError, ValueError, SyntaxError, struct.error, OverflowError, LookupError, Image.DecompressionBombError
+DAMAGE = (
+    OSError,
+    ValueError,
+    SyntaxError,
+    struct.error,
+    OverflowError,
+    LookupError,
+    zlib.error,
+    Image.DecompressionBombError,
+)
 
 
 def read_image(path: Path) -> Image.Image:
@@ -31,15 +44,17 @@ def read_image(path: Path) -> Image.Image:
     or data that do not fit the header.
     """
     try:
-        most = MAX_PLAIN_PIXELS if read_bytes(path, MAX_IMAGE_BYTES).startswith(DIGITS) else MAX_PIXELS
-        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("PNG", "PPM")) as image:
+        data = read_bytes(path, MAX_IMAGE_BYTES)
+        most = MAX_PLAIN_PIXELS if data.startswith(DIGITS) else MAX_PIXELS
+        with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(data), formats=("PNG", "PPM")) as image:
             _check_header(image, most)
+            check_content(data, image)
             image.load()
             return image
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except DAMAGE as error:
-        said = f"damaged, or no PNG or PGM of at most {MAX_PIXELS} pixels ({error!s:.120})"
+        said = f"damaged, or no PNG or PGM of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
         raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
 
 
@@ -70,8 +85,24 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     threshold = otsu(levels) if options.free_above is None else options.free_above
     placement = Placement(options.resolution_m)
     area = floor_polygon((levels > threshold) & opaque, placement)
+    between = _grey_between(levels[opaque], threshold) if options.free_above is None else ""
+    if between:
+        warnings.warn(f"{path.name!r:.80}: {between}; free_above decides", PlanWarning, stacklevel=2)
     note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."
-    return FreeSpace(path.stem, note, area, placement.noise_m)
+    return FreeSpace(path.stem, f"{note} {between[:1].upper()}{between[1:]}".strip(), area, placement.noise_m)
+
+
+def _grey_between(levels: NDArray[np.uint8], threshold: int) -> str:
+    """What a common grey level between those of wall and floor is read as, in words; empty if there is none."""
+    share = np.bincount(levels, minlength=256) / levels.size
+    likely = [int(level) for level in np.flatnonzero(share >= UNKNOWN_SHARE)]
+    common = [level for level in likely if share[level] == share[max(0, level - APART + 1) : level + APART].max()]
+    middle = [level for level in common if common[0] + APART < level < common[-1] - APART]
+    if not middle:
+        return ""
+    level = max(middle, key=lambda level: float(share[level]))
+    meaning = f"floor, being above {threshold}" if level > threshold else f"wall, not being above {threshold}"
+    return f"grey {level} on {100.0 * share[level]:.0f} % of the picture, between wall and floor, is read as {meaning}"
 
 
 def otsu(levels: NDArray[np.uint8]) -> int:

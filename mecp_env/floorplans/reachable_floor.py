@@ -11,10 +11,12 @@ from shapely.geometry.polygon import orient
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import LayoutError
+from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.outline import ROBOT_RADIUS_M
 
 CLEARANCE_M = ROBOT_RADIUS_M + 0.02
 NICHE_M = 0.4  # a niche too narrow for the robot stays when it is no deeper
+FINE_M = 2e-3  # details smaller than this come from rounding
 ON_EDGE_M = 1e-6  # the middle of an edge this close to a line is on it
 SPECK_M2 = 0.02  # solids smaller than this are dirt
 
@@ -33,6 +35,16 @@ def reachable_floor(area: BaseGeometry) -> Polygon:
     return Polygon(floor.exterior, [hole for hole in floor.interiors if Polygon(hole).area >= SPECK_M2])
 
 
+def left_out(floor: Polygon, area: Polygon, options: PlanOptions) -> str:
+    """Which places of a `floor`, as large as a room, are not part of the building's `area`, in words; or nothing."""
+    inner = floor.buffer(-CLEARANCE_M, quad_segs=4).difference(area)
+    places = shapely.buffer(shapely.get_parts(inner), CLEARANCE_M)
+    sizes = shapely.area(places)[shapely.area(places) >= options.smallest_room_m2]
+    if not len(sizes):
+        return ""
+    return f"Places that no wide enough doorway leads to: {len(sizes)}, of {sizes.sum():.1f} m2 in all."
+
+
 def _inner(area: BaseGeometry, radius: float) -> BaseGeometry:
     """Where in `area` the centre of a circle may be."""
     inner = area.buffer(-radius, quad_segs=4)
@@ -48,8 +60,8 @@ def largest_part(area: BaseGeometry) -> Polygon:
 
 def _closed(area: BaseGeometry, radius: float, inner: BaseGeometry, depth: float) -> BaseGeometry:
     """`area` without the parts that circles with centres in `inner` do not cover, where those are deep."""
-    wide = inner.buffer(radius + 1e-3, quad_segs=4)
-    return area.difference(_deep_parts(area.difference(wide), wide, depth).buffer(1e-6))
+    wide = inner.buffer(radius + 0.5 * FINE_M, quad_segs=4)
+    return area.difference(_deep_parts(area.difference(wide), wide, depth).buffer(1e-6)).simplify(FINE_M)
 
 
 def _deep_parts(rest: BaseGeometry, wide: BaseGeometry, depth: float) -> BaseGeometry:
@@ -60,7 +72,7 @@ def _deep_parts(rest: BaseGeometry, wide: BaseGeometry, depth: float) -> BaseGeo
     arcs = shapely.get_parts(shapely.line_merge(mouths[deep]))
     arcs = arcs[shapely.get_num_coordinates(arcs) > 3]
     fronts = [Polygon(arc.coords) for arc in arcs]
-    return shapely.union_all([*parts[deep], *(shapely.make_valid(front).buffer(1e-3) for front in fronts)])
+    return shapely.union_all([*parts[deep], *(shapely.make_valid(front).buffer(0.5 * FINE_M) for front in fronts)])
 
 
 def _mouths(parts: NDArray[np.object_], wide: BaseGeometry) -> NDArray[np.object_]:

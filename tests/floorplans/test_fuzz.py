@@ -22,6 +22,8 @@ from tests.effort import Cost, cost
 from tests.floorplans import mutations
 from tests.floorplans.untrusted import MEGABYTES, SECONDS
 
+pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")
+
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
 QUICK, MANY = 12, 120

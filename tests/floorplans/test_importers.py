@@ -13,7 +13,7 @@ import shapely
 from PIL import Image
 from shapely.geometry import Point, Polygon
 
-from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.floorplans.straighten import directions, straightened
@@ -124,6 +124,7 @@ def test_what_cannot_be_reached_is_dropped(tmp_path: Path) -> None:
     layout = read(picture, tmp_path, free_above=210)
     assert len(layout.rooms) == 1
     assert build_outline(layout).free_area.area == pytest.approx(20.0, abs=0.1)
+    assert "no wide enough doorway leads to: 1, of 20.0 m2" in layout.description
 
 
 def test_a_map_that_ends_in_open_floor_is_closed(tmp_path: Path) -> None:
@@ -277,6 +278,19 @@ def test_the_doors_of_the_real_home_have_four_jambs() -> None:
     widths = sorted(door.width_m for door in layout.doors)
     assert widths == pytest.approx([0.71, 1.0, 1.0, 1.15, 1.2, 1.84], abs=0.03)
     assert {"Kitchen", "Gym", "Bedroom", "Bedroom 2"} <= {room.name for room in layout.rooms}
+
+
+def test_a_grey_level_between_wall_and_floor_is_named(tmp_path: Path) -> None:
+    """Seen: a picture with grey unknown was read as one room that covered all of it, without a warning."""
+    path = plans.save(np.pad(plans.two_rooms_picture(), 40, constant_values=205), tmp_path / "plan.png")
+    with pytest.warns(PlanWarning, match=r"plan\.png.*grey 205 on \d+ % of the picture.* read as floor.*free_above"):
+        covered = load_plan(path, resolution_m=0.05)
+    assert "Grey 205" in covered.description
+    layout = load_plan(path, resolution_m=0.05, free_above=230)
+    assert (len(layout.rooms), len(layout.doors)) == (2, 1)
+    dark = np.where(plans.two_rooms_picture() == 205, 60, plans.two_rooms_picture()).astype(np.uint8)
+    with pytest.warns(PlanWarning, match="grey 60 .* read as wall"):
+        assert len(load_plan(plans.save(dark, path), resolution_m=0.05).rooms) == 2
 
 
 def test_wrong_options_are_named(tmp_path: Path) -> None:
