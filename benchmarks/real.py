@@ -2,7 +2,7 @@
 
 Plans and logs are those of `shared/data` beside the repository; without them, their sets are skipped and the page says
 so. `plans`: rooms of at least 2 m2 that are found (IoU above 0.5), of the rooms in the labels of the KTH floors, and
-imported rooms that match no label. `explored`: breadth first, three starts in each plan, at most 12 control steps per
+imported rooms that match no label. `explored`: breadth first, three starts in each plan, at most 10 control steps per
 m2 of the floor that a robot can reach. An exploration is seen when it ends by itself with 95 % of that floor seen,
 ended early when it ends by itself with less, complete when it is seen, not lost, and has every room and door; lost and
 the other figures are those of the benchmark `worlds`. `fr079`: odometry is made of the reference path with the paper's
@@ -55,7 +55,7 @@ URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
 VIEW_DEG = 180.0
 KTH = "kth"  # the folder of the labelled plans
 PIXEL_M = 0.05  # of the labels
-STEPS_PER_M2 = 12.0
+STEPS_PER_M2 = 10.0
 MAPS = Path("runs/real")  # of each log, and of the first start in each plan
 COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
 SETS, MOST = tuple(COUNTS), 100

@@ -273,9 +273,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._started().target = p_map.copy()
 
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
-        """Record how a drive to a goal ended, and search for goals again."""
+        """Record how a drive to a goal ended, unless the pose is searched for, and search for goals again."""
         episode = self._started()
-        episode.goal_history.record(goals, row, ended, self._planning.goals)
+        if episode.slam_output.localised:
+            episode.goal_history.record(goals, row, ended, self._planning.goals)
         episode.target = None
         self.refresh_goals()
 
@@ -400,11 +401,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _nothing_left(self, episode: EpisodeState) -> bool:
         """True when no goal is left in what is mapped: at once, or for several steps with pedestrians, who may hide a
-        door or block a path, or a blind side, where a path may be. No polygon surrounds a laser that has one.
+        door or block a path, or a blind side, where a path may be. No polygon surrounds a laser that has one. Nobody
+        knows what is left while the pose is searched for.
         """
         output = episode.slam_output
         mapped = len(output.map_polygons) > 0 or (output.beams.blind and len(output.belief.ids) > 0)
-        empty = not len(episode.goals) and mapped
+        empty = not len(episode.goals) and mapped and output.localised
         episode.quiet = episode.quiet + 1 if empty else 0
         if not (self.config.crowd.people or output.beams.blind):
             return empty

@@ -105,6 +105,24 @@ def test_an_episode_ends_when_no_goal_is_left():
     assert rows[-1][4]["reward_completion"] > 3.0
 
 
+def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch):
+    """`50015848`: the planner refused every goal from a wrong pose, and 19 % of the floor were called complete."""
+    env = make(actions="goal", layout="paper", max_steps=120)
+    policy = BreadthFirst()
+    observation, _ = env.reset(seed=1)
+    guard = env.unwrapped._started().pipeline.guard
+    guard.localised, guard.doubts = False, guard.config.scans
+    monkeypatch.setattr(type(guard), "search", lambda *_: None)
+    over = terminated = False
+    while not over:
+        observation, _, terminated, over, info = env.step(
+            policy.act(observation, env.get_wrapper_attr("action_masks")())
+        )
+    assert not terminated
+    assert not info["localised"]
+    assert not env.unwrapped._started().goal_history.drives
+
+
 def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
     env = make(actions="goal", layout="furnished")
     rows = explore(env, limit=200)
