@@ -288,7 +288,7 @@ def caption(figures: Figures, name: str) -> str:
         of = figures[EXPLORED][name]
         return f"{short(name)}: {of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * of['pose_rmse_m']['value']:.1f} cm"
     said = [f"{text} {mean(figures[name][key]):.2f} m" for key, text in SAID.items() if key in figures[name]]
-    return f"{name}: {', '.join(said)}"
+    return f"{name}, {mean(figures[name]['log_share']):.0%} of the log: {', '.join(said)}"
 
 
 SAID = {"relations_m": "relations", "ate_m": "trajectory error", "dead_reckoning_ate_m": "dead reckoning"}

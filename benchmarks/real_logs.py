@@ -80,8 +80,11 @@ def map_of(run: LogRun) -> MapData:
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:
-    """Figures of a log: means over the runs with 95 % intervals, plain numbers of a single run."""
-    found = {name: [run[name] for run in runs] for name in COLUMNS if name in runs[0]}
+    """Figures of a log: means over the runs with 95 % intervals, plain numbers of a single run.
+
+    Those of a run that ended early are of the part of the log before; a figure without anything to measure is missing.
+    """
+    found = {name: [run[name] for run in runs] for name in COLUMNS if np.isfinite(runs[0].get(name, np.nan))}
     figures = {name: estimate(values) if len(runs) > 1 else values[0] for name, values in found.items()}
     ends = sorted({str(run["ended"]) for run in runs})
     return {**figures, "runs": len(runs), "scans": runs[0]["scans"], "ended": ", ".join(ends)}

@@ -53,7 +53,7 @@ def test_a_part_of_a_log_gives_all_figures(maps: Path, name: str) -> None:
     figures = {name: real_logs.summarise([run, run])}
     assert figures[name]["scans"] <= 20
     assert figures[name]["ate_m"]["value"] < 0.3
-    assert real.figure(figures).axes[0].get_title().startswith(f"{name}: ")
+    assert real.figure(figures).axes[0].get_title().startswith(f"{name}, ")
     assert "polygon share" in real.report(figures)
 
 
