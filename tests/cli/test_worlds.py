@@ -16,6 +16,7 @@ from mecp_env.cli.worlds_stats import COLUMNS, _entry
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import load_layout
+from tests.floorplans import plans
 
 Said = pytest.CaptureFixture[str]
 
@@ -403,3 +404,23 @@ def test_an_image_without_a_resolution_is_told_of_the_yaml_beside_it(tmp_path: P
         assert run("draw", tmp_path / "map.pgm") == 2
         assert told in capsys.readouterr().err
         (tmp_path / "map.yaml").unlink(missing_ok=True)
+
+
+def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsys: Said) -> None:
+    """Seen: only resolution_m and kind were; an image with grey unknown could not be read as it should."""
+    picture, house = plans.save(plans.two_rooms_picture(), tmp_path / "plan.png"), tmp_path / "house.json"
+    read = ("convert", picture, house, "--resolution-m", "0.05")
+    assert run(*read) == 0
+    said = capsys.readouterr()
+    assert "note: 'plan.png': grey 205 on 25 % of the picture" in said.err
+    assert run(*read, "--free-above", "230", "--no-straighten", "--smallest-room-m2", "2", "--door-depth-m", "0.5") == 0
+    said = capsys.readouterr()
+    assert "2 rooms, 1 door" in said.out
+    assert not said.err
+    for option, value, bound in (("--free-above", "300", "254"), ("--door-depth-m", "0", "0.05")):
+        assert run(*read, option, value) == 2
+        said = capsys.readouterr()
+        assert option[2:].replace("-", "_") in said.err
+        assert bound in said.err
+    assert run(*read, "--door-width-m", "1", "0.5") == 2
+    assert "door_width_m: two widths, the narrower first" in capsys.readouterr().err
