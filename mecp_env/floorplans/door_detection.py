@@ -29,8 +29,7 @@ FRAME_M, FRAME_WIDTH_M = 0.25, 1.45  # a thinner doorway of less width may be a 
 FRAME_GAIN_M = 0.12  # beside which it is wider by so much;
 GAIN = 0.3  # beside any other doorway it is wider by such a share of its width,
 DEEP_GAIN = 1.1  # and by such a share beside one that may be the narrow part of a room:
-THICK_M, SINGLE_M = 0.4, 1.1  # at least so deep and so wide,
-DEEP = 0.45  # and with a jamb on one side only or a depth of such a share of its width
+THICK_M, SINGLE_M = 0.4, 1.1  # at least so deep and so wide
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
 
 
@@ -43,7 +42,6 @@ class Gap:
     width_m: float
     depth_m: float
     gain_m: float  # how much wider it is beside the doorway, on the narrower side
-    jamb_m: float  # how far the weaker of both jambs stands out, before or behind it
     post_m: float  # how far the wall continues behind the weaker post, at most `POST_M`
     to_walls_m: tuple[float, float]  # from the centre to the walls, against `along` and with it
 
@@ -147,7 +145,6 @@ def measure(
     low, high = -left[first : last + 1].min(), right[first : last + 1].min()
     beside = round(AROUND_M / step_m)
     gain = min(_beside(left + right, first, last, beside)) - (high - low)
-    jambs = max(_beside(left, first, last, beside)) + low, max(_beside(right, first, last, beside)) - high
     centre = crossing.middle + (ahead[first] + ahead[last]) / 2.0 * through + (low + high) / 2.0 * along
     middle = (first + last) // 2
     return Gap(
@@ -156,7 +153,6 @@ def measure(
         width_m=float(high - low),
         depth_m=float(depth),
         gain_m=float(gain),
-        jamb_m=float(min(jambs)),
         post_m=min(post_lengths(centre, along, float(high - low), walls)),
         to_walls_m=(float(left[middle] + (low + high) / 2.0), float(right[middle] - (low + high) / 2.0)),
     )
@@ -227,5 +223,4 @@ def _needed(gap: Gap) -> float:
     if gap.depth_m < FRAME_M and gap.width_m < FRAME_WIDTH_M:
         return FRAME_GAIN_M
     deep = gap.depth_m >= THICK_M and gap.width_m >= SINGLE_M
-    one_sided = gap.jamb_m < FRAME_GAIN_M or gap.depth_m > DEEP * gap.width_m
-    return (DEEP_GAIN if deep and one_sided else GAIN) * gap.width_m
+    return (DEEP_GAIN if deep else GAIN) * gap.width_m
