@@ -276,11 +276,14 @@ def same_gap(a: Array, b: Array, config: RoomConfig) -> bool:
     return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
 
 
-def pass_through(door_map: DoorMap, candidate: Candidate, features: FeatureTable, rooms: tuple[int, int]) -> None:
-    """The robot drove through a candidate between `rooms`, from the first: it is a door, passed rather than seen."""
+def pass_through(
+    door_map: DoorMap, candidate: Candidate, features: FeatureTable, rooms: tuple[int, int], config: RoomConfig
+) -> None:
+    """The robot drove through a candidate between `rooms`, from the first: it is a door, as sure as one seen well."""
     door_map.candidates = [c for c in door_map.candidates if c is not candidate]
     _mark_jambs(candidate.ids, features)
-    door_map.add(Door(door_map.next_id, candidate.ids, None, rooms, candidate.sightings))
+    sightings = max(candidate.sightings, config.confirm_sightings)
+    door_map.add(Door(door_map.next_id, candidate.ids, None, rooms, sightings))
 
 
 def _without_faces(door: Door, lost: set[int]) -> Door | None:

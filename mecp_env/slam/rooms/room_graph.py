@@ -196,7 +196,7 @@ class RoomGraphEstimator:
             passed = _passed(belief.T_map_robot, candidate.ends, self.config.doorway_m)
             if passed and self.resolve(candidate.room) == self.current and are_landmarks(candidate.ids, features):
                 room = self._open()
-                pass_through(self.door_map, candidate, features, (self.current, room))
+                pass_through(self.door_map, candidate, features, (self.current, room), self.config)
                 self._arrive(room)
                 return
 

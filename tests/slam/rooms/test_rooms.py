@@ -398,3 +398,15 @@ def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now(
     walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5))
     assert [door.rooms for door in keeper.door_map.doors] == [(0, 2)]
     assert walk(keeper, (0.1, -0.5)) == [2, 0]
+
+
+def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_were_assigned_to():
+    """They were seen before, through a gap that was no door yet; a home and KTH floors lost rooms by that."""
+    keeper, table = RoomGraphEstimator(RoomConfig()), features()
+    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False, table=table)
+    assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5), table=table)[-1] == 1
+    for y in (0.8, 1.6, 2.8):
+        look(keeper, belief_at(0.0, y), (7, 8, 9), table=table)
+    assert keeper.current == 1
+    assert keeper.graph().rooms == (0, 1)
+    assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
