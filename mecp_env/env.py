@@ -273,10 +273,14 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._started().target = p_map.copy()
 
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
-        """Record how a drive to a goal ended, unless the pose is searched for, and search for goals again."""
+        """Record how a drive to a goal ended, and search for goals again.
+
+        While the pose is searched for, nothing else is remembered: no other goal stays given up for a wrong pose.
+        """
         episode = self._started()
-        if episode.slam_output.localised:
-            episode.goal_history.record(goals, row, ended, self._planning.goals)
+        recorded = episode.goal_history.record(goals, row, ended, self._planning.goals)
+        if not episode.slam_output.localised:
+            episode.goal_history.drives = [recorded]
         episode.target = None
         self.refresh_goals()
 

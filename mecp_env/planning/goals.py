@@ -53,8 +53,8 @@ class GoalHistory:
         for drive in self.drives if output.graph.merged else ():
             drive.room = output.graph.resolve(drive.room)
 
-    def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> None:
-        """Remember how a drive to a goal ended: there, refused, or on the way. Often enough, and the goal is closed.
+    def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> Remembered:
+        """What is remembered of a goal after one more drive to it. Ended often enough, and the goal is closed.
 
         One that was settled on the way has shown something: what is still to be seen there is a goal again.
         """
@@ -71,6 +71,7 @@ class GoalHistory:
             or remembered.visits >= config.visits
             or remembered.settled >= config.settled
         )
+        return remembered
 
     def retry_refused(self, config: GoalsConfig) -> None:
         """Try refused goals again: a person in the path may have left."""

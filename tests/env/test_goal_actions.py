@@ -120,7 +120,7 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
         )
     assert not terminated
     assert not info["localised"]
-    assert not env.unwrapped._started().goal_history.drives
+    assert len(env.unwrapped._started().goal_history.drives) <= 1
 
 
 def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
