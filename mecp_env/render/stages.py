@@ -128,8 +128,8 @@ def _ring(point: Array, z: Array, cov: Array) -> Array:
 
 def _draw_polygon(axes: Axes, output: SlamOutput) -> None:
     _draw_walls(axes, output)
-    points = polar_to_points(output.corners.z)
-    sites = output.corners.sites
+    points = polar_to_points(output.polygon_corners.z)
+    sites = output.polygon_corners.sites
     axes.plot(*points[sites].T, "o", color=unit(palette.LANDMARK), label="site: may be a vertex")
     axes.plot(*points[~sites].T, "o", color=unit(palette.FAINT), fillstyle="none", label="no site")
     for polygon in output.polygons:

@@ -154,6 +154,21 @@ class DynamicObjectsConfig(Settings):
         return chi2_of_point(0.99)
 
 
+class PanoramaConfig(Settings):
+    """Recent scans around the robot, where a scan does not surround it; paper: none, its laser sees all around."""
+
+    use: Literal["blind", "always", "never"] = "blind"  # blind: for lasers with a blind side
+    scans: int = Field(6, ge=1, le=50)  # at most, in the window
+    spacing_m: float = Field(
+        1.0, gt=0.0, le=10.0
+    )  # between the poses of two of them, or a turn by half as many radians
+
+    @property
+    def spacing_rad(self) -> float:
+        """A turn that shows as much that is new as `spacing_m` does."""
+        return 0.5 * self.spacing_m
+
+
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
 
@@ -289,6 +304,7 @@ class SlamConfig(Settings):
     segments: SegmentConfig = SegmentConfig()
     corners: CornerConfig = CornerConfig()
     polygon: PolygonConfig = PolygonConfig()
+    panorama: PanoramaConfig = PanoramaConfig()
     dynamic_objects: DynamicObjectsConfig = DynamicObjectsConfig()
     tracks: TrackConfig = TrackConfig()
     association: AssociationConfig = AssociationConfig()
@@ -309,6 +325,7 @@ class SlamConfig(Settings):
                 door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
             ),
             polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, widest_gap_m=1.2),  # III-A.2: exact
+            panorama=PanoramaConfig(use="never"),
             dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
             tracks=TrackConfig(
                 sightings=1, jamb_sightings=1, end_sightings=1, merge_m=0.0, descriptor_deg=180.0

@@ -25,7 +25,7 @@ from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 from mecp_env.slam.state_shapes import SHAPES, check_pipeline
 
-FILE = FileKind("mecp_env map", 2, __version__)
+FILE = FileKind("mecp_env map", 3, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")
@@ -120,6 +120,7 @@ def place(pipeline: Any, T_map_robot: Array, pose_cov: Array) -> None:
     pipeline.divergence.found = False
     pipeline.rooms.place(room_at(pipeline.grid.canvas.grid, T_map_robot[:2], pipeline.rooms.current))
     pipeline.map.forget_tracks(pipeline.step_count, pipeline.rooms.resolve)
+    pipeline.recent.forget(pipeline.filter)
 
 
 def room_at(grid: SemanticGrid, p_map: Array, otherwise: int) -> int:

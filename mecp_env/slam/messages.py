@@ -186,6 +186,16 @@ class Corners:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScanFeatures:
+    """What the front end finds in a scan (III-A.1)."""
+
+    beams: MergedScan
+    segments: Segments
+    corners: Corners
+    wall: Bools  # (B,) which beams end on a straight wall, and may cross a polygon
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Polygon:
     """A Maximum Empty Convex Polygon of one scan (III-A.2)."""
 
@@ -392,6 +402,7 @@ class MapView:
     groups: dict[int, PolygonGroup]  # map polygons by cardinality
     graph: RoomGraph
     through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
+    past: Ints | None = None  # (p,) corners of recent scans: they are vertices of polygons, and matched with them only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -426,6 +437,12 @@ class SlamOutput:
     """(3,) mounting pose of the laser, in whose frame beams, segments and corners are; `belief` is of the robot."""
     confidence: float = 1.0  # probability that the position error is below `localisation.error_m`
     localised: bool = True  # False while the pose is searched for, and nothing is mapped
+    panorama: Corners | None = None  # corners of this scan and of recent ones, where those complete it
+
+    @property
+    def polygon_corners(self) -> Corners:
+        """The corners that `Polygon.corners` of `polygons` are indices of."""
+        return self.corners if self.panorama is None else self.panorama
 
     @property
     def T_map_laser(self) -> Array:

@@ -19,6 +19,8 @@ from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dyna
 from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
 from mecp_env.slam.localisation.pose_guard import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
+from mecp_env.slam.messages import ScanFeatures
+from mecp_env.slam.panorama.recent_scans import RecentScans
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 
@@ -34,6 +36,7 @@ class SlamParts:
     rooms: RoomGraphEstimator
     dynamic_objects: DynamicObjects
     grid: GridPainter
+    recent: RecentScans
     guard: PoseGuard
     step_count: int
 
@@ -53,6 +56,7 @@ class SlamParts:
         self.rooms = RoomGraphEstimator(config.rooms)
         self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
         self.grid = GridPainter(config.grid)
+        self.recent = RecentScans(config)
         self.guard = PoseGuard(
             config.localisation, config.grid.paint_range_m, math.radians(config.association.descriptor_deg)
         )
@@ -82,6 +86,13 @@ class SlamParts:
         self.guard.lose(anywhere=True)
         self.divergence.found = False
         self.map.forget_tracks(self.step_count, self.rooms.resolve)
+        self.recent.forget(self.filter)
+
+    def register(self, scan: ScanFeatures) -> bool:
+        """Correct the prediction by the window of recent scans; True when a scan agrees with them."""
+        with self.divergence:
+            return self.recent.register(scan, self.filter)
+        return False
 
     def visible_landmarks(self, p_map: Array) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""

@@ -21,13 +21,12 @@ from mecp_env.slam.messages import (
     Decision,
     MapView,
     Match,
-    MergedScan,
-    Polygon,
     Reason,
-    Segments,
+    ScanFeatures,
     Sighting,
     SlamOutput,
 )
+from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 
 
@@ -67,67 +66,72 @@ class SlamPipeline(SlamParts):
         segments = extract_segments(beams, clusters, config.segments, config.sensor)  # III-A.1, Ramer-Douglas-Peucker
         beams = stop_at_walls(beams, segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)  # III-A.1, line intersections, ends
-        predicted = self.filter.belief()
+        scanned = ScanFeatures(beams, segments, corners, beams_on_walls(clusters, beams))
+        tracked = self.register(scanned)
+        predicted, graph = self.filter.belief(), self.rooms.graph()
         corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)
-        polygons = find_polygons(corners, beams, config.polygon, beams_on_walls(clusters, beams))  # III-A.2
-        view = self.map.view(predicted, self.rooms.graph(), through, self.step_count)
+        around = self.recent.around(replace(scanned, corners=corners), graph, self.map.features, self.filter)
+        around = around.with_polygons(find_polygons(*around.place, config.polygon, around.wall))  # III-A.2
+        view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         untouched = self.filter
-        associated, updated, evidence = self._localise(beams, corners, polygons, view)  # III-B
+        associated, updated, evidence = self._localise(around, view)  # III-B
         belief = self.divergence.watch(self.filter.belief())
-        if self.guard.trusts(evidence):
+        if self.guard.trusts(evidence._replace(tracked=tracked)):
             seen = Sighting(corners, updated, through, belief, self.step_count)
-            match, belief = self._map_scan(beams, segments, polygons, seen, evidence.sharp)  # III-B.1
+            match, belief = self._map_scan(around, seen, evidence.sharp)  # III-B.1
         else:
             self.filter = untouched
-            match, belief = self._relocalise(beams, corners, polygons, view)
+            match, belief = self._relocalise(around, view)
         return SlamOutput(
-            *(self.step_count, beams, segments, corners, polygons, associated, match),
+            *(self.step_count, beams, segments, corners, around.polygons, associated, match),
             *(robot_belief(belief, config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
             *(self.grid.canvas.grid, self.divergence.found, config.sensor.T_robot_laser),
-            *(self.guard.confidence(belief), self.guard.localised),
+            *(self.guard.confidence(belief), self.guard.localised, around.shown),
         )
 
-    def _localise(
-        self, beams: MergedScan, corners: Corners, polygons: tuple[Polygon, ...], view: MapView
-    ) -> tuple[Match, Match, Evidence]:
+    def _localise(self, around: Surroundings, view: MapView) -> tuple[Match, Match, Evidence]:
         """The match of the associator, the part of it that updated the filter, and what speaks for the pose.
 
         Where the prediction does not fit the map, a copy of the filter is updated; where little speaks for the pose
         even then, another one that assumes that odometry has failed.
         """
-        predicted, sharp = self.filter, self.config.association.is_sharp(view.belief)
-        said = self.guard.ask(beams, view.belief, self.grid.canvas.grid)
-        associated, sure = self._associate(corners, polygons, view)
+        predicted, sharp, grid = self.filter, self.config.association.is_sharp(view.belief), self.grid.canvas.grid
+        beams, corners = around.scan.beams, around.scan.corners
+        said = self.guard.ask(beams, view.belief, grid)
+        associated, sure = self._associate(around, view)
         expected = self.guard.evidence(said, sure, view, sharp)
         if expected.fits or not self.guard.localised:
             return associated, self._update(corners, sure, iterate=not sharp), expected
         self.filter = predicted.copy()
         updated = self._update(corners, sure, iterate=not sharp)
-        said = self.guard.ask(beams, self.filter.belief(), self.grid.canvas.grid)
+        said = self.guard.ask(beams, self.filter.belief(), grid)
         first = associated, updated, self.guard.evidence(said, sure, view, sharp)
         if first[2].fits:
             return first
         tried, self.filter = self.filter, predicted.copy()
         self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))
-        associated, sure = self._associate(corners, polygons, replace(view, belief=self.filter.belief()))
+        associated, sure = self._associate(around, replace(view, belief=self.filter.belief()))
         updated = self._update(corners, sure, iterate=True)
-        said = self.guard.ask(beams, self.filter.belief(), self.grid.canvas.grid)
+        said = self.guard.ask(beams, self.filter.belief(), grid)
         again = associated, updated, self.guard.evidence(said, sure, view, sharp=False)
         if not again[2].beats(first[2]):
             self.filter = tried
             return first
-        clear = self.guard.is_clear(corners, polygons, view, beams, self.grid.canvas.grid, self.filter.belief())
-        return again if clear else (associated, updated, again[2].doubted())
+        if not self.guard.is_clear(around.corners, around.polygons, view, beams, grid, self.filter.belief()):
+            return associated, updated, again[2].doubted()
+        self.recent.forget(self.filter)
+        return again
 
-    def _associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView) -> tuple[Match, Match]:
+    def _associate(self, around: Surroundings, view: MapView) -> tuple[Match, Match]:
         """The match of the associator, and the part of it that is sure; nothing while the pose is searched for."""
+        corners = around.scan.corners
         associated = sure = ignored(len(corners), Reason.NOT_LOCALISED)
         if not self.guard.localised:
             return associated, sure
         with self.divergence:
-            associated = self.associator.associate(corners, polygons, view, self.filter)
-            check_match(associated, len(corners), len(view.features))
-            oldest = self.step_count - self.config.tracks.window_steps
+            of_all = self.associator.associate(around.corners, around.polygons, view, self.filter)
+            check_match(of_all, len(around.corners), len(view.features))
+            associated, oldest = around.narrow(of_all), self.step_count - self.config.tracks.window_steps
             sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
         return associated, sure
 
@@ -141,41 +145,43 @@ class SlamPipeline(SlamParts):
             return match
         return ignored(len(corners), Reason.NOT_LOCALISED)
 
-    def _relocalise(
-        self, beams: MergedScan, corners: Corners, polygons: tuple[Polygon, ...], view: MapView
-    ) -> tuple[Match, Belief]:
+    def _relocalise(self, around: Surroundings, view: MapView) -> tuple[Match, Belief]:
         """Search for the pose, as long as it is not trusted; what the scan was matched to, and the belief then."""
-        match = ignored(len(corners), Reason.NOT_LOCALISED)
-        found = self.guard.search(corners, polygons, view, beams, self.grid.canvas.grid)
+        match = ignored(len(around.corners), Reason.NOT_LOCALISED)
+        found = self.guard.search(around.corners, around.polygons, view, around.scan.beams, self.grid.canvas.grid)
         if found is not None:
             match = match.assign(found.corners, found.ids, int(Decision.LANDMARK), int(Reason.RELOCALISED))
+            self.recent.forget(self.filter)
             self.filter.set_pose(found.T_map_robot, found.cov)
-            self._update(corners, match, iterate=True)
+            self._update(around.scan.corners, around.narrow(match), iterate=True)
             self.rooms.arrive_at(found.ids, self.map.features)
             self.map.forget_tracks(self.step_count, self.rooms.resolve)
-        return match, self.filter.belief()
+        self.recent.remember(around.scan, around.narrow(match), self.rooms.graph(), self.filter)
+        return around.narrow(match), self.filter.belief()
 
-    def _map_scan(
-        self, beams: MergedScan, segments: Segments, polygons: tuple[Polygon, ...], seen: Sighting, sharp: bool
-    ) -> tuple[Match, Belief]:
+    def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief]:
         """Landmarks, rooms, polygons and grid after this scan; its match with the ids of new features, the belief."""
+        beams, segments = around.scan.beams, around.scan.segments
         dynamic = self.dynamic_objects.find(beams, segments, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
-        seen = self._extend_map(replace(seen, match=static), polygons, wide=not sharp)
+        seen = self._extend_map(replace(seen, match=static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)
         self.rooms.forget(pruned)
         matched = seen.match.ids[seen.match.recognised()]
         painted = self.dynamic_objects.without(beams, segments, dynamic)
         self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, self.rooms.graph())
+        still = replace(around.scan, beams=painted[0], segments=painted[1])
+        self.recent.remember(still, seen.match, self.rooms.graph(), self.filter)
         return seen.match, belief
 
-    def _extend_map(self, seen: Sighting, polygons: tuple[Polygon, ...], wide: bool) -> Sighting:
+    def _extend_map(self, seen: Sighting, around: Surroundings, wide: bool) -> Sighting:
         """Tracks, landmarks, doors, rooms and polygons after this scan; the sighting with all its ids."""
         seen, confirmed = self.map.track(seen, self.rooms.graph(), wide)
-        self.associator.remember(seen.match)
+        self.associator.remember(around.widen(seen.match))
         seen = self.map.initialise(seen, confirmed, self.filter)
         moved = self.rooms.update(seen, self.map.features, self.map.polygons.polygons)
-        self.map.link(polygons, seen, self.rooms.graph(), moved)
+        known = replace(seen, match=around.widen(seen.match))
+        self.map.link(around.polygons, known, self.rooms.graph(), moved)
         with self.divergence:
             seen, merged = self.map.merge(seen, self.filter)
             self.rooms.rename(merged)

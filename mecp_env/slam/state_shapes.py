@@ -11,7 +11,7 @@ import numpy as np
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes
-from mecp_env.slam.messages import FEATURE, FeatureState
+from mecp_env.slam.messages import FEATURE, NO_ID, FeatureState
 
 SHAPES: Shapes = {
     "Belief": {
@@ -66,6 +66,8 @@ SHAPES: Shapes = {
     },
     "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
     "Candidate": {"ends": "2 2"},
+    "RecentScan": {"marks": "2", "ids": "n in -1:F", "still": "n"},
+    "Surfaces": {"points": f"n 2 in {NEAR}", "normals": "n 2", "sigmas": "n"},
     "PoseGuard": {"correction": f"3 in {NEAR}"},
     "Polygon": {"corners": "k", "intervals": "i 4"},
     "Match": {"ids": "n in -2:F", "decision": "n", "reason": "n", "nis": "n"},
@@ -82,9 +84,17 @@ def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
         raise StateError(f"{where}.map.features.rows: a landmark that is not in the filter")
     check_polygons(pipeline.map.polygons, f"{where}.map.polygons")
     if hasattr(pipeline.filter, "slot_ids"):  # else a custom filter, which stores what it likes
-        check_filter(pipeline.filter, len(rows), f"{where}.filter")
+        check_filter(pipeline.filter, len(rows), marks_of(pipeline, where), f"{where}.filter")
     check_grid(pipeline.grid, f"{where}.grid")
     return {"F": len(rows), "P": len(pipeline.map.polygons.polygons)}
+
+
+def marks_of(pipeline: Any, where: str) -> list[int]:
+    """The ids of the marks of recent scans. Raises `StateError` unless all differ and are in the filter."""
+    marks = [int(mark) for scan in pipeline.recent.scans for mark in scan.marks]
+    if len({mark for mark in marks if mark < NO_ID} & set(pipeline.filter.slot_ids.tolist())) < len(marks):
+        raise StateError(f"{where}.recent.scans: a mark that is not in the filter")
+    return marks
 
 
 def check_polygons(store: Any, where: str) -> None:
@@ -105,14 +115,14 @@ def check_grid(grid: Any, where: str) -> None:
         raise StateError(f"{where}.doors.quads: expected places nearer than {FAR} m")
 
 
-def check_filter(filter_: Any, features: int, where: str) -> None:
+def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> None:
     """Raise `StateError` unless the filter has a slot per landmark and a row and column per number."""
     ids, state = filter_.slot_ids, filter_.state
     slots = ((len(state) if state.ndim else 0) - 4) // 2
     if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
         raise StateError(f"{where}: state {state.shape} for slot_ids {ids.shape}")
-    if len(set(ids.tolist()) & set(range(features))) < len(ids):
-        raise StateError(f"{where}.slot_ids: expected different ids of features")
+    if len(set(ids.tolist()) & {*range(features), *marks}) < len(ids):
+        raise StateError(f"{where}.slot_ids: expected different ids of features, and of marks of recent scans")
     used = 3 + 2 * len(ids)
     if not (np.abs(state[0, :used]).max() < FAR and np.isfinite(state[1 : 1 + used, :used]).all()):
         raise StateError(f"{where}.state: not finite, or too far away")

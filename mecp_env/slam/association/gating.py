@@ -50,6 +50,8 @@ def pairing_table(
     behind = graph.rooms_behind(view.through) if config.use_rooms else NOWHERE
     costs = np.empty(nis.shape)
     mask_by_room(nis, costs, home, corners.beyond, behind, ids, features, home_gate)
+    if view.past is not None:
+        costs[view.past] = math.inf
     return PairingTable(nis, costs)
 
 

@@ -20,7 +20,7 @@ from mecp_env.slam.filters.landmarks import append, take, world_belief
 from mecp_env.slam.filters.measurement import innovation
 from mecp_env.slam.filters.motion import predict
 from mecp_env.slam.filters.update import batch_update, merge_pair
-from mecp_env.slam.messages import Belief
+from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError
 
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
@@ -71,8 +71,8 @@ class LandmarkFilter:
 
     @property
     def ids(self) -> Ints:
-        """(N,) ids of the landmarks in the order of their initialisation."""
-        return self.slot_ids.copy()
+        """(N,) ids of the landmarks in the order of their initialisation; marks of past poses, below -1, left out."""
+        return self.slot_ids[self.slot_ids > NO_ID]
 
     def has(self, landmark: int) -> bool:
         """True when the filter holds a landmark with this id."""
@@ -167,10 +167,13 @@ class LandmarkFilter:
         self.slot_ids = self.slot_ids[kept]
 
     def belief(self) -> Belief:
-        """Pose and landmarks with their own covariances, in world coordinates; a copy."""
+        """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
         pose, pose_cov = np.empty(3), np.empty((3, 3))
         p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
         world_belief(self.state, self.invariant, pose, pose_cov, p_map, covs)
+        if min(self.slot_ids.tolist(), default=0) < NO_ID:
+            kept = self.slot_ids > NO_ID
+            return Belief(pose, pose_cov, self.slot_ids[kept], p_map[kept], covs[kept])
         return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)
 
     def copy(self) -> Self:

@@ -42,9 +42,9 @@ class LandmarkMap:
         self.features = FeatureTable()
         self.polygons = MapPolygonStore(config.association.polygons_per_room)
 
-    def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int) -> MapView:
+    def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int, past: Ints | None = None) -> MapView:
         """What an associator may look at; `through` (n,) is the door that each corner is seen through."""
-        return MapView(step, predicted, self.features, self.polygons.groups, graph, through)
+        return MapView(step, predicted, self.features, self.polygons.groups, graph, through, past)
 
     def track(self, seen: Sighting, graph: RoomGraph, wide: bool) -> tuple[Sighting, Ints]:
         """The sighting with an id for every corner that is kept, and the corners (c,) whose track is confirmed now.

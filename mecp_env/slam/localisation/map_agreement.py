@@ -36,6 +36,7 @@ class Evidence(NamedTuple):
     said: Agreement
     recognised: float  # share of the corners that are landmarks; nan where too few are seen to tell
     sharp: bool  # they were recognised at a sharp prediction
+    tracked: bool = False  # the scan agrees with those of a moment ago: the pose is right where it was then
 
     @property
     def is_strong(self) -> bool:

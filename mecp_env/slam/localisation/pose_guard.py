@@ -34,6 +34,7 @@ class PoseGuard:
     descriptor_rad: float  # the most by which a face may turn
     localised: bool = True
     doubts: int = 0  # scans in a row that contradict the map
+    astray: int = 0  # those of them, in a row, that do not agree with the scans before either
     log_odds: float = 0.0  # of the pose being right, before its covariance is asked
     travelled: float = 0.0  # m that odometry reported since a scan agreed, until the pose was searched for
     turned: float = 0.0  # rad
@@ -73,12 +74,21 @@ class PoseGuard:
         if not self.localised:
             return False
         self._weigh(evidence.share)
-        self.doubts = 0 if evidence.is_enough else self.doubts + 1
+        self._count_doubts(evidence)
         if not self.doubts:
             self.travelled = self.turned = 0.0
-        if self.doubts >= self.config.scans:
+        if self.astray >= self.config.scans or self.doubts >= self.patience:
             self.lose()
-        return not self.doubts
+        return self.localised and (not self.doubts or evidence.tracked)
+
+    def _count_doubts(self, evidence: Evidence) -> None:
+        self.doubts = 0 if evidence.is_enough else self.doubts + 1
+        self.astray = 0 if evidence.is_enough or evidence.tracked else self.astray + 1
+
+    @property
+    def patience(self) -> int:
+        """Scans in a row that contradict the map and agree with those before: a wall was moved, or the map is bent."""
+        return 2 * self.config.scans
 
     def lose(self, anywhere: bool = False) -> None:
         """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
@@ -88,6 +98,7 @@ class PoseGuard:
     def trust(self) -> None:
         """The pose is right."""
         self.localised, self.log_odds, self.doubts, self.agreed = True, self.sure, 0, 0
+        self.astray = 0
         self.travelled = self.turned = 0.0
 
     def search(

@@ -1,0 +1,154 @@
+"""A window of recent scans, each with a clone of its pose in the filter: what a laser with a blind side has seen.
+
+They serve twice. Corners and walls on the blind side complete those of a scan, so that polygons surround the robot and
+are matched as a whole; they update nothing. And a scan is registered with the surfaces of the window, which tells how
+far the robot has moved since: in a corridor that shows few corners, and with poor odometry.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.se2 import compose, inverse, polar_to_points
+from mecp_env.slam.config import PanoramaConfig, SensorModel, SlamConfig
+from mecp_env.slam.messages import (
+    UNKNOWN_ROOM,
+    Corners,
+    FeatureState,
+    FeatureTable,
+    Match,
+    MergedScan,
+    Reason,
+    RoomGraph,
+    ScanFeatures,
+)
+from mecp_env.slam.panorama.pose_marks import marks_seen, poses_since, seen_from
+from mecp_env.slam.panorama.registration import RegistrationLimits, register
+from mecp_env.slam.panorama.surfaces import Surfaces, joined_surfaces, surfaces_of
+from mecp_env.slam.panorama.surroundings import Surroundings, moved_corners, surround
+from mecp_env.slam.protocols import Filter
+
+FIRST_MARK = -2  # NO_ID is -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecentScan:
+    """A scan of the window."""
+
+    marks: Ints  # (2,) ids of the marks of its pose
+    beams: MergedScan
+    surfaces: Surfaces
+    corners: Corners
+    ids: Ints  # (n,) features that its corners are, or NO_ID
+    still: Bools  # (n,) which of them are on no dynamic object
+    room: int  # before merges are resolved; UNKNOWN_ROOM in a doorway
+
+
+@dataclass(slots=True, eq=False, init=False)
+class RecentScans:
+    """The window, the newest scan last."""
+
+    config: PanoramaConfig
+    sensor: SensorModel
+    limits: RegistrationLimits
+    scans: list[RecentScan] = field(default_factory=list)
+    next_mark: int = FIRST_MARK
+
+    def __init__(self, config: SlamConfig) -> None:
+        self.config, self.sensor = config.panorama, config.sensor
+        self.limits = RegistrationLimits.of(config)
+        self.scans, self.next_mark = [], FIRST_MARK
+
+    def are_used(self, beams: MergedScan) -> bool:
+        """True for a laser whose scans the window completes."""
+        return self.config.use == "always" or (self.config.use == "blind" and beams.blind)
+
+    def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
+        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
+        if not (self.scans and self.are_used(scan.beams)):
+            return False
+        since, spread = self._poses(self.scans, landmark_filter)
+        poses = [compose(since[-1], inverse(pose)) for pose in since]  # in the frame of the newest
+        window = joined_surfaces([past.surfaces.seen_from(T) for past, T in zip(self.scans, poses, strict=True)])
+        last, prior = self.scans[-1], (since[-1], spread[-1] + self.floor)
+        found = register(window, self._surfaces(scan), last.beams, prior, self.limits)
+        if found is None:
+            return False
+        z, R = marks_seen(found.T_past_now, found.cov(self.limits) + self.floor)
+        landmark_filter.update(z, R, last.marks)
+        return True
+
+    def around(
+        self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter
+    ) -> Surroundings:
+        """A scan with what the window shows on its blind side of the room that the robot is in."""
+        here = [recent for recent in reversed(self.scans) if graph.resolve(recent.room) == graph.current]
+        if not (here and scan.beams.blind and self.are_used(scan.beams)) or graph.in_doorway:
+            return Surroundings.of(scan)
+        past, walls, taken = [], [], polar_to_points(scan.corners.z)
+        for recent, T_past_now, cov in zip(here, *self._poses(here, landmark_filter), strict=True):
+            T_now_past, cov = seen_from(T_past_now, cov)
+            kept = self._new(recent, features, T_now_past, scan.beams, taken)
+            moved = moved_corners(recent.corners, kept, T_now_past, cov)
+            taken = np.concatenate((taken, polar_to_points(moved.z)))
+            past.append((moved, recent.ids[kept]))
+            walls.append(recent.surfaces.seen_from(T_now_past))
+        return surround(scan, past, walls, self.limits.inside_m)
+
+    def remember(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter) -> None:
+        """Take a scan into the window, if the robot has moved since the newest one; the oldest leaves it."""
+        if not self.are_used(scan.beams) or not self._moved(landmark_filter):
+            return
+        marks = np.array([self.next_mark, self.next_mark - 1])
+        self.next_mark -= len(marks)
+        landmark_filter.augment(*marks_seen(np.zeros(3), self.floor), marks)
+        if not landmark_filter.has(int(marks[1])):  # the filter is full
+            landmark_filter.remove(marks[:1] if landmark_filter.has(int(marks[0])) else marks[:0])
+            return
+        room, still = UNKNOWN_ROOM if graph.in_doorway else graph.current, match.reason != Reason.DYNAMIC
+        self.scans.append(RecentScan(marks, scan.beams, self._surfaces(scan), scan.corners, match.ids, still, room))
+        if len(self.scans) > self.config.scans:
+            landmark_filter.remove(self.scans.pop(0).marks)
+
+    def forget(self, landmark_filter: Filter) -> None:
+        """Empty the window: the robot was put elsewhere."""
+        for scan in self.scans:
+            landmark_filter.remove(scan.marks)
+        self.scans.clear()
+
+    @property
+    def floor(self) -> Array:
+        """(3,3) covariance of a registration by any number of beams: what noise has in common in a scan."""
+        metres = max(self.sensor.range_sigma_m, self.sensor.least_range_sigma_m) / self.limits.alike_beams
+        turn = max(self.sensor.bearing_sigma_rad / self.limits.alike_beams, self.sensor.least_range_sigma_m)
+        floor: Array = np.diag([metres**2, metres**2, turn**2])
+        return floor
+
+    def _poses(self, scans: list[RecentScan], landmark_filter: Filter) -> tuple[Array, Array]:
+        return poses_since(landmark_filter, np.array([scan.marks for scan in scans]))
+
+    def _surfaces(self, scan: ScanFeatures) -> Surfaces:
+        return surfaces_of(scan.beams, scan.segments, scan.wall, self.sensor)
+
+    def _moved(self, landmark_filter: Filter) -> bool:
+        if not self.scans:
+            return True
+        x, y, turn = self._poses(self.scans[-1:], landmark_filter)[0][0]
+        return math.hypot(x, y) > self.config.spacing_m or abs(turn) > self.config.spacing_rad
+
+    def _new(
+        self, recent: RecentScan, features: FeatureTable, T_now_past: Array, beams: MergedScan, taken: Array
+    ) -> Bools:
+        """(n,) which corners of a past scan the present one cannot see, and no newer one has shown."""
+        kept, known = recent.still & (recent.corners.beyond < 0), recent.ids >= 0
+        kept[known] &= features.rows["state"][recent.ids[known]] != FeatureState.DEAD
+        moved = moved_corners(recent.corners, kept, T_now_past, np.zeros((3, 3)))
+        bearing, points = moved.z[:, 1], polar_to_points(moved.z)
+        blind = (bearing < beams.bearings[0]) | (bearing > beams.bearings[-1])
+        near = np.hypot(*np.moveaxis(points[:, None] - taken, 2, 0)) < self.limits.inside_m
+        kept[kept] = blind & ~near.any(axis=1)
+        return kept

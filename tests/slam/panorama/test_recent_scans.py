@@ -1,0 +1,99 @@
+"""The window in the pipeline: polygons around a robot that does not see behind itself, without a worse pose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import inside_polygon, polar_to_points
+from mecp_env.slam.config import FilterConfig, PanoramaConfig, SensorModel, SlamConfig
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import scripted_drive
+
+HALF = {"field_of_view_deg": 180.0, "beams": 360}
+
+
+def half(**fields):
+    return SlamConfig(sensor=SensorModel(field_of_view_deg=180.0), **fields)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return scripted_drive(seed=3, **HALF)
+
+
+@pytest.fixture(scope="module")
+def runs(drive):
+    return list(drive.run(half()))
+
+
+def test_polygons_surround_the_robot(runs):
+    outputs = [output for _, output, *_ in runs]
+    with_polygon = [o for o in outputs if any(len(polygon.corners) >= 4 for polygon in o.polygons)]
+    assert len(with_polygon) >= 15  # the robot drives through a door, and the window begins again
+    for output in with_polygon:
+        for polygon in output.polygons:
+            ring = polar_to_points(output.polygon_corners.z)[polygon.corners]
+            assert inside_polygon(0.0, 0.0, ring)
+
+
+def test_without_the_window_no_polygon_is_found(drive):
+    runs = drive.run(half(panorama=PanoramaConfig(use="never")))
+    assert not any(len(polygon.corners) >= 4 for _, output, *_ in runs for polygon in output.polygons)
+
+
+def test_corners_of_the_past_update_nothing(runs):
+    for _, output, *_ in runs:
+        assert len(output.match.ids) == len(output.corners)
+        assert (output.belief.ids >= 0).all()
+        if output.panorama is not None:
+            assert (np.diff(output.panorama.z[:, 1]) >= 0.0).all()
+            assert len(output.panorama) >= len(output.corners)
+
+
+def test_the_window_is_as_long_as_configured(drive):
+    config = half(panorama=PanoramaConfig(scans=3, spacing_m=0.3))
+    *_, (pipeline, *_) = drive.run(config)
+    assert len(pipeline.recent.scans) == 3
+    marks = [mark for scan in pipeline.recent.scans for mark in scan.marks.tolist()]
+    assert sorted(marks) == sorted(pipeline.filter.slot_ids[pipeline.filter.slot_ids < -1].tolist())
+
+
+def test_a_full_filter_has_no_window(drive):
+    config = half(filter=FilterConfig(max_landmarks=8))
+    *_, (pipeline, _, _, error) = drive.run(config)
+    assert len(pipeline.filter.slot_ids) <= 8
+    assert np.hypot(*error[:2]) < 1.0
+
+
+def test_a_full_view_needs_no_window(drive):
+    *_, (pipeline, *_) = scripted_drive(seed=3).run(SlamConfig())
+    assert not pipeline.recent.scans
+
+
+def test_a_lost_pose_empties_the_window(drive):
+    *_, (pipeline, *_) = drive.run(half())
+    pipeline.lose_pose()
+    assert not pipeline.recent.scans
+    assert (pipeline.filter.slot_ids >= 0).all()
+
+
+def test_a_map_with_a_window_goes_on_to_the_bit(drive, tmp_path):
+    pipeline, cut = SlamPipeline(half()), len(drive.scans) // 2
+    steps = list(zip(drive.odometry, drive.scans, strict=True))
+    for odometry, scan in steps[:cut]:
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    pipeline.save_map(tmp_path / "map.zip")
+    loaded = SlamPipeline.from_map(tmp_path / "map.zip")
+    for odometry, scan in steps[cut : cut + 20]:
+        output, again = pipeline.step(odometry, scan), loaded.step(odometry, scan)
+        assert np.array_equal(output.belief.T_map_robot, again.belief.T_map_robot)
+        assert len(output.polygons) == len(again.polygons)
+
+
+def test_the_error_is_as_large_as_the_covariance_says():
+    nees = []
+    for seed in range(6):
+        for _, output, _, error in scripted_drive(seed=10 + seed, **HALF).run(half()):
+            nees.append(error @ np.linalg.solve(output.belief.pose_cov, error))
+    assert np.mean(nees) < 4.0

@@ -1,0 +1,81 @@
+"""Registration of constructed scans: known motions are found, open directions stay open, other places are refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import inverse, wrap_angle
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.mecp.polygons import beams_on_walls
+from mecp_env.slam.panorama.registration import RegistrationLimits, register
+from mecp_env.slam.panorama.surfaces import surfaces_of
+from tests.slam.scans import PAPER, front_end, ring, take_scan
+
+CONFIG = SlamConfig()
+LIMITS = RegistrationLimits.of(CONFIG)
+ROOM = ring((-2.0, -1.5), (3.0, -1.5), (3.0, 0.5), (4.0, 0.5), (4.0, 2.5), (-2.0, 2.5))
+CORRIDOR = np.array([[[-60.0, -1.0], [60.0, -1.0]], [[60.0, 1.0], [-60.0, 1.0]]])
+PRIOR = np.diag([0.2, 0.2, 0.2]) ** 2
+
+
+def moved(faces, T):
+    """The faces in the frame of a robot at T."""
+    x, y, heading = inverse(np.asarray(T, float))
+    c, s = math.cos(heading), math.sin(heading)
+    return faces @ np.array([[c, s], [-s, c]]) + [x, y]
+
+
+def surfaces_and_beams(faces, seed, max_range_m=30.0):
+    beams, clusters, segments, _ = front_end(take_scan(faces, seed=seed, max_range_m=max_range_m))
+    return surfaces_of(beams, segments, beams_on_walls(clusters, beams), PAPER), beams
+
+
+def registered(faces, T, prior, cov=PRIOR, other=None, **scan):
+    past, beams = surfaces_and_beams(faces, 1, **scan)
+    now, _ = surfaces_and_beams(moved(faces if other is None else other, T), 2, **scan)
+    return register(past, now, beams, (np.asarray(prior, float), cov), LIMITS)
+
+
+@pytest.mark.parametrize("T", [(0.0, 0.0, 0.0), (0.6, 0.2, 0.3), (-0.4, 0.1, -0.45)])
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.15, -0.1, 0.2), (-0.1, 0.1, -0.4)])
+def test_a_known_motion_is_found(T, off):
+    found = registered(ROOM, T, np.add(T, off))
+    error = found.T_past_now - T
+    assert np.hypot(*error[:2]) < 0.01
+    assert abs(wrap_angle(error[2])) < math.radians(0.3)
+    assert found.share > 0.95
+
+
+def test_the_error_is_as_large_as_the_covariance_says():
+    nis = []
+    for seed in range(20):
+        past, beams = surfaces_and_beams(ROOM, 2 * seed)
+        now, _ = surfaces_and_beams(moved(ROOM, (0.5, 0.2, 0.3)), 2 * seed + 1)
+        found = register(past, now, beams, (np.array([0.5, 0.2, 0.3]), PRIOR), LIMITS)
+        error = found.T_past_now - [0.5, 0.2, 0.3]
+        nis.append(error @ np.linalg.solve(found.cov(LIMITS), error))
+    assert np.mean(nis) < 3.0
+
+
+def test_a_corridor_leaves_its_length_open():
+    found = registered(CORRIDOR, (0.5, 0.1, 0.1), (0.6, 0.0, 0.0), max_range_m=8.0)
+    cov = found.cov(LIMITS)
+    assert cov[0, 0] > 0.1**2 > cov[1, 1]
+    assert abs(found.T_past_now[0] - 0.6) < 0.05  # the prior decides
+    assert abs(found.T_past_now[1] - 0.1) < 0.02
+
+
+def test_another_place_is_refused():
+    other = ring((-1.0, -4.0), (1.2, -4.0), (1.2, 5.0), (-1.0, 5.0))
+    assert registered(ROOM, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), other=other) is None
+
+
+def test_a_pedestrian_moves_nothing():
+    body = ring((1.0, -0.2), (1.3, -0.2), (1.3, 0.2), (1.0, 0.2))
+    past, beams = surfaces_and_beams(np.concatenate((ROOM, body)), 1)
+    now, _ = surfaces_and_beams(moved(np.concatenate((ROOM, body + np.array([0.0, 0.5]))), (0.2, 0.0, 0.1)), 2)
+    found = register(past, now, beams, (np.array([0.25, 0.05, 0.1]), PRIOR), LIMITS)
+    assert np.abs(found.T_past_now - [0.2, 0.0, 0.1]).max() < 0.02
