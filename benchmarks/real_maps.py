@@ -64,7 +64,7 @@ def small_multiples(maps: Mapping[str, MapData]) -> Figure:
         axes.set_axis_off()
     for axes, (title, drawn) in zip(all_axes, maps.items(), strict=False):
         draw(axes, drawn)
-        axes.set_title(title, fontsize=9)
+        axes.set_title(title.replace(": ", ":\n", 1).replace(", dead", ",\ndead"), fontsize=8)
     handles = {label: line for axes in all_axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, frameon=False, fontsize=9)
     return figure
