@@ -12,7 +12,8 @@ from tests.slam.drives import scripted_drive
 
 
 def write_simulated(path: Path, seed: int = 0, **laser: object) -> Path:
-    drive = scripted_drive("two_rooms", preset="lms200", sweeps=1, seed=seed, **laser)
+    view = {"field_of_view_deg": 360.0, "beams": 720, "max_range_m": 30.0, "x_m": 0.0}  # an archive has no mounting
+    drive = scripted_drive("two_rooms", preset="lms200", sweeps=1, seed=seed, **view | laser)
     scans, readings = drive.scans[2:], drive.odometry[3:]  # the first three are at rest
     np.savez_compressed(
         path,
