@@ -20,6 +20,9 @@ class FilterError(MecpError):
 class Filter(Protocol):
     """A landmark filter: pose (x, y, heading) and points, measured by range and bearing.
 
+    Ids below `NO_ID` are marks of past poses (slam/panorama): they are updated like landmarks, but `ids` and `belief`
+    leave them out.
+
     z (n,2) m, rad is measured in the robot frame with the joint covariance R (2n,2n), order r0, b0, r1, b1, ...
     `FilterError` is raised, and nothing repaired, when an innovation covariance is not positive.
     """
