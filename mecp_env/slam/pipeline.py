@@ -74,7 +74,7 @@ class SlamPipeline(SlamParts):
         around = around.with_polygons(find_polygons(*around.place, config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         untouched = self.filter
-        associated, updated, evidence = self._localise(around, view)  # III-B
+        associated, updated, evidence = self._localise(around, view, tracked)  # III-B
         belief = self.divergence.watch(self.filter.belief())
         if self.guard.trusts(evidence._replace(tracked=tracked)):
             seen = Sighting(corners, updated, through, belief, self.step_count)
@@ -89,7 +89,7 @@ class SlamPipeline(SlamParts):
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
         )
 
-    def _localise(self, around: Surroundings, view: MapView) -> tuple[Match, Match, Evidence]:
+    def _localise(self, around: Surroundings, view: MapView, tracked: bool) -> tuple[Match, Match, Evidence]:
         """The match of the associator, the part of it that updated the filter, and what speaks for the pose.
 
         Where the prediction does not fit the map, a copy of the filter is updated; where little speaks for the pose
@@ -106,7 +106,7 @@ class SlamPipeline(SlamParts):
         updated = self._update(corners, sure, iterate=not sharp)
         said = self.guard.ask(beams, self.filter.belief(), grid)
         first = associated, updated, self.guard.evidence(said, sure, view, sharp)
-        if first[2].fits:
+        if first[2].fits or tracked:
             return first
         tried, self.filter = self.filter, predicted.copy()
         self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))

@@ -86,13 +86,14 @@ class RecentScans:
         self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter
     ) -> Surroundings:
         """A scan with what the window shows on its blind side of the room that the robot is in."""
-        here = [recent for recent in reversed(self.scans) if graph.resolve(recent.room) == graph.current]
-        if not (here and scan.beams.blind and self.are_used(scan.beams)) or graph.in_doorway:
+        if not (self.scans and scan.beams.blind and self.are_used(scan.beams)):
             return Surroundings.of(scan)
+        newest_first = self.scans[::-1]
         past, walls, taken = [], [], polar_to_points(scan.corners.z)
-        for recent, T_past_now, cov in zip(here, *self._poses(here, landmark_filter), strict=True):
+        for recent, T_past_now, cov in zip(newest_first, *self._poses(newest_first, landmark_filter), strict=True):
             T_now_past, cov = seen_from(T_past_now, cov)
-            kept = self._new(recent, features, T_now_past, scan.beams, taken)
+            kept = self._in_this_room(recent, features, graph)
+            kept[kept] = self._new(moved_corners(recent.corners, kept, T_now_past, np.zeros((3, 3))), scan.beams, taken)
             moved = moved_corners(recent.corners, kept, T_now_past, cov)
             taken = np.concatenate((taken, polar_to_points(moved.z)))
             past.append((moved, recent.ids[kept]))
@@ -140,15 +141,20 @@ class RecentScans:
         x, y, turn = self._poses(self.scans[-1:], landmark_filter)[0][0]
         return math.hypot(x, y) > self.config.spacing_m or abs(turn) > self.config.spacing_rad
 
-    def _new(
-        self, recent: RecentScan, features: FeatureTable, T_now_past: Array, beams: MergedScan, taken: Array
-    ) -> Bools:
-        """(n,) which corners of a past scan the present one cannot see, and no newer one has shown."""
-        kept, known = recent.still & (recent.corners.beyond < 0), recent.ids >= 0
+    def _in_this_room(self, recent: RecentScan, features: FeatureTable, graph: RoomGraph) -> Bools:
+        """(n,) which corners of a past scan are of the room that the robot is in, on nothing that moves."""
+        known = recent.ids >= 0
+        rooms = np.where(recent.corners.beyond < 0, recent.room, UNKNOWN_ROOM)
+        rooms[known] = features.rows["room"][recent.ids[known]]
+        rooms = np.array([graph.resolve(room) for room in rooms.tolist()], np.int64)
+        kept: Bools = recent.still & (rooms == graph.current)
         kept[known] &= features.rows["state"][recent.ids[known]] != FeatureState.DEAD
-        moved = moved_corners(recent.corners, kept, T_now_past, np.zeros((3, 3)))
+        return kept
+
+    def _new(self, moved: Corners, beams: MergedScan, taken: Array) -> Bools:
+        """(n,) which past corners, as seen from now, the present scan cannot see, and no newer one has shown."""
         bearing, points = moved.z[:, 1], polar_to_points(moved.z)
         blind = (bearing < beams.bearings[0]) | (bearing > beams.bearings[-1])
         near = np.hypot(*np.moveaxis(points[:, None] - taken, 2, 0)) < self.limits.inside_m
-        kept[kept] = blind & ~near.any(axis=1)
-        return kept
+        new: Bools = blind & ~near.any(axis=1)
+        return new

@@ -78,9 +78,13 @@ class Registration:
         """True when nearly all points agree, and when most do and the prior allows for it."""
         if self.share >= limits.clear_share or self.share < limits.least_share:
             return self.share >= limits.clear_share
+        return self.nis(prior, limits) < limits.gate
+
+    def nis(self, prior: Prior, limits: RegistrationLimits) -> float:
+        """Normalised innovation squared: how far it is from the prior, by the covariance of both."""
         off = self.T_past_now - prior[0]
         off[2] = wrap_angle(off[2])
-        return float(off @ np.linalg.solve(prior[1] + self.cov(limits), off)) < limits.gate
+        return float(off @ np.linalg.solve(prior[1] + self.cov(limits), off))
 
     def cov(self, limits: RegistrationLimits) -> Array:
         """(3,3) covariance of `T_past_now`: neighbouring points err together; large where nothing tells."""
@@ -94,11 +98,14 @@ def register(
     """The registration with the largest lead; None where too few points meet, or too few of them agree.
 
     `prior` is T_past_now (3,) with its covariance (3,3); `past_beams` belong to the past scan in whose frame all is.
-    Points on no flat surface are asked only where the others do not suffice: where a wall leaves the laser's range, or
-    is seen at a glancing angle, they move with the robot.
+    Points on no flat surface are asked only where the others do not suffice, or say what the prior hardly allows:
+    where a wall leaves the laser's range, or is seen at a glancing angle, they move with the robot.
     """
     flat = register_all(past.flat(), now.flat(), past_beams, prior, limits)
-    return flat or register_all(past, now, past_beams, prior, limits)
+    if flat and flat.nis(prior, limits) < 0.5 * limits.gate:
+        return flat
+    found = [one for one in (register_all(past, now, past_beams, prior, limits), flat) if one]
+    return min(found, key=lambda one: one.nis(prior, limits), default=None)
 
 
 def register_all(

@@ -7,6 +7,7 @@ import pytest
 
 from mecp_env.core.se2 import inside_polygon, polar_to_points
 from mecp_env.slam.config import FilterConfig, PanoramaConfig, SensorModel, SlamConfig
+from mecp_env.slam.panorama.recent_scans import RecentScans
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
 
@@ -35,6 +36,28 @@ def test_polygons_surround_the_robot(runs):
         for polygon in output.polygons:
             ring = polar_to_points(output.polygon_corners.z)[polygon.corners]
             assert inside_polygon(0.0, 0.0, ring)
+
+
+def test_a_doorway_has_polygons_too(runs):
+    in_doorway = [output for _, output, *_ in runs if output.graph.in_doorway]
+    assert any(len(polygon.corners) >= 4 for output in in_doorway for polygon in output.polygons)
+
+
+def test_past_corners_are_of_the_room_of_the_robot(drive, monkeypatch):
+    seen = []
+    around = RecentScans.around
+
+    def noted(self, scan, graph, features, landmark_filter):
+        found = around(self, scan, graph, features, landmark_filter)
+        if found.ids is not None:
+            ids = found.ids[found.ids >= 0]
+            seen.extend((graph.resolve(room), graph.current) for room in features.rows["room"][ids].tolist())
+        return found
+
+    monkeypatch.setattr(RecentScans, "around", noted)
+    *_, _ = drive.run(half())
+    assert len(seen) > 50
+    assert all(room == current for room, current in seen)
 
 
 def test_without_the_window_no_polygon_is_found(drive):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from mecp_env.core.se2 import inverse, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp.polygons import beams_on_walls
-from mecp_env.slam.panorama.registration import RegistrationLimits, register
+from mecp_env.slam.panorama import registration
+from mecp_env.slam.panorama.registration import Registration, RegistrationLimits, register
 from mecp_env.slam.panorama.surfaces import surfaces_of
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 
@@ -79,3 +81,22 @@ def test_a_pedestrian_moves_nothing():
     now, _ = surfaces_and_beams(moved(np.concatenate((ROOM, body + np.array([0.0, 0.5]))), (0.2, 0.0, 0.1)), 2)
     found = register(past, now, beams, (np.array([0.25, 0.05, 0.1]), PRIOR), LIMITS)
     assert np.abs(found.T_past_now - [0.2, 0.0, 0.1]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("turn_of_flat", "turn_of_all", "expected"), [(0.1, 0.0, 0.1), (0.8, 0.1, 0.1), (0.8, None, 0.8)]
+)
+def test_what_the_prior_hardly_allows_is_compared_with_a_registration_of_all_points(
+    monkeypatch, turn_of_flat, turn_of_all, expected
+):
+    """One wall alone may fit where it is not: on CSAIL it turned the pose by ten degrees, and all its points agreed."""
+    past, beams = surfaces_and_beams(ROOM, 1)
+    past = replace(past, normals=past.normals * (np.arange(len(past)) % 3 > 0)[:, None])  # a third is not flat
+    turns = {len(past.flat()): turn_of_flat, len(past): turn_of_all}
+
+    def told(past, now, past_beams, prior, limits):
+        turn = turns[len(past)]
+        return None if turn is None else Registration(np.array([0.0, 0.0, turn]), 1e6 * np.eye(3), np.arange(50), 0)
+
+    monkeypatch.setattr(registration, "register_all", told)
+    assert register(past, past, beams, (np.zeros(3), PRIOR), LIMITS).T_past_now[2] == expected
