@@ -63,6 +63,15 @@ class Canvas:
                 self.contain(ring)
             cells.stamp(self.layers, rings, layer, delta, room, self.raster)
 
+    def is_wall(self, p_map: Array, occupied_ratio: float) -> Bools:
+        """(...) whether the votes make a wall of the cell at each place (..., 2) m, whatever is painted over it."""
+        column, row = np.moveaxis(np.floor(self.to_cells(p_map)).astype(np.int64) - self.lattice, -1, 0)
+        inside = (row >= 0) & (row < self.layers.shape[1]) & (column >= 0) & (column < self.layers.shape[2])
+        wall = np.zeros(p_map.shape[:-1], np.bool_)
+        hits, free = (self.layers[layer, row[inside], column[inside]] for layer in (cells.HITS, cells.FREE))
+        wall[inside] = (hits > 0) & (hits >= occupied_ratio * (free + hits))
+        return wall
+
     def set_room(self, ring: Array, room: int) -> None:
         """Give the cells under a painted polygon (k,2) m its room."""
         cells.fill_polygon(self.layers[cells.COVER_ROOM], self.to_cells(ring), cells.SET, room, self.raster)

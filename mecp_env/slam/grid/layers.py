@@ -12,6 +12,7 @@ from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
 from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, Belief, MapPolygon, RoomGraph
 
+DEPTHS, WIDTHS = ((np.arange(n) + 0.5) / n for n in (5, 16))  # where a door is probed, shares of its depth and width
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
 
@@ -186,11 +187,15 @@ class DoorLayer:
         return bool(key_scans.nearest_of_group(self.middles, group, 0, x, y) < self.config.doorway_m)
 
     def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> Array:
-        """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed."""
+        """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed.
+
+        `moved`: landmarks moved, or a scan voted. A door that a wall fills is not painted, so that no path leads there.
+        """
         key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
         if key == self.key and not moved:
             return np.empty((0, 2, 2))
         quads = self._quads_of(p_landmark, key)
+        quads[self._are_walled_up(canvas, quads)] = np.nan
         still = self._standing(key, quads)
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
@@ -204,10 +209,23 @@ class DoorLayer:
         row = {door: i for i, door in enumerate(self.key)}
         rows = np.array([row.get(door, -1) for door in key], np.int64)
         still = rows >= 0
-        still[still] = ~(np.abs(self.quads[rows[still]] - quads[still]) > 0.5 * self.config.resolution_m).any(
-            axis=(1, 2)
-        )
+        before, now = self.quads[rows[still]], quads[still]
+        changed = (np.abs(before - now) > 0.5 * self.config.resolution_m) | (np.isnan(before) != np.isnan(now))
+        still[still] = ~changed.any(axis=(1, 2))
         return still
+
+    def _are_walled_up(self, canvas: Canvas, quads: Array) -> Bools:
+        """(d,) True for each door (d,4,2) that walls narrow to less than half its width somewhere between its faces."""
+        right, left = (quads[:, k, None] + DEPTHS[:, None] * (quads[:, 3 - k] - quads[:, k])[:, None] for k in (0, 1))
+        points = right[:, :, None] + WIDTHS[:, None] * (left - right)[:, :, None]
+        known = np.isfinite(quads).all(axis=(1, 2))
+        wall = np.zeros(points.shape[:-1], np.bool_)
+        wall[known] = canvas.is_wall(points[known], self.config.occupied_ratio)
+        before = np.concatenate((np.zeros((*wall.shape[:-1], 1), np.int64), wall.cumsum(axis=2)), axis=2)
+        half = len(WIDTHS) // 2
+        clear = before[:, :, half:] == before[:, :, :-half]  # no wall in the half of the width that begins there
+        walled_up: Bools = ~clear.any(axis=2).all(axis=1)
+        return walled_up
 
     def _quads_of(self, p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
         """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,28 @@ def test_the_door_is_a_door_and_can_be_passed(tour: Toy) -> None:
     assert (labels_at(tour.last.grid, p) == Cell.DOOR).all()
     p = np.stack([np.linspace(5.0, 7.0, 41), np.full(41, 1.95)], axis=1)
     assert np.isin(labels_at(tour.last.grid, p), (Cell.FREE, Cell.DOOR)).all()
+
+
+def test_a_door_that_a_wall_fills_leads_nowhere() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])), TOUR[:2])
+    beams, segments = look(toy.T_world_robot)
+    true, p_false = toy.graph().doors[0], np.stack([np.full(7, 6.06), np.linspace(2.7, 3.7, 7)], axis=1)
+    doors = (true, replace(true, id=1, jambs=(5, 2), other_face=None))  # the second one is the wall beside the first
+    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), RoomGraph(0, False, (0,), doors, (), {}))
+    assert (labels_at(grid, p_false) != Cell.DOOR).all()
+    assert labels_at(grid, np.array([[6.06, 1.95]])) == [Cell.DOOR]
+
+
+def test_a_door_is_open_until_a_scan_shows_the_wall_in_it() -> None:
+    toy = Toy(np.array([3.0, 1.0, 0.0]))
+    doors = (replace(toy.graph().doors[0], jambs=(5, 2), other_face=None),)
+    p_false, labels = np.array([[6.06, 3.2]]), []
+    for _ in range(3):
+        beams, segments = look(toy.T_world_robot)
+        graph = RoomGraph(0, False, (0,), doors, (), {})
+        grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), graph)
+        labels += labels_at(grid, p_false).tolist()
+    assert labels == [Cell.DOOR, Cell.OCCUPIED, Cell.OCCUPIED]
 
 
 def test_rooms_end_at_the_door(tour: Toy) -> None:
