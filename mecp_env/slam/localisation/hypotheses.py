@@ -46,7 +46,12 @@ def clear_winner(hypotheses: list[Hypothesis], config: LocalisationConfig) -> Hy
 
 
 def _candidates(hypotheses: list[Hypothesis], config: LocalisationConfig) -> list[Hypothesis]:
-    """The poses that the map does not contradict; the near ones alone, if they explain the scan as well as any."""
+    """The poses that the map does not contradict; the near ones alone, if they explain the scan nearly as well as any.
+
+    Nearly: by a tenth of what a pose may leave unexplained. In a corridor of equal bays some other often explains a few
+    beams more.
+    """
     possible = [one for one in hypotheses if not one.share < config.explained_share]
     most = max((one.explained for one in possible), default=0.0)
-    return [one for one in possible if one.near and one.explained >= most] or possible
+    as_well = most - 0.1 * (1.0 - config.explained_share)
+    return [one for one in possible if one.near and one.explained >= as_well] or possible

@@ -158,11 +158,13 @@ def replace_share(hypothesis, share):
     return hypothesis._replace(share=share)
 
 
-def test_a_near_pose_that_explains_the_scan_as_well_wins_against_a_far_one():
+def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
     far = Hypothesis(located([1, 2, 3, 4, 5, 6]), 1.0, 0.9, near=False)
     near = Hypothesis(located([11, 12, 13], (0.5, 0.0, 0.0)), 1.0, 0.9, near=True)
     assert clear_winner([far, near], CONFIG) is near
-    assert clear_winner([far, near._replace(explained=0.8)], CONFIG) is far
+    nearly = near._replace(explained=0.87)  # in equal bays one explains a few beams more
+    assert clear_winner([far, nearly], CONFIG) is nearly
+    assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
 
 
 def seen(share, recognised, sharp=True):
