@@ -63,14 +63,12 @@ class Canvas:
                 self.contain(ring)
             cells.stamp(self.layers, rings, layer, delta, room, self.raster)
 
-    def is_wall(self, p_map: Array, occupied_ratio: float) -> Bools:
-        """(...) whether the votes make a wall of the cell at each place (..., 2) m, whatever is painted over it."""
-        column, row = np.moveaxis(np.floor(self.to_cells(p_map)).astype(np.int64) - self.lattice, -1, 0)
-        inside = (row >= 0) & (row < self.layers.shape[1]) & (column >= 0) & (column < self.layers.shape[2])
-        wall = np.zeros(p_map.shape[:-1], np.bool_)
-        hits, free = (self.layers[layer, row[inside], column[inside]] for layer in (cells.HITS, cells.FREE))
-        wall[inside] = (hits > 0) & (hits >= occupied_ratio * (free + hits))
-        return wall
+    def are_walled_up(self, quads: Array, occupied_ratio: float) -> Bools:
+        """(d,) True for each door (d,4,2) m that walls narrow to less than half its width; not of one with nan."""
+        if not self.layers.size:
+            return np.zeros(len(quads), np.bool_)
+        on_lattice = self.to_cells(np.nan_to_num(quads))
+        return cells.are_walled_up(self.layers, on_lattice, occupied_ratio, self.raster)
 
     def set_room(self, ring: Array, room: int) -> None:
         """Give the cells under a painted polygon (k,2) m its room."""

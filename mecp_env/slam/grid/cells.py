@@ -121,6 +121,33 @@ def stamp(layers: Layer, rings: Array, layer: int, delta: int, room: int, raster
 
 
 @compiled
+def are_walled_up(layers: Layer, quads: Array, occupied_ratio: float, raster: Raster) -> Bools:
+    """(d,) True for each door (d,4,2) of the lattice where walls leave no half of its width free between its faces.
+
+    Probed every half cell in lines parallel to its faces, half a cell apart. A door without width is never walled up.
+    """
+    shut, last = np.zeros(quads.shape[0], np.bool_), (layers.shape[2] - 1, layers.shape[1] - 1)
+    for d in range(quads.shape[0]):
+        across, onward = quads[d, 1] - quads[d, 0], quads[d, 3] - quads[d, 0]
+        count, lines = (
+            math.ceil(2.0 * math.hypot(across[0], across[1])),
+            math.ceil(2.0 * math.hypot(onward[0], onward[1])),
+        )
+        for line in range(lines):
+            deep, run, longest = (line + 0.5) / lines, 0, 0
+            right = quads[d, 0] + deep * (quads[d, 3] - quads[d, 0])
+            along = (quads[d, 1] + deep * (quads[d, 2] - quads[d, 1]) - right) / max(count, 1)
+            for k in range(count):
+                column = min(max(math.floor(right[0] + (k + 0.5) * along[0]) - raster.lattice[0], 0), last[0])
+                row = min(max(math.floor(right[1] + (k + 0.5) * along[1]) - raster.lattice[1], 0), last[1])
+                hits, free = layers[HITS, row, column], layers[FREE, row, column]
+                run = 0 if hits > 0 and hits >= occupied_ratio * (free + hits) else run + 1
+                longest = max(longest, run)
+            shut[d] |= 2 * longest < count
+    return shut
+
+
+@compiled
 def paint_room(
     layer: Layer, room: int, outline: Array, strips: Array, T_map_robot: Array, doors: Array, raster: Raster
 ) -> None:

@@ -12,7 +12,6 @@ from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
 from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, Belief, MapPolygon, RoomGraph
 
-DEPTHS, WIDTHS = ((np.arange(n) + 0.5) / n for n in (5, 16))  # where a door is probed, shares of its depth and width
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
 
@@ -186,16 +185,16 @@ class DoorLayer:
         (x, y, _), group = T_map_robot.tolist(), np.zeros(len(self.middles), np.int64)
         return bool(key_scans.nearest_of_group(self.middles, group, 0, x, y) < self.config.doorway_m)
 
-    def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool) -> Array:
+    def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool, voted: bool) -> Array:
         """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed.
 
-        `moved`: landmarks moved, or a scan voted. A door that a wall fills is not painted, so that no path leads there.
+        `moved`: landmarks did; `voted`: a scan did. A door that a wall fills is not painted, as no path leads there.
         """
         key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
-        if key == self.key and not moved:
+        if key == self.key and not moved and not (voted and self._may_open_or_shut(canvas)):
             return np.empty((0, 2, 2))
         quads = self._quads_of(p_landmark, key)
-        quads[self._are_walled_up(canvas, quads)] = np.nan
+        quads[self._shut(canvas, quads, again=voted or key != self.key)] = np.nan
         still = self._standing(key, quads)
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
@@ -203,6 +202,15 @@ class DoorLayer:
         self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), self._cut_lines(quads)
         canvas.stamp(self.quads, cells.DOOR, 1)
         return self._cut_lines(quads[~still])
+
+    def _shut(self, canvas: Canvas, quads: Array, again: bool) -> Bools:
+        """(d,) the doors (d,4,2) m that a wall fills: by the votes of now (`again`), or as it was."""
+        return canvas.are_walled_up(quads, self.config.occupied_ratio) if again else np.isnan(self.quads[:, 0, 0])
+
+    def _may_open_or_shut(self, canvas: Canvas) -> bool:
+        """True when a wall fills a door that is painted, and while one is not painted."""
+        shut = np.isnan(self.quads).any() or canvas.are_walled_up(self.quads, self.config.occupied_ratio).any()
+        return bool(shut)
 
     def _standing(self, key: tuple[DoorKey, ...], quads: Array) -> Bools:
         """(d,) True for each door that was painted before where it is now (d,4,2), within half a cell."""
@@ -213,19 +221,6 @@ class DoorLayer:
         changed = (np.abs(before - now) > 0.5 * self.config.resolution_m) | (np.isnan(before) != np.isnan(now))
         still[still] = ~changed.any(axis=(1, 2))
         return still
-
-    def _are_walled_up(self, canvas: Canvas, quads: Array) -> Bools:
-        """(d,) True for each door (d,4,2) that walls narrow to less than half its width somewhere between its faces."""
-        right, left = (quads[:, k, None] + DEPTHS[:, None] * (quads[:, 3 - k] - quads[:, k])[:, None] for k in (0, 1))
-        points = right[:, :, None] + WIDTHS[:, None] * (left - right)[:, :, None]
-        known = np.isfinite(quads).all(axis=(1, 2))
-        wall = np.zeros(points.shape[:-1], np.bool_)
-        wall[known] = canvas.is_wall(points[known], self.config.occupied_ratio)
-        before = np.concatenate((np.zeros((*wall.shape[:-1], 1), np.int64), wall.cumsum(axis=2)), axis=2)
-        half = len(WIDTHS) // 2
-        clear = before[:, :, half:] == before[:, :, :-half]  # no wall in the half of the width that begins there
-        walled_up: Bools = ~clear.any(axis=2).all(axis=1)
-        return walled_up
 
     def _quads_of(self, p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
         """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.

@@ -109,7 +109,7 @@ class GridPainter:
             self.partings = len(graph.parted)
             self.scans.part_rooms(graph.parted)
         voted = len(self.scans.step) > 0 and bool(self.scans.step[-1] == self.step - 1)
-        new_doors = self.doors.update(self.canvas, graph, p_landmark, moved or voted)
+        new_doors = self.doors.update(self.canvas, graph, p_landmark, moved, voted)
         if len(new_doors):
             self.scans.forget_behind(self.canvas, new_doors)
         if len(graph.merged) != self.merges:

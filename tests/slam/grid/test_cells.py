@@ -82,3 +82,32 @@ def test_a_pocket_beside_the_laser_is_where_the_robot_stands():
     assert not kept[:4].any()
     assert kept[5:7, 7:9].all()
     assert (apart_from(pockets, np.array([[5, 2]])) == pockets).all()
+
+
+def narrowed(wall: np.ndarray, quad: np.ndarray) -> bool:
+    """Plain twin: some line across the door has no run of cells without a wall that is half as long as the line."""
+    count, lines = (int(np.ceil(2.0 * np.hypot(*(quad[corner] - quad[0])))) for corner in (1, 3))
+    for deep in (np.arange(lines) + 0.5) / lines:
+        right, left = quad[0] + deep * (quad[3] - quad[0]), quad[1] + deep * (quad[2] - quad[1])
+        at = np.floor(right + ((np.arange(count) + 0.5) / max(count, 1))[:, None] * (left - right)).astype(int)
+        free = "".join("#" if wall[row, column] else "." for column, row in at).split("#")
+        if 2 * max(map(len, free)) < count:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_door_is_walled_up_where_no_half_of_it_is_free(seed: int) -> None:
+    rng, lattice = np.random.default_rng(seed), np.array([-20, 30])
+    layers = np.zeros((7, 40, 50), np.int16)
+    layers[cells.HITS], layers[cells.FREE] = rng.integers(0, 2 + seed % 3, (2, 40, 50))
+    layers[cells.HITS] *= rng.random((40, 50)) < 0.4
+    wall = (layers[cells.HITS] > 0) & (layers[cells.HITS] >= 0.34 * (layers[cells.FREE] + layers[cells.HITS]))
+    right, turn = rng.uniform([15.0, 12.0], [30.0, 25.0], (30, 2)), rng.uniform(0.0, 2.0 * np.pi, 30)
+    across = np.stack([np.cos(turn), np.sin(turn)], axis=1) * rng.uniform(0.0, 10.0, (30, 1))
+    onward = 0.2 * across[:, ::-1] * [1.0, -1.0]
+    quads = np.stack([right, right + across, right + across + onward, right + onward], axis=1)
+    raster = cells.Raster(np.zeros((40, 51), np.uint8), lattice, np.array(NOTHING), 0.1)
+    expected = [narrowed(wall, quad) for quad in quads]
+    assert cells.are_walled_up(layers, quads + lattice, 0.34, raster).tolist() == expected
+    assert 0 < sum(expected) < 30
