@@ -27,15 +27,6 @@ def solve_lower(L: Array, b: Array) -> Array:
 
 
 @compiled
-def sum_of_squares(y: Array) -> float:
-    """y . y"""
-    total = 0.0
-    for i in range(y.shape[0]):
-        total += y[i] * y[i]
-    return total
-
-
-@compiled
 def quadratic(M: Array, a: Array, b: Array) -> float:
     """a^T M b"""
     total = 0.0
@@ -105,6 +96,25 @@ def downdate(P: Array, n: int, W: Array) -> None:
                 upper[j] -= a0 * w0[j]
                 lower[j] -= b0 * w0[j]
     mirror_lower(P, n)
+
+
+@compiled
+def product(A: Array, B: Array, lower: bool) -> Array:
+    """A B for A (m,k), B (k,n), four rows of B a pass; `lower`: zero above the diagonal."""
+    C, depth = np.zeros((A.shape[0], B.shape[1])), A.shape[1]
+    paired = depth - depth % 4
+    for i in range(A.shape[0]):
+        row = C[i, : i + 1] if lower else C[i]
+        for k in range(0, paired, 4):
+            a0, a1, a2, a3 = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
+            b0, b1, b2, b3 = B[k], B[k + 1], B[k + 2], B[k + 3]
+            for j in range(row.shape[0]):
+                row[j] += (a0 * b0[j] + a1 * b1[j]) + (a2 * b2[j] + a3 * b3[j])
+        for k in range(paired, depth):
+            a0, b0 = A[i, k], B[k]
+            for j in range(row.shape[0]):
+                row[j] += a0 * b0[j]
+    return C
 
 
 @compiled

@@ -29,7 +29,7 @@ def chi2_of_point(probability: float) -> float:
 
 
 METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associator` adds others
-KINDS = Names("riekf", "ekf")  # `register_filter` does
+KINDS = Names("riekf", "riekf_whole", "ekf")  # `register_filter` does
 
 
 class SensorModel(LaserNoise):
@@ -226,7 +226,7 @@ class FilterConfig(Settings):
 
     GONE: ClassVar = frozenset({"closure_gap_steps"})
 
-    kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf"  # riekf, ekf, or one registered
+    kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf"  # riekf, riekf_whole, ekf, or one registered
     prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
@@ -234,6 +234,9 @@ class FilterConfig(Settings):
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
     update_iterations: int = Field(5, ge=1, le=20)  # of the update with a scan, at most; paper: 1
     max_landmarks: int = Field(2048, ge=8, le=10_000)
+    submap: int = Field(
+        60, ge=10, le=10_000
+    )  # landmarks that the filter works on at most; maps of up to six times as many stay whole
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes
+from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import FEATURE, NO_ID, FeatureState
 
 SHAPES: Shapes = {
@@ -66,6 +67,8 @@ SHAPES: Shapes = {
     },
     "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
     "Candidate": {"ends": "2 2"},
+    "Rest": {"slot_ids": "n", "state": "4+2n 3+2n", "at_work": "a in 0:n", "scale": "4+2a", "belief.ids": "m"}
+    | {"is_at_rest": "m", "variance": "m"},
     "RecentScan": {"marks": "2", "ids": "n in -1:F", "still": "n"},
     "Surfaces": {"points": f"n 2 in {NEAR}", "normals": "n 2", "sigmas": "n"},
     "PoseGuard": {"correction": f"3 in {NEAR}"},
@@ -121,7 +124,10 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
     slots = ((len(state) if state.ndim else 0) - 4) // 2
     if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
         raise StateError(f"{where}: state {state.shape} for slot_ids {ids.shape}")
-    if len(set(ids.tolist()) & {*range(features), *marks}) < len(ids):
+    probes = int((ids <= FIRST_PROBE).sum())
+    if probes != len(getattr(getattr(filter_, "rest", None), "scale", ())):
+        raise StateError(f"{where}.slot_ids: {probes} probes, expected one for each number in work")
+    if len(set(ids.tolist()) & {*range(features), *marks}) < len(ids) - probes:
         raise StateError(f"{where}.slot_ids: expected different ids of features, and of marks of recent scans")
     used = 3 + 2 * len(ids)
     if not (np.abs(state[0, :used]).max() < FAR and np.isfinite(state[1 : 1 + used, :used]).all()):

@@ -80,7 +80,10 @@ def test_wrong_values_are_refused_with_field_and_value(fields):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"slam": {"filter": {"kind": "ekff"}}}, "EnvConfig.slam.filter.kind: Input should be 'riekf' or 'ekf'; did"),
+        (
+            {"slam": {"filter": {"kind": "ekff"}}},
+            "EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_whole' or 'ekf'; did",
+        ),
         ({"crowd": {"people": "4"}}, "EnvConfig.crowd.people: Input should be a number (given: '4')"),
         ({"slam": {"filter": {"kind": 1}, "rooms": {"wall_thickness_m": "x"}}}, "EnvConfig.slam.filter.kind: "),
         ({"start": "nowhere"}, "EnvConfig.start: Input should be 'layout' or 'random'"),

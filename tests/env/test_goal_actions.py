@@ -7,6 +7,7 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import inverse, to_map
+from mecp_env.core.snapshot import StateError
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
@@ -169,3 +170,26 @@ def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
         assert (abs(moved[2]) > 0.1) == turns
         assert np.hypot(*moved[:2]) < 1e-3
         env.close()
+
+
+def test_an_episode_on_a_submap_continues_bit_for_bit():
+    """The state holds the submap and the map at rest; a damaged one is refused."""
+    config = {"actions": "goal", "layout": "office", "slam": {"filter": {"submap": 10}}}
+    env, policy = make(**config), BreadthFirst()
+    observation, _ = env.reset(seed=3)
+    for _ in range(60):
+        observation, *_ = env.step(policy.act(observation, env.get_wrapper_attr("action_masks")()))
+        landmark_filter = env.unwrapped._episode.pipeline.filter
+        if landmark_filter.rest is not None:
+            break
+    assert landmark_filter.rest is not None
+    state = env.unwrapped.get_state()
+    row = env.step(0)
+    other = make(**config)
+    other.reset(seed=5)
+    other.unwrapped.set_state(state)
+    assert same(row, other.step(0))
+    landmark_filter = env.unwrapped._episode.pipeline.filter
+    landmark_filter.slot_ids = landmark_filter.slot_ids[:-1]
+    with pytest.raises(StateError, match="probes"):
+        other.unwrapped.set_state(env.unwrapped.get_state())

@@ -7,11 +7,25 @@ from collections.abc import Callable
 from mecp_env.core.registry import register
 from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
+from mecp_env.slam.filters.submap import SubmapEkf
 from mecp_env.slam.protocols import Filter, FilterError
 
-__all__ = ["FILTERS", "Ekf", "Filter", "FilterError", "RightInvariantEkf", "make_filter", "register_filter"]
+__all__ = [
+    "FILTERS",
+    "Ekf",
+    "Filter",
+    "FilterError",
+    "RightInvariantEkf",
+    "SubmapEkf",
+    "make_filter",
+    "register_filter",
+]
 
-FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {"riekf": RightInvariantEkf, "ekf": Ekf}
+FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {
+    "riekf": SubmapEkf,
+    "riekf_whole": RightInvariantEkf,
+    "ekf": Ekf,
+}
 
 
 def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:

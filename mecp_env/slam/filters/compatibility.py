@@ -9,7 +9,7 @@ import numpy as np
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.linalg import factor_lower, quadratic, solve_lower, sum_of_squares
+from mecp_env.core.linalg import factor_lower, quadratic, solve_lower
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise
 from mecp_env.slam.filters.landmarks import take
@@ -146,4 +146,7 @@ def centre_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, inva
     for r in range(2):
         for c_ in range(2):
             S[r, c_] = quadratic(R, B[r], B[c_]) + quadratic(cov, H[r], H[c_])
-    return sum_of_squares(solve_lower(S, nu)) if factor_lower(S) else math.nan
+    if not factor_lower(S):
+        return math.nan
+    y = solve_lower(S, nu)
+    return float(y[0] * y[0] + y[1] * y[1])

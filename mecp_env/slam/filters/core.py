@@ -65,6 +65,11 @@ class LandmarkFilter:
         return len(self.slot_ids)
 
     @property
+    def held(self) -> int:
+        """Landmarks and marks of past poses, of which there is room for `max_landmarks`."""
+        return self.count
+
+    @property
     def size(self) -> int:
         """Numbers in the state: 3 + 2 N."""
         return 3 + 2 * self.count
@@ -98,12 +103,11 @@ class LandmarkFilter:
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
         """Take in new landmarks z (n,2), R (2n,2n), ids (n,), each id once; without room the last ones are dropped."""
         z, R, ids = _observations(z, R, ids)
-        room = min(len(ids), self.max_landmarks - self.count)
+        room = min(len(ids), self.max_landmarks - self.held)
         self.dropped += len(ids) - room
         if room == 0:
             return
-        given = set(ids.tolist())
-        if len(given) < len(ids) or not given.isdisjoint(self.slot_ids.tolist()):
+        if len(set(ids.tolist())) < len(ids) or any(map(self.has, ids.tolist())):
             raise FilterError(f"augment: ids {ids.tolist()} must be new and differ")
         self._reserve(self.count + room)
         append(self.state, self.size, z[:room], R, self.invariant)
@@ -114,22 +118,22 @@ class LandmarkFilter:
         z, R, ids = _observations(z, R, ids)
         size = 2 * len(ids)
         nu, S = np.empty(size), np.empty((size, size))
-        if not innovation(self.state, self.slot_ids, ids, z, R, self.invariant, nu, S):
+        if not innovation(*self._part(ids), ids, z, R, self.invariant, nu, S):
             self._refuse_unknown(ids)
         return nu, S
 
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
-        z, R, ids = _array(z), _array(R), _integers(ids)
+        z, R, ids = _array(z), _array(R), integers(ids)
         nis = np.empty((len(z), len(ids)))
-        if not pairwise_nis(self.state, self.slot_ids, ids, z, R, self.invariant, nis):
+        if not pairwise_nis(*self._part(ids), ids, z, R, self.invariant, nis):
             self._refuse_unknown(ids)
         return nis
 
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
         z, R, ids = _observations(z, R, ids)
-        nis = joint_cost(self.state, self.slot_ids, ids, z, R, self.invariant, iterations)
+        nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, iterations)
         return self._finite(nis, "joint_nis", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
@@ -138,12 +142,13 @@ class LandmarkFilter:
         Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
         """
         z, R, ids = _observations(z, R, ids)
-        nis = centre_nis(self.state, self.slot_ids, ids, z, R, self.invariant, paper_S)
+        nis = centre_nis(*self._part(ids), ids, z, R, self.invariant, paper_S)
         return self._finite(nis, "mean_of_gaussians_nis", ids)
 
     def marginal(self, ids: Ints) -> tuple[Array, Array]:
         """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
-        part = take(self.state, self._slots(ids))
+        state, slot_ids = self._part(ids)
+        part = take(state, slots_of(slot_ids, ids))
         size = part.shape[1]
         change_chart(part, size, 1.0, self.invariant)
         order = np.array([1, 2, 0, *range(3, size)])
@@ -154,7 +159,7 @@ class LandmarkFilter:
         kept, gone = self._slots(np.array([keep, drop]))
         if kept == gone:
             raise FilterError(f"fuse: {keep} with itself")
-        if not merge_pair(self.state, self.size, kept, gone, self.merge_var, self.invariant):
+        if not merge_pair(self.state, self.slot_ids, kept, gone, self.merge_var, self.invariant):
             raise FilterError(f"fuse: covariance of {keep} - {drop} is not positive")
         self.remove(np.array([drop]))
 
@@ -210,12 +215,12 @@ class LandmarkFilter:
             cov[:size, 1:3] += np.outer(cov[:size, 0], by_heading)
             mirror_lower(cov, size)
 
+    def _part(self, ids: Ints) -> tuple[Array, Ints]:
+        """A state with the pose and at least the landmarks `ids` (m,), and the ids in its slots."""
+        return self.state, self.slot_ids
+
     def _slots(self, ids: Ints) -> Ints:
-        ids = _integers(ids)
-        slots = np.empty(len(ids), np.int64)
-        if not find_rows(self.slot_ids, ids, slots):
-            raise FilterError(f"ids {ids[slots < 0].tolist()} are no landmarks of this filter")
-        return slots
+        return slots_of(self.slot_ids, ids)
 
     def _refuse_unknown(self, ids: Ints) -> None:
         """Raise `FilterError` when one of the ids is unknown to this filter."""
@@ -263,16 +268,26 @@ class Ekf(LandmarkFilter):
     invariant = False
 
 
+def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
+    """(m,) the slot of each of the `ids` (m,). Raises `FilterError` for an unknown one."""
+    ids = integers(ids)
+    slots = np.empty(len(ids), np.int64)
+    if not find_rows(slot_ids, ids, slots):
+        raise FilterError(f"ids {ids[slots < 0].tolist()} are no landmarks of this filter")
+    return slots
+
+
 def _array(values: Array) -> Array:
     return np.ascontiguousarray(values, np.float64)
 
 
-def _integers(values: Ints) -> Ints:
+def integers(values: Ints) -> Ints:
+    """An array as the compiled functions take it."""
     return np.ascontiguousarray(values, np.int64)
 
 
 def _observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
-    z, R, ids, n = _array(z), _array(R), _integers(ids), len(ids)
+    z, R, ids, n = _array(z), _array(R), integers(ids), len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids

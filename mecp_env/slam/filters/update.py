@@ -9,10 +9,11 @@ import numpy as np
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower, sum_of_squares
+from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower
 from mecp_env.slam.filters.error_state import linearise, retract
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 
+FIRST_PROBE = -(2**40)  # the probes of `submap`, which have no variance of their own, have this id and lower ones
 CONVERGED = 1e-7  # m and rad: an iteration stops when no number of the state moves by more
 
 
@@ -41,7 +42,9 @@ def gauss_newton(
         step = state_increment(W, y, xi)  # xi = P H^T S^-1 nu
         if not step < np.inf:
             return math.nan, W
-        cost = sum_of_squares(y)
+        cost = 0.0
+        for i in range(2 * m):
+            cost += y[i] * y[i]
         if step < CONVERGED:
             break
     return cost, W
@@ -67,7 +70,7 @@ def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
         cost, W = gauss_newton(state, n, slots, z, R, invariant, 1, np.zeros(n))
         if math.isnan(cost):
             state[0, :n] = before
-    return not math.isnan(cost) and apply_update(state, n, W, xi, invariant)
+    return not math.isnan(cost) and apply_update(state, slot_ids, W, xi, invariant)
 
 
 @compiled
@@ -89,24 +92,24 @@ def state_increment(W: Array, y: Array, xi: Array) -> float:
 
 
 @compiled
-def apply_update(state: Array, n: int, W: Array, xi: Array, invariant: bool) -> bool:
+def apply_update(state: Array, slot_ids: Ints, W: Array, xi: Array, invariant: bool) -> bool:
     """x <- x retracted by xi, P -= W^T W; False when a variance is then not positive (the state is spoilt)."""
-    mean, cov = state[0], state[1:]
+    mean, cov, n = state[0], state[1:], 3 + 2 * slot_ids.shape[0]
     downdate(cov, n, W)
     retract(mean, n, xi, invariant)
     positive = True
     for i in range(n):
-        positive = positive and cov[i, i] > 0.0
+        positive = positive and (cov[i, i] > 0.0 or (i > 2 and slot_ids[(i - 3) // 2] <= FIRST_PROBE))
     return positive
 
 
 @compiled
-def merge_pair(state: Array, n: int, keep: int, drop: int, var: float, invariant: bool) -> bool:
+def merge_pair(state: Array, slot_ids: Ints, keep: int, drop: int, var: float, invariant: bool) -> bool:
     """Update with the pseudo-measurement l_keep - l_drop = 0 (variance `var`, m^2); False when not positive.
 
     Differences of landmarks have the same Jacobian in both filters.
     """
-    mean, cov = state[0], state[1:]
+    mean, cov, n = state[0], state[1:], 3 + 2 * slot_ids.shape[0]
     i, j = 3 + 2 * keep, 3 + 2 * drop
     W, S, nu = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
     for r in range(2):
@@ -122,4 +125,4 @@ def merge_pair(state: Array, n: int, keep: int, drop: int, var: float, invariant
     forward_rows(S, W)
     xi = np.zeros(n)
     state_increment(W, solve_lower(S, nu), xi)
-    return apply_update(state, n, W, xi, invariant)
+    return apply_update(state, slot_ids, W, xi, invariant)

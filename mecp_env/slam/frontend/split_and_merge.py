@@ -16,7 +16,6 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.frontend.beams import Noise
 
 FEWEST = 3  # positions of a line: two have no residual
-SMALL_TURN = 0.02  # rad: the series below is exact to the last digit
 ROUNDING = 1 << 32  # units in the last place, 1e-6: far more than rounding errors make
 
 
@@ -43,7 +42,7 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
     c, s = 1.0, 0.0
     for i in range(size):
         r, along, across = polar[0, i], points[2, i], points[3, i]
-        if i > 0 and abs(polar[1, i] - polar[1, i - 1]) < SMALL_TURN:
+        if i > 0 and abs(polar[1, i] - polar[1, i - 1]) < 0.02:  # rad: the series below is exact to the last digit
             c, s = c * points[0, i] - s * points[1, i], s * points[0, i] + c * points[1, i]
         else:
             c, s = math.cos(polar[1, i]), math.sin(polar[1, i])

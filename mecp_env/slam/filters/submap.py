@@ -1,0 +1,300 @@
+"""Local submaps (III): among some landmarks the filter works on these alone, and carries the rest over later, exactly.
+
+Whatever the invariant filter does to the pose and some landmarks, it does alike to every landmark that it does not
+measure. With places and covariances as complex numbers, x + iy, each of those is a vector: its place, and its
+covariances with the numbers in work. A step multiplies all these vectors by one matrix, and changes the covariance of
+two landmarks by a form of both vectors. So a few probes, one for each unit vector, are carried along like landmarks in
+place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf_whole` has.
+
+The idea to compress the filter is that of Guivant and Nebot, "Optimization of the simultaneous localization and
+map-building algorithm for real-time implementation", 2001.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.arrays import find_rows
+from mecp_env.core.linalg import mirror_lower, product
+from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
+from mecp_env.slam.filters.update import FIRST_PROBE
+from mecp_env.slam.messages import NO_ID, Belief
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """The whole map as it was when the submap was taken from it; nothing here is written to."""
+
+    slot_ids: Ints  # (N,)
+    state: Array  # (4+2N,3+2N) as in `LandmarkFilter`
+    at_work: Ints  # (A,) rows of `slot_ids` that are in the submap, in the order of their probes
+    scale: Array  # (4+2A,) what each probe stands for: the place 1, or a covariance of so much with a number in work
+    belief: Belief
+    is_at_rest: Bools  # (M,) landmarks of the belief that are not in the submap
+    variance: Array  # (M,) m^2, of the place of each
+
+    def with_more(self, rows: Ints) -> Rest:
+        """The same with more landmarks, rows (m,), in the submap."""
+        resting, at_work = self.is_at_rest.copy(), np.concatenate((self.at_work, rows))
+        resting[rows_of(self.belief.ids, self.slot_ids[rows])] = False
+        deviations = np.sqrt(np.diagonal(self.state[1:])[numbers_of(rows)])
+        return replace(self, at_work=at_work, scale=np.concatenate((self.scale, deviations)), is_at_rest=resting)
+
+    def coordinates(self, rows: Ints) -> Array:
+        """(2m,2(1+a)) the landmarks of some rows (m,) in terms of the probes."""
+        numbers, work = numbers_of(rows), np.concatenate((np.arange(3), numbers_of(self.at_work)))
+        known = np.concatenate((self.state[0, numbers, None], self.state[1:][np.ix_(numbers, work)]), axis=1)
+        known /= self.scale
+        found = np.empty((2 * len(rows), 2 * known.shape[1]))
+        found[0::2, 0::2], found[0::2, 1::2] = known[0::2], -known[1::2]
+        found[1::2, 0::2], found[1::2, 1::2] = known[1::2], known[0::2]
+        return found
+
+    def near(self, p_map: Array, variance: Array) -> Ints:
+        """Ids of landmarks at rest that may be inside a gate for a measurement at p_map (k,2), variance (k,)."""
+        places, variances = self.belief.p_map[self.is_at_rest], self.variance[self.is_at_rest]
+        (x, y), (rest_x, rest_y) = p_map.T, places.T
+        square = (x[:, None] - rest_x) ** 2 + (y[:, None] - rest_y) ** 2
+        bound = 2.0 * (variance[:, None] + variances)  # of the innovation, in any direction, however both are related
+        close = (square < 25.0 * bound).any(axis=0)  # else the NIS is above every gate
+        ids: Ints = self.belief.ids[self.is_at_rest][close]
+        return ids
+
+
+class SubmapEkf(RightInvariantEkf):
+    """The right-invariant EKF at a cost per step that hardly grows with the map.
+
+    A submap begins with the landmarks nearby that were measured lately; others join it when they are measured, and with
+    more than `config.submap` of them the next one is taken. The state is that of the submap, behind whose landmarks
+    probes have slots. The belief shows landmarks at rest as they were when the submap was taken; what is asked of them
+    otherwise is exact at any time. A map of up to six times as many landmarks is not divided, as that would save
+    nothing: there the result is that of `riekf_whole` to the bit.
+    """
+
+    def __init__(self, config: FilterConfig) -> None:
+        super().__init__(config)
+        self.divided: tuple[Rest, ...] = ()  # one, or none while the map is whole
+        self.most = config.submap
+        self.updates = 0
+        self.measured: dict[int, int] = {}  # id -> number of the last update that it was part of
+
+    @property
+    def rest(self) -> Rest | None:
+        """The map at the time when the submap was taken; None while it is whole."""
+        return self.divided[0] if self.divided else None
+
+    @property
+    def ids(self) -> Ints:
+        own = self._all_ids()
+        return own[own > NO_ID]
+
+    @property
+    def held(self) -> int:
+        return len(self._all_ids())
+
+    def has(self, landmark: int) -> bool:
+        return super().has(landmark) or bool((self._all_ids() == landmark).any())
+
+    def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
+        ids = integers(ids)
+        self._bring_to_work(ids)
+        self.updates += 1
+        self.measured.update(dict.fromkeys(ids.tolist(), self.updates))
+        super().update(z, R, ids, iterate)
+
+    def augment(self, z: Array, R: Array, ids: Ints) -> None:
+        super().augment(z, R, ids)
+        if self.rest is not None and len(self._at_work()) > self.most:
+            self.synchronise()
+
+    def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
+        ids = integers(ids)
+        if self.rest is None or not len(z):
+            return super().individual_nis(z, R, ids)
+        nis, pose = np.full((len(z), len(ids)), math.inf), super().belief()
+        variance = np.trace(pose.pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose.pose_cov[2, 2] + R[:, 1, 1])
+        near = self.rest.near(to_map(pose.T_map_robot, polar_to_points(z)), variance)
+        for some in (self._at_work(), near):
+            columns = rows_of(ids, some)
+            columns = columns[columns >= 0]
+            if len(columns):
+                nis[:, columns] = super().individual_nis(z, R, ids[columns])
+        return nis
+
+    def fuse(self, keep: int, drop: int) -> None:
+        self.synchronise()
+        super().fuse(keep, drop)
+
+    def remove(self, ids: Ints) -> None:
+        ids = integers(ids)
+        if (ids > NO_ID).any() or not self._is_at_work(ids):
+            self.synchronise()
+        super().remove(ids)
+
+    def belief(self) -> Belief:
+        own = super().belief()
+        if self.rest is None:
+            return own
+        shown = self.rest.belief
+        rows = rows_of(shown.ids, own.ids)
+        known, fresh = rows >= 0, rows < 0
+        p_map, covs = np.concatenate((shown.p_map, own.p_map[fresh])), np.concatenate((shown.covs, own.covs[fresh]))
+        p_map[rows[known]], covs[rows[known]] = own.p_map[known], own.covs[known]
+        return Belief(own.T_map_robot, own.pose_cov, np.concatenate((shown.ids, own.ids[fresh])), p_map, covs)
+
+    def copy(self) -> Self:
+        other = super().copy()
+        other.measured = self.measured.copy()
+        return other
+
+    def synchronise(self) -> None:
+        """Carry over what happened in the submap to all landmarks."""
+        if self.rest is None:
+            return
+        ids, own, resting = self._all_ids(), self._numbers_at_work(), self._rows_at_rest()
+        mean, cross, block = self._expanded(resting, own)
+        rest = numbers_of(rows_of(ids, self.rest.slot_ids[resting]))
+        work = np.concatenate((np.arange(3), numbers_of(rows_of(ids, self._at_work()))))
+        size = 3 + 2 * len(ids)
+        state = np.zeros((1 + size, size))
+        cov = state[1:]
+        state[0, rest], state[0, work] = mean, self.mean[own]
+        cov[np.ix_(rest, rest)], cov[np.ix_(work, work)] = block, self.cov[np.ix_(own, own)]
+        cov[np.ix_(rest, work)], cov[np.ix_(work, rest)] = cross, cross.T
+        self.state, self.slot_ids, self.divided = state, ids, ()
+
+    def _part(self, ids: Ints) -> tuple[Array, Ints]:
+        ids = integers(ids)
+        if self._is_at_work(ids):
+            return self.state, self.slot_ids
+        slots = rows_of(self.slot_ids, ids)
+        own = np.concatenate((np.arange(3), numbers_of(slots[slots >= 0])))
+        rows = self._rows_of_rest(ids[slots < 0])
+        return self._joined(own, rows), np.concatenate((ids[slots >= 0], ids[slots < 0]))
+
+    def _bring_to_work(self, ids: Ints) -> None:
+        """Make sure that landmarks are in the submap, which is a new one where there is none or it grew too large."""
+        wanted = ids[rows_of(self.slot_ids, ids) < 0]
+        if self.rest is not None and len(self._at_work()) + len(wanted) > self.most:
+            self.synchronise()
+        if self.rest is None and self.count > 6 * self.most:
+            self._take_submap(ids)
+        elif self.rest is not None and len(wanted):
+            self._wake(wanted)
+
+    def _take_submap(self, ids: Ints) -> None:
+        """Work on the landmarks `ids` (m,), on the marks, and on the nearest ones that were measured lately."""
+        size, mean = self.size, self.mean
+        self.measured = {i: last for i, last in self.measured.items() if last > self.updates - self.most}
+        nearest = np.argsort(np.hypot(mean[3:size:2] - mean[1], mean[4:size:2] - mean[2]), kind="stable")
+        lately = nearest[np.isin(self.slot_ids[nearest], list(self.measured))][: 2 * self.most // 5]
+        rows = np.union1d(lately, np.flatnonzero(np.isin(self.slot_ids, ids) | (self.slot_ids < NO_ID)))
+        shown, whole, numbers = super().belief(), self.state[: 1 + size, :size].copy(), np.arange(3)
+        variance, resting = shown.covs.trace(axis1=1, axis2=2), np.ones(len(shown.ids), np.bool_)
+        scale = np.concatenate(([1.0], np.sqrt(np.diagonal(whole[1:])[:3])))
+        rest = Rest(self.slot_ids, whole, np.empty(0, np.int64), scale, shown, resting, variance)
+        self.divided = (rest,)
+        count = len(numbers)
+        self.state, self.slot_ids = np.zeros((6 + 2 * count, 5 + 2 * count)), FIRST_PROBE - np.arange(1 + count)
+        self.mean[:3], self.mean[3] = whole[0, :3], 1.0
+        self.cov[:3, :3] = whole[1:4, :3]
+        probes = 5 + 2 * numbers
+        self.cov[probes, numbers] = self.cov[numbers, probes] = scale[1:]
+        self._wake(rest.slot_ids[rows])
+
+    def _wake(self, ids: Ints) -> None:
+        """Take landmarks at rest (m,) into the submap, each with a probe per coordinate."""
+        assert self.rest is not None
+        size, count, rows = self.size, 2 * len(ids), self._rows_of_rest(ids)
+        awake = self._joined(np.arange(size), rows)
+        rest = self.rest.with_more(rows)
+        self.divided = (rest,)
+        woken = np.arange(size, size + count)
+        probes, last = size + count + 2 * np.arange(count), size + 3 * count
+        self.state = np.zeros((1 + last, last))
+        self.mean[: size + count], self.cov[: size + count, : size + count] = awake[0], awake[1:]
+        self.cov[probes, woken] = self.cov[woken, probes] = rest.scale[-count:]
+        new = FIRST_PROBE - (self.slot_ids <= FIRST_PROBE).sum() - np.arange(count)
+        self.slot_ids = np.concatenate((self.slot_ids, ids, new))
+
+    def _joined(self, own: Ints, rows: Ints) -> Array:
+        """The state (1+s,s) of some numbers (o,) of the own one, and of landmarks at rest, rows (m,) of the whole."""
+        mean, cross, block = self._expanded(rows, own)
+        first, size = len(own), len(own) + len(mean)
+        state = np.empty((1 + size, size))
+        state[0, :first], state[0, first:] = self.mean[own], mean
+        cov = state[1:]
+        cov[:first, :first], cov[first:, first:] = self.cov[np.ix_(own, own)], block
+        cov[first:, :first], cov[:first, first:] = cross, cross.T
+        return state
+
+    def _expanded(self, rows: Ints, own: Ints) -> tuple[Array, Array, Array]:
+        """Landmarks at rest, rows (m,) of the whole map, as they are now.
+
+        Mean (2m,), covariance with the numbers `own` (o,) of the state (2m,o), and among themselves (2m,2m).
+        """
+        assert self.rest is not None
+        probes = numbers_of(np.flatnonzero(self.slot_ids <= FIRST_PROBE))
+        vectors, numbers = self.rest.coordinates(rows), numbers_of(rows)
+        mean = product(vectors, self.mean[probes, None].copy(), lower=False)[:, 0]
+        cross = product(vectors, self.cov[np.ix_(probes, own)], lower=False)
+        change = product(vectors, self.cov[np.ix_(probes, probes)], lower=False)
+        block = self.rest.state[1:][np.ix_(numbers, numbers)]
+        block += product(change, np.ascontiguousarray(vectors.T), lower=True)
+        mirror_lower(block, len(block))
+        return mean, cross, block
+
+    def _is_at_work(self, ids: Ints) -> bool:
+        return self.rest is None or bool((rows_of(self.slot_ids, ids) >= 0).all())
+
+    def _at_work(self) -> Ints:
+        """Ids of the submap, without the probes."""
+        return self.slot_ids[self.slot_ids > FIRST_PROBE]
+
+    def _numbers_at_work(self) -> Ints:
+        """Where pose and submap are in the state."""
+        return np.concatenate((np.arange(3), numbers_of(np.flatnonzero(self.slot_ids > FIRST_PROBE))))
+
+    def _rows_at_rest(self) -> Ints:
+        """Rows of the whole map that are not in the submap."""
+        assert self.rest is not None
+        return np.delete(np.arange(len(self.rest.slot_ids)), self.rest.at_work)
+
+    def _rows_of_rest(self, ids: Ints) -> Ints:
+        """(m,) rows of the whole map; raises `FilterError` for ids that are not at rest there."""
+        assert self.rest is not None
+        self._refuse_unknown(ids)
+        return rows_of(self.rest.slot_ids, ids)
+
+    def _refuse_unknown(self, ids: Ints) -> None:
+        slots_of(self._all_ids(), ids)
+
+    def _all_ids(self) -> Ints:
+        """Ids of all landmarks and marks, in the order of their initialisation."""
+        if self.rest is None:
+            return self.slot_ids
+        work = self._at_work()
+        kept = np.ones(len(self.rest.slot_ids), np.bool_)
+        kept[self.rest.at_work] = rows_of(work, self.rest.slot_ids[self.rest.at_work]) >= 0
+        return np.concatenate((self.rest.slot_ids[kept], work[rows_of(self.rest.slot_ids, work) < 0]))
+
+
+def rows_of(of: Ints, ids: Ints) -> Ints:
+    """(m,) where each of the `ids` (m,) is in `of` (n,), or -1."""
+    rows = np.empty(len(ids), np.int64)
+    find_rows(of, ids, rows)
+    return rows
+
+
+def numbers_of(slots: Ints) -> Ints:
+    """(2m,) the numbers of a state that belong to slots (m,)."""
+    numbers: Ints = np.repeat(3 + 2 * slots, 2)
+    numbers[1::2] += 1
+    return numbers

@@ -1,0 +1,226 @@
+"""A filter that works on a submap against the same filter without one, on drives through a field of landmarks."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from mecp_env.core.messages import Odometry
+from mecp_env.core.se2 import compose, wrap_angle
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
+from mecp_env.slam.protocols import FilterError
+
+FIELD = np.random.default_rng(0).uniform(-3.0, 33.0, (320, 2))
+WAY = [(30.0, 0.0), (30.0, 7.0), (0.0, 7.0), (0.0, 14.0), (30.0, 14.0), (30.0, 21.0), (0.0, 21.0), (0.0, 0.0)]
+MOST = 35
+RANGE_M, NOISE = 5.0, np.array([0.01, 0.002])
+DRIVEN = np.array([0.005, 0.003])
+
+
+class Drive:
+    """A robot that goes along the way twice, and filters that all get the same measurements."""
+
+    def __init__(self, *filters, seed=0):
+        self.filters, self.rng = filters, np.random.default_rng(seed)
+        self.T, self.at, self.known = np.zeros(3), 0, set()
+
+    def step(self, iterate=False):
+        target = np.array(WAY[self.at % len(WAY)])
+        self.at += np.hypot(*(target - self.T[:2])) < 1.0
+        away = target - self.T[:2]
+        turn = np.clip(wrap_angle(np.arctan2(away[1], away[0]) - self.T[2]), -0.3, 0.3)
+        move = np.array([[0.4, turn]])
+        self.T = compose(self.T, np.array([0.4 * np.cos(turn / 2.0), 0.4 * np.sin(turn / 2.0), turn]))
+        odometry = Odometry(move + DRIVEN * self.rng.standard_normal((1, 2)), np.diag(DRIVEN**2)[None], bumper=False)
+        near = np.flatnonzero(np.hypot(*(FIELD - self.T[:2]).T) < RANGE_M)
+        old, new = (np.array([i for i in near if (i in self.known) == seen], np.int64) for seen in (True, False))
+        for some in self.filters:
+            some.predict(odometry)
+        for ids, name in ((old, "update"), (new, "augment")):
+            seen = self.look(ids)
+            for some in self.filters if len(ids) else ():
+                some.update(*seen, ids, iterate) if name == "update" else some.augment(*seen, ids)
+        self.known |= {i for i in new.tolist() if self.filters and self.filters[0].has(i)}
+
+    def look(self, ids):
+        d = FIELD[ids] - self.T[:2]
+        z = np.stack([np.hypot(*d.T), np.arctan2(d[:, 1], d[:, 0]) - self.T[2]], axis=1)
+        z += NOISE * self.rng.standard_normal(z.shape)
+        z[:, 1] = [wrap_angle(bearing) for bearing in z[:, 1]]
+        return z, np.diag(np.tile(NOISE**2, len(ids)))
+
+
+def driven(steps, iterate=False, **fields):
+    """A drive of so many steps with both filters."""
+    config = FilterConfig(submap=MOST, **fields)
+    drive = Drive(RightInvariantEkf(config), SubmapEkf(config))
+    for _ in range(steps):
+        drive.step(iterate)
+    return drive, *drive.filters
+
+
+@pytest.fixture(scope="module")
+def long_drive():
+    """A drive on which the submap was taken anew several times, and is at work now."""
+    drive, whole, divided = driven(560)
+    assert divided.rest is not None
+    assert len(divided.slot_ids) < 7 * MOST
+    return drive, whole, divided
+
+
+def assert_equal(whole, divided, tolerance):
+    """Both filters believe the same."""
+    size = whole.size
+    assert np.array_equal(whole.slot_ids, divided.slot_ids)
+    assert np.abs(whole.mean[:size] - divided.mean[:size]).max() < tolerance
+    assert np.abs(whole.cov[:size, :size] - divided.cov[:size, :size]).max() < tolerance
+
+
+def test_after_each_synchronisation_it_is_the_whole_filter():
+    drive, whole, divided = driven(0)
+    synchronised = 0
+    for step in range(560):
+        before = divided.rest
+        drive.step()
+        synchronised += before is not None and before.slot_ids is not getattr(divided.rest, "slot_ids", None)
+        if step % 40 == 39:
+            copied = divided.copy()
+            copied.synchronise()
+            assert_equal(whole, copied, 1e-9)
+    assert whole.count > 7 * MOST
+    assert synchronised > 5
+
+
+def test_what_is_asked_of_landmarks_at_rest_is_exact(long_drive):
+    drive, whole, divided = long_drive
+    ids = np.concatenate(
+        (divided.rest.slot_ids[divided.rest.at_work][:2], divided.rest.belief.ids[divided.rest.is_at_rest][:3])
+    )
+    for of_whole, of_divided in zip(whole.marginal(ids), divided.marginal(ids), strict=True):
+        assert np.abs(of_whole - of_divided).max() < 1e-9
+    z, R = drive.look(ids)
+    for of_whole, of_divided in zip(whole.innovation(z, R, ids), divided.innovation(z, R, ids), strict=True):
+        assert np.abs(of_whole - of_divided).max() < 1e-8
+    assert np.isclose(whole.joint_nis(z, R, ids), divided.joint_nis(z, R, ids), rtol=1e-6)
+    assert np.isclose(whole.mean_of_gaussians_nis(z, R, ids), divided.mean_of_gaussians_nis(z, R, ids), rtol=1e-6)
+
+
+def test_every_pair_inside_a_gate_is_found(long_drive):
+    drive, whole, divided = long_drive
+    near = np.flatnonzero(np.hypot(*(FIELD - drive.T[:2]).T) < 2.0 * RANGE_M)
+    z, _ = drive.look(near[np.isin(near, whole.ids)])
+    blocks = np.broadcast_to(np.diag(NOISE**2), (len(z), 2, 2))
+    expected, found = (some.individual_nis(z, blocks, whole.ids) for some in (whole, divided))
+    inside = expected < 20.0
+    assert inside.sum() >= len(z) - 2
+    assert np.allclose(found[inside], expected[inside], rtol=1e-6)
+    assert (found[~inside] > 19.9).all()
+
+
+def test_the_belief_names_all_landmarks_and_is_exact_for_those_in_the_submap(long_drive):
+    _, whole, divided = long_drive
+    expected, shown = whole.belief(), divided.belief()
+    assert np.array_equal(shown.ids, expected.ids)
+    assert np.array_equal(divided.ids, expected.ids)
+    at_work = np.isin(shown.ids, divided.slot_ids)
+    assert 10 < at_work.sum() <= MOST
+    assert np.abs(shown.p_map - expected.p_map)[at_work].max() < 1e-9
+    assert np.abs(shown.covs - expected.covs)[at_work].max() < 1e-9
+    assert np.abs(shown.p_map - expected.p_map).max() < 0.05  # as they were a while ago
+    assert np.abs(shown.T_map_robot - expected.T_map_robot).max() < 1e-9
+
+
+@pytest.mark.parametrize("change", ["remove", "fuse", "set_pose", "set_pose_with_cov", "shift_pose"])
+def test_rare_changes_are_those_of_the_whole_filter(change):
+    drive, whole, divided = driven(460)
+    assert divided.rest is not None
+    resting, working = divided.rest.belief.ids[divided.rest.is_at_rest], divided.rest.slot_ids[divided.rest.at_work]
+    for some in (whole, divided):
+        if change == "remove":
+            some.remove(np.array([resting[0], working[0]]))
+        elif change == "fuse":
+            some.fuse(int(working[0]), int(resting[0]))
+        elif change == "shift_pose":
+            some.shift_pose(np.array([0.2, 0.1, 0.3]))
+            some.shift_pose(np.array([0.0, -0.2, -0.3]))
+        else:
+            pose = some.belief()
+            some.set_pose(pose.T_map_robot, pose.pose_cov if change.endswith("cov") else None)
+    if change in ("remove", "fuse"):
+        drive.known -= {int(resting[0]), int(working[0])}
+        drive.filters = ()
+    for _ in range(10):
+        drive.step()
+    divided.synchronise()
+    assert_equal(whole, divided, 1e-7)  # to fuse two corners that differ bends the map, and widens rounding errors
+
+
+def test_marks_of_past_poses_are_always_at_work():
+    drive, whole, divided = driven(460)
+    for some in (whole, divided):
+        some.augment(np.array([[10.0, 0.0], [10.0, 3.0]]), np.eye(4) * 1e-6, np.array([-2, -3]))
+    for _ in range(10):
+        drive.step()
+    assert divided.has(-2)
+    assert not (divided.belief().ids < 0).any()
+    for mine, other in zip(whole.marginal(np.array([-2, -3])), divided.marginal(np.array([-2, -3])), strict=True):
+        assert np.abs(mine - other).max() < 1e-9
+    for some in (whole, divided):
+        some.remove(np.array([-2, -3]))
+    divided.synchronise()
+    assert_equal(whole, divided, 2e-9)
+
+
+def test_iterated_updates_agree_as_far_as_they_converge():
+    _, whole, divided = driven(460, iterate=True)
+    divided.synchronise()
+    assert_equal(whole, divided, 1e-6)
+
+
+def test_a_small_map_is_that_of_the_whole_filter_to_the_bit():
+    drive, whole, divided = driven(0)
+    while whole.count < 6 * MOST - 20:
+        drive.step()
+    assert divided.rest is None
+    assert np.array_equal(whole.state, divided.state)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda some: pickle.loads(pickle.dumps(some)), SubmapEkf.copy])
+def test_copies_continue_bit_for_bit(duplicate):
+    drive, _, divided = driven(460)
+    other = duplicate(divided)
+    drive.filters = (divided, other)
+    for _ in range(20):
+        drive.step()
+    assert np.array_equal(divided.slot_ids, other.slot_ids)
+    assert np.array_equal(
+        divided.state[: 1 + divided.size, : divided.size], other.state[: 1 + other.size, : other.size]
+    )
+
+
+def test_a_copy_touches_nothing_of_its_original():
+    drive, _, divided = driven(460)
+    other, state, rest = divided.copy(), divided.state.copy(), divided.rest
+    drive.filters = (other,)
+    for _ in range(40):
+        drive.step()
+    other.synchronise()
+    assert divided.rest is rest
+    assert np.array_equal(divided.state, state)
+
+
+def test_unknown_ids_are_refused_and_the_map_may_be_full():
+    drive, _, divided = driven(460)
+    z, R = drive.look(np.array([0]))
+    for call in (divided.update, divided.innovation, divided.joint_nis):
+        with pytest.raises(FilterError, match="no landmarks of this filter"):
+            call(z, R, np.array([10**6]))
+    with pytest.raises(FilterError, match="must be new"):
+        divided.augment(z, R, divided.rest.belief.ids[divided.rest.is_at_rest][:1])
+    _, whole, divided = driven(460, max_landmarks=220)
+    assert whole.dropped == divided.dropped > 0
+    assert len(divided.ids) == 220
