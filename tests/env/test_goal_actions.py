@@ -174,7 +174,7 @@ def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
 
 def test_an_episode_on_a_submap_continues_bit_for_bit():
     """The state holds the submap and the map at rest; a damaged one is refused."""
-    config = {"actions": "goal", "layout": "office", "slam": {"filter": {"submap": 10}}}
+    config = {"actions": "goal", "layout": "office", "slam": {"filter": {"kind": "riekf_submaps", "submap": 10}}}
     env, policy = make(**config), BreadthFirst()
     observation, _ = env.reset(seed=3)
     for _ in range(60):

@@ -22,8 +22,8 @@ __all__ = [
 ]
 
 FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {
-    "riekf": SubmapEkf,
-    "riekf_whole": RightInvariantEkf,
+    "riekf": RightInvariantEkf,
+    "riekf_submaps": SubmapEkf,
     "ekf": Ekf,
 }
 

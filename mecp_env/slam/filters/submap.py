@@ -4,7 +4,7 @@ Whatever the invariant filter does to the pose and some landmarks, it does alike
 measure. With places and covariances as complex numbers, x + iy, each of those is a vector: its place, and its
 covariances with the numbers in work. A step multiplies all these vectors by one matrix, and changes the covariance of
 two landmarks by a form of both vectors. So a few probes, one for each unit vector, are carried along like landmarks in
-place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf_whole` has.
+place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf` has.
 
 The idea to compress the filter is that of Guivant and Nebot, "Optimization of the simultaneous localization and
 map-building algorithm for real-time implementation", 2001.
@@ -75,7 +75,7 @@ class SubmapEkf(RightInvariantEkf):
     more than `config.submap` of them the next one is taken. The state is that of the submap, behind whose landmarks
     probes have slots. The belief shows landmarks at rest as they were when the submap was taken; what is asked of them
     otherwise is exact at any time. A map of up to six times as many landmarks is not divided, as that would save
-    nothing: there the result is that of `riekf_whole` to the bit.
+    nothing: there the result is that of `riekf` to the bit.
     """
 
     def __init__(self, config: FilterConfig) -> None:
