@@ -234,9 +234,7 @@ class FilterConfig(Settings):
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
     update_iterations: int = Field(5, ge=1, le=20)  # of the update with a scan, at most; paper: 1
     max_landmarks: int = Field(2048, ge=8, le=10_000)
-    submap: int = Field(
-        60, ge=10, le=10_000
-    )  # landmarks that the filter works on at most; maps of up to six times as many stay whole
+    submap: int = Field(60, ge=10, le=10_000)  # most landmarks in one; a map of up to six times as many stays whole
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 
 

@@ -93,7 +93,7 @@ class SlamPipeline(SlamParts):
         """The match of the associator, the part of it that updated the filter, and what speaks for the pose.
 
         Where the prediction does not fit the map, a copy of the filter is updated; where little speaks for the pose
-        even then, another one that assumes that odometry has failed.
+        even then, another one that assumes that odometry has failed, unless the scan was `tracked` from recent ones.
         """
         predicted, sharp, grid = self.filter, self.config.association.is_sharp(view.belief), self.grid.canvas.grid
         beams, corners = around.scan.beams, around.scan.corners
