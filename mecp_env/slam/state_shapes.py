@@ -67,7 +67,7 @@ SHAPES: Shapes = {
     },
     "Doorways": {"jambs": "d 2", "width": "d", "confirmable": "d"},
     "Candidate": {"ends": "2 2"},
-    "Rest": {"slot_ids": "n", "state": "4+2n 3+2n", "at_work": "a in 0:n", "scale": "4+2a", "belief.ids": "m"}
+    "Rest": {"slot_ids": "n", "state": "4+2n 3+2n", "at_work": "a in 0:n", "factor": "3+2a 3+2a", "belief.ids": "m"}
     | {"is_at_rest": "m", "variance": "m"},
     "RecentScan": {"marks": "2", "ids": "n in -1:F", "still": "n"},
     "Surfaces": {"points": f"n 2 in {NEAR}", "normals": "n 2", "sigmas": "n"},
@@ -118,6 +118,11 @@ def check_grid(grid: Any, where: str) -> None:
         raise StateError(f"{where}.doors.quads: expected places nearer than {FAR} m")
 
 
+def probes_needed(filter_: Any) -> int:
+    """How many probes the submap of a filter has, 0 without one."""
+    return sum(1 + len(rest.factor) for rest in getattr(filter_, "divided", ()))
+
+
 def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> None:
     """Raise `StateError` unless the filter has a slot per landmark and a row and column per number."""
     ids, state = filter_.slot_ids, filter_.state
@@ -125,7 +130,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
     if state.shape != (4 + 2 * slots, 3 + 2 * slots) or ids.ndim != 1 or not len(ids) <= slots:
         raise StateError(f"{where}: state {state.shape} for slot_ids {ids.shape}")
     probes = int((ids <= FIRST_PROBE).sum())
-    if probes != len(getattr(getattr(filter_, "rest", None), "scale", ())):
+    if probes != probes_needed(filter_):
         raise StateError(f"{where}.slot_ids: {probes} probes, expected one for each number in work")
     if len(set(ids.tolist()) & {*range(features), *marks}) < len(ids) - probes:
         raise StateError(f"{where}.slot_ids: expected different ids of features, and of marks of recent scans")

@@ -218,7 +218,7 @@ def test_the_splits_share_no_building() -> None:
     ("fields", "named"),
     [
         ({"rooms": 1}, "rooms"),
-        ({"rooms": 61}, "rooms"),
+        ({"rooms": 201}, "rooms"),
         ({"rooms": 3, "shaped_rooms": 2}, "shaped_rooms"),
         ({"rooms": 4, "corridors": 2}, "corridors"),
         ({"turned_deg": (10.0, -10.0)}, "turned_deg"),

@@ -3,8 +3,9 @@
 Whatever the invariant filter does to the pose and some landmarks, it does alike to every landmark that it does not
 measure. With places and covariances as complex numbers, x + iy, each of those is a vector: its place, and its
 covariances with the numbers in work. A step multiplies all these vectors by one matrix, and changes the covariance of
-two landmarks by a form of both vectors. So a few probes, one for each unit vector, are carried along like landmarks in
-place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf` has.
+two landmarks by a form of both vectors. So a few probes, of which every vector is a sum (`resting`), are carried along
+like landmarks in place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf`
+has.
 
 The idea to compress the filter is that of Guivant and Nebot, "Optimization of the simultaneous localization and
 map-building algorithm for real-time implementation", 2001.
@@ -13,59 +14,18 @@ map-building algorithm for real-time implementation", 2001.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.arrays import find_rows
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.linalg import mirror_lower, product
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
+from mecp_env.slam.filters.resting import Rest, factored, numbers_of, rows_of
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import NO_ID, Belief
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rest:
-    """The whole map as it was when the submap was taken from it; nothing here is written to."""
-
-    slot_ids: Ints  # (N,)
-    state: Array  # (4+2N,3+2N) as in `LandmarkFilter`
-    at_work: Ints  # (A,) rows of `slot_ids` that are in the submap, in the order of their probes
-    scale: Array  # (4+2A,) what each probe stands for: the place 1, or a covariance of so much with a number in work
-    belief: Belief
-    is_at_rest: Bools  # (M,) landmarks of the belief that are not in the submap
-    variance: Array  # (M,) m^2, of the place of each
-
-    def with_more(self, rows: Ints) -> Rest:
-        """The same with more landmarks, rows (m,), in the submap."""
-        resting, at_work = self.is_at_rest.copy(), np.concatenate((self.at_work, rows))
-        resting[rows_of(self.belief.ids, self.slot_ids[rows])] = False
-        deviations = np.sqrt(np.diagonal(self.state[1:])[numbers_of(rows)])
-        return replace(self, at_work=at_work, scale=np.concatenate((self.scale, deviations)), is_at_rest=resting)
-
-    def coordinates(self, rows: Ints) -> Array:
-        """(2m,2(1+a)) the landmarks of some rows (m,) in terms of the probes."""
-        numbers, work = numbers_of(rows), np.concatenate((np.arange(3), numbers_of(self.at_work)))
-        known = np.concatenate((self.state[0, numbers, None], self.state[1:][np.ix_(numbers, work)]), axis=1)
-        known /= self.scale
-        found = np.empty((2 * len(rows), 2 * known.shape[1]))
-        found[0::2, 0::2], found[0::2, 1::2] = known[0::2], -known[1::2]
-        found[1::2, 0::2], found[1::2, 1::2] = known[1::2], known[0::2]
-        return found
-
-    def near(self, p_map: Array, variance: Array) -> Ints:
-        """Ids of landmarks at rest that may be inside a gate for a measurement at p_map (k,2), variance (k,)."""
-        places, variances = self.belief.p_map[self.is_at_rest], self.variance[self.is_at_rest]
-        (x, y), (rest_x, rest_y) = p_map.T, places.T
-        square = (x[:, None] - rest_x) ** 2 + (y[:, None] - rest_y) ** 2
-        bound = 2.0 * (variance[:, None] + variances)  # of the innovation, in any direction, however both are related
-        close = (square < 25.0 * bound).any(axis=0)  # else the NIS is above every gate
-        ids: Ints = self.belief.ids[self.is_at_rest][close]
-        return ids
 
 
 class SubmapEkf(RightInvariantEkf):
@@ -198,15 +158,12 @@ class SubmapEkf(RightInvariantEkf):
         rows = np.union1d(lately, np.flatnonzero(np.isin(self.slot_ids, ids) | (self.slot_ids < NO_ID)))
         shown, whole, numbers = super().belief(), self.state[: 1 + size, :size].copy(), np.arange(3)
         variance, resting = shown.covs.trace(axis1=1, axis2=2), np.ones(len(shown.ids), np.bool_)
-        scale = np.concatenate(([1.0], np.sqrt(np.diagonal(whole[1:])[:3])))
-        rest = Rest(self.slot_ids, whole, np.empty(0, np.int64), scale, shown, resting, variance)
+        rest = Rest(self.slot_ids, whole, np.empty(0, np.int64), factored(whole[1:4, :3]), shown, resting, variance)
         self.divided = (rest,)
-        count = len(numbers)
-        self.state, self.slot_ids = np.zeros((6 + 2 * count, 5 + 2 * count)), FIRST_PROBE - np.arange(1 + count)
+        self.state, self.slot_ids = np.zeros((12, 11)), FIRST_PROBE - np.arange(4)
         self.mean[:3], self.mean[3] = whole[0, :3], 1.0
         self.cov[:3, :3] = whole[1:4, :3]
-        probes = 5 + 2 * numbers
-        self.cov[probes, numbers] = self.cov[numbers, probes] = scale[1:]
+        self._begin_probes(numbers, 5 + 2 * numbers, rest.factor)
         self._wake(rest.slot_ids[rows])
 
     def _wake(self, ids: Ints) -> None:
@@ -220,9 +177,14 @@ class SubmapEkf(RightInvariantEkf):
         probes, last = size + count + 2 * np.arange(count), size + 3 * count
         self.state = np.zeros((1 + last, last))
         self.mean[: size + count], self.cov[: size + count, : size + count] = awake[0], awake[1:]
-        self.cov[probes, woken] = self.cov[woken, probes] = rest.scale[-count:]
+        self._begin_probes(woken, probes, rest.factor[-count:, -count:])
         new = FIRST_PROBE - (self.slot_ids <= FIRST_PROBE).sum() - np.arange(count)
         self.slot_ids = np.concatenate((self.slot_ids, ids, new))
+
+    def _begin_probes(self, numbers: Ints, probes: Ints, factor: Array) -> None:
+        """Give the probes (m,) their first covariance with the numbers (m,) in work, and among themselves."""
+        self.cov[np.ix_(numbers, probes)], self.cov[np.ix_(probes, numbers)] = factor, factor.T
+        self.cov[probes, probes] = 1.0
 
     def _joined(self, own: Ints, rows: Ints) -> Array:
         """The state (1+s,s) of some numbers (o,) of the own one, and of landmarks at rest, rows (m,) of the whole."""
@@ -245,7 +207,9 @@ class SubmapEkf(RightInvariantEkf):
         vectors, numbers = self.rest.coordinates(rows), numbers_of(rows)
         mean = product(vectors, self.mean[probes, None].copy(), lower=False)[:, 0]
         cross = product(vectors, self.cov[np.ix_(probes, own)], lower=False)
-        change = product(vectors, self.cov[np.ix_(probes, probes)], lower=False)
+        among = self.cov[np.ix_(probes, probes)]
+        among[np.arange(2, len(among), 2), np.arange(2, len(among), 2)] -= 1.0  # what they had at first
+        change = product(vectors, among, lower=False)
         block = self.rest.state[1:][np.ix_(numbers, numbers)]
         block += product(change, np.ascontiguousarray(vectors.T), lower=True)
         mirror_lower(block, len(block))
@@ -284,17 +248,3 @@ class SubmapEkf(RightInvariantEkf):
         kept = np.ones(len(self.rest.slot_ids), np.bool_)
         kept[self.rest.at_work] = rows_of(work, self.rest.slot_ids[self.rest.at_work]) >= 0
         return np.concatenate((self.rest.slot_ids[kept], work[rows_of(self.rest.slot_ids, work) < 0]))
-
-
-def rows_of(of: Ints, ids: Ints) -> Ints:
-    """(m,) where each of the `ids` (m,) is in `of` (n,), or -1."""
-    rows = np.empty(len(ids), np.int64)
-    find_rows(of, ids, rows)
-    return rows
-
-
-def numbers_of(slots: Ints) -> Ints:
-    """(2m,) the numbers of a state that belong to slots (m,)."""
-    numbers: Ints = np.repeat(3 + 2 * slots, 2)
-    numbers[1::2] += 1
-    return numbers

@@ -46,12 +46,12 @@ class GeneratorSpec(Settings):
     piece); a specification of which no building can be found is refused.
     """
 
-    rooms: int = Field(8, ge=2, le=60)  # corridors are rooms too
-    loops: int = Field(0, ge=0, le=30)  # doors beyond those that join all rooms: rooms - 1 + loops doors
-    corridors: int = Field(0, ge=0, le=8)  # of the rooms so many; at most one for three others
+    rooms: int = Field(8, ge=2, le=200)  # corridors are rooms too
+    loops: int = Field(0, ge=0, le=100)  # doors beyond those that join all rooms: rooms - 1 + loops doors
+    corridors: int = Field(0, ge=0, le=40)  # of the rooms so many; at most one for three others
     corridor_width_m: Annotated[tuple[Width, Width], Single, Ordered] = (1.6, 2.0)  # between the middles of its walls
     room_side_m: Annotated[tuple[Side, Side], Single, Ordered] = (3.2, 5.5)  # the side of a square of the room's area
-    shaped_rooms: int = Field(0, ge=0, le=20)  # rooms that are not rectangles
+    shaped_rooms: int = Field(0, ge=0, le=60)  # rooms that are not rectangles
     shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # their possible shapes
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall

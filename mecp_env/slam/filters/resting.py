@@ -1,0 +1,93 @@
+"""The map at the time when a submap was taken from it, and what its landmarks are in terms of the probes.
+
+The probes stand for the numbers in work, whitened: with P = L L^T their covariance then, probe k has column k of L as
+its covariance with them, and a variance of 1. Bare numbers in their place gave the same but for rounding; yet the
+inverse of P is large, as landmarks that were seen together move together, and with it the changes to carry over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.arrays import find_rows
+from mecp_env.core.linalg import factor_lower, forward_rows, product
+from mecp_env.slam.messages import Belief
+from mecp_env.slam.protocols import FilterError
+
+ROUNDING = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """The whole map as it was when the submap was taken from it; nothing here is written to."""
+
+    slot_ids: Ints  # (N,)
+    state: Array  # (4+2N,3+2N) as in `LandmarkFilter`
+    at_work: Ints  # (A,) rows of `slot_ids` that are in the submap, in the order of their probes
+    factor: Array  # (3+2A,3+2A) L, L L^T is the covariance of the numbers in work then; its columns are the probes'
+    belief: Belief
+    is_at_rest: Bools  # (M,) landmarks of the belief that are not in the submap
+    variance: Array  # (M,) m^2, of the place of each
+
+    def with_more(self, rows: Ints) -> Rest:
+        """The same with more landmarks, rows (m,), in the submap."""
+        resting, at_work = self.is_at_rest.copy(), np.concatenate((self.at_work, rows))
+        resting[rows_of(self.belief.ids, self.slot_ids[rows])] = False
+        numbers, size = numbers_of(rows), len(self.factor)
+        factor = np.zeros((size + len(numbers), size + len(numbers)))
+        across, block = self.whitened(rows), self.state[1:][np.ix_(numbers, numbers)]
+        own = block - product(across, np.ascontiguousarray(across.T), lower=False)
+        own += np.diag(4096.0 * ROUNDING * np.diagonal(block))  # more than rounding; any L is exact
+        factor[:size, :size], factor[size:, :size], factor[size:, size:] = self.factor, across, factored(own)
+        return replace(self, at_work=at_work, factor=factor, is_at_rest=resting)
+
+    def whitened(self, rows: Ints) -> Array:
+        """V (2m,3+2a), V L^T is the covariance of the landmarks of some rows (m,) with the numbers in work."""
+        work = np.concatenate((np.arange(3), numbers_of(self.at_work)))
+        cross = self.state[1:][np.ix_(work, numbers_of(rows))]
+        forward_rows(self.factor, cross)
+        return cross.T
+
+    def coordinates(self, rows: Ints) -> Array:
+        """(2m,2(1+3+2a)) the landmarks of some rows (m,) in terms of the probes."""
+        known = np.concatenate((self.state[0, numbers_of(rows), None], self.whitened(rows)), axis=1)
+        found = np.empty((2 * len(rows), 2 * known.shape[1]))
+        found[0::2, 0::2], found[0::2, 1::2] = known[0::2], -known[1::2]
+        found[1::2, 0::2], found[1::2, 1::2] = known[1::2], known[0::2]
+        return found
+
+    def near(self, p_map: Array, variance: Array) -> Ints:
+        """Ids of landmarks at rest that may be inside a gate for a measurement at p_map (k,2), variance (k,)."""
+        places, variances = self.belief.p_map[self.is_at_rest], self.variance[self.is_at_rest]
+        (x, y), (rest_x, rest_y) = p_map.T, places.T
+        square = (x[:, None] - rest_x) ** 2 + (y[:, None] - rest_y) ** 2
+        bound = 2.0 * (variance[:, None] + variances)  # of the innovation, in any direction, however both are related
+        close = (square < 25.0 * bound).any(axis=0)  # else the NIS is above every gate
+        ids: Ints = self.belief.ids[self.is_at_rest][close]
+        return ids
+
+
+def factored(cov: Array) -> Array:
+    """Lower triangular L (n,n) of a covariance L L^T; raises `FilterError` when it is not positive."""
+    L = cov.copy()
+    if not factor_lower(L):
+        raise FilterError("submap: covariance is not positive")
+    lower: Array = np.tril(L)
+    return lower
+
+
+def rows_of(of: Ints, ids: Ints) -> Ints:
+    """(m,) where each of the `ids` (m,) is in `of` (n,), or -1."""
+    rows = np.empty(len(ids), np.int64)
+    find_rows(of, ids, rows)
+    return rows
+
+
+def numbers_of(slots: Ints) -> Ints:
+    """(2m,) the numbers of a state that belong to slots (m,)."""
+    numbers: Ints = np.repeat(3 + 2 * slots, 2)
+    numbers[1::2] += 1
+    return numbers
