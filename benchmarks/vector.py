@@ -2,8 +2,9 @@
 
 All kinds run in the same process in turns of a few seconds, with another kind first in every round; a ratio is taken
 within a round, so that other load affects both. CPU time is that of all processes of a kind together. `batch` has its
-default number of workers: one per core, four per core with goals. `small` is `velocity` with an observation without the
-grid, 5 of 79 kB, and shows the cost of transport.
+default number of workers: one per core, four per core with goals. With `send, recv` the eight environments that are
+finished first get their next actions while the others are under way. `small` is `velocity` with an observation without
+the grid, 5 of 79 kB, and shows the cost of transport.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, estimate, table
-from mecp_env.core.processes import cores
+from mecp_env.core.cores import cores
 from mecp_env.vector import BatchEnv
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16
@@ -33,9 +34,12 @@ SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal
 EPISODE = 300  # steps; a larger map costs more, and the single environment would otherwise have the largest
 HELD = 10  # steps for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
-SINGLE, ASYNC, BATCH, SUBPROC = "single", "async", "batch", "subproc"
+SINGLE, ASYNC, BATCH, SEND_RECV, SUBPROC = "single", "async", "batch", "batch, send, recv", "subproc"
 
-GATES = tuple(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async"))
+GATES = (
+    *(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async")),
+    *(Gate(f"{setting}/{SEND_RECV}/over_single", "share", 0.25) for setting in ("velocity", "goal")),
+)
 
 
 def run(options: Options) -> Figures:
@@ -115,11 +119,40 @@ class Alone:
         self.env.close()
 
 
+class SendRecv:
+    """A batch whose actions and results are those of the environments that are finished first, half of them at a time.
+
+    An environment whose results were received is sent its next action; a step is one such exchange.
+    """
+
+    def __init__(self, makers: list[Callable[[], Any]]) -> None:
+        self.batch = BatchEnv(makers, batch_size=max(1, len(makers) // 2))
+
+    def reset(self, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
+        """The first observations that are ready, and their infos."""
+        self.batch.async_reset(seed=seed)
+        observation, *_, infos = self.batch.recv()
+        self.ids = infos["env_id"]
+        return observation, infos
+
+    def step(self, actions: Any) -> tuple[Any, ...]:
+        """The results that are ready, after the actions for the last ones were sent."""
+        self.batch.send(actions, self.ids)
+        row = self.batch.recv()
+        self.ids = row[-1]["env_id"]
+        return row
+
+    def close(self) -> None:
+        """Stop the workers."""
+        self.batch.close()
+
+
 MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
     SINGLE: Alone,
     "sync": SyncVectorEnv,
     ASYNC: AsyncVectorEnv,
     BATCH: BatchEnv,
+    SEND_RECV: SendRecv,
     "batch, 2 a core": lambda makers: BatchEnv(makers, workers=2 * cores()),
     SUBPROC: make_subproc,
 }
@@ -132,7 +165,8 @@ class Driver:
         self.venv = MAKERS[kind]([partial(make_env, setting)] * COUNT)
         self.goals = setting.get("actions") == "goal"
         self.rng = np.random.default_rng(0)
-        self.steps = 0
+        self.count = 1 if kind == SINGLE else COUNT
+        self.steps = 0  # of all environments together
         if kind == SUBPROC:
             self.venv.seed(0)
             self.observation = self.venv.reset()
@@ -149,7 +183,7 @@ class Driver:
     def step(self) -> int:
         """One step of all environments: the total number of control steps."""
         row = self.venv.step(self.choose())
-        self.observation, infos, self.steps = row[0], row[-1], self.steps + 1
+        self.observation, infos, self.steps = row[0], row[-1], self.steps + len(row[1])
         if isinstance(infos, tuple):
             return sum(info["periods"] for info in infos) if self.goals else len(infos)
         return int(infos["periods"].sum() if self.goals else (infos["period"] > 0).sum())  # without resets
@@ -159,14 +193,14 @@ class Driver:
         if self.goals:
             masks = self.observation["goals"][:, :, 8] == 1.0
             return np.array([self.rng.choice(np.flatnonzero(mask)) if mask.any() else 0 for mask in masks])
-        if self.steps % HELD == 0:
-            count = len(self.observation["pose"])
-            self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (count, 2)).astype(np.float32)
-        return self.held
+        if self.steps % (HELD * self.count) == 0:
+            self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (self.count, 2)).astype(np.float32)
+        return self.held[getattr(self.venv, "ids", slice(None))]
 
     def pids(self) -> list[int]:
         """All running processes: this one and its workers."""
-        workers = self.venv.pids if isinstance(self.venv, BatchEnv) else [p.pid for p in processes(self.venv)]
+        batch = getattr(self.venv, "batch", self.venv)
+        workers = batch.pids if isinstance(batch, BatchEnv) else [p.pid for p in processes(self.venv)]
         return [os.getpid(), *workers]
 
     def processor_s(self) -> float:

@@ -25,7 +25,7 @@ class WarmUp(Command):
         from rich.progress import Progress
 
         from mecp_env.core import jit_cache, warm_up
-        from mecp_env.core.processes import cores
+        from mecp_env.core.cores import cores
 
         missing = warm_up.missing_entries()
         with Progress() as bar:

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any, NoReturn
 
 LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
@@ -72,11 +72,6 @@ def start_method(wanted: str | None = None) -> str:
     if wanted not in methods:
         raise ValueError(f"context: {wanted!r}, expected one of {', '.join(methods)}")
     return wanted
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Worker:
@@ -173,6 +168,18 @@ class WorkerPool:
                 raise answer.error
         return answers
 
+    def post(self, number: int, name: str, *arguments: Any) -> None:
+        """Let one worker call the method `name` after what it was asked before; `arrived` has its answers."""
+        with self._closed_by_death():
+            self._workers[number].ask(name, *arguments)
+
+    def arrived(self) -> list[Any]:
+        """The next answer of each worker that has one; waits for at least one. Raises `WorkerDied`."""
+        with self._closed_by_death():
+            while not (ready := wait([worker.pipe for worker in self._workers], LOOK_S)):
+                self._look()
+            return [worker.answer() for worker in self._workers if worker.pipe in ready]
+
     def close(self) -> None:
         """Stop the workers: ask, then insist. Another process than the one that started them does nothing."""
         if os.getpid() != self._owner:
@@ -187,10 +194,14 @@ class WorkerPool:
 
     def _answer(self, number: int) -> Any:
         while not self._workers[number].pipe.poll(LOOK_S):
-            for worker in self._workers:
-                if not worker.process.is_alive():
-                    worker.report_death()
+            self._look()
         return self._workers[number].answer()
+
+    def _look(self) -> None:
+        """Raise `WorkerDied` if a worker is no longer alive."""
+        for worker in self._workers:
+            if not worker.process.is_alive():
+                worker.report_death()
 
     @contextlib.contextmanager
     def _closed_by_death(self) -> Iterator[None]:
@@ -205,7 +216,10 @@ class WorkerPool:
 
 
 def _serve(pipe: Connection, others: Sequence[Connection], target: Any) -> None:
-    """The process of a worker: call what the pipe names of `target`, whose `place` is what it is working on."""
+    """The process of a worker: call what the pipe names of `target`, whose `place` is what it is working on.
+
+    What a method yields is sent at once, one answer after another.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
     gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
@@ -214,7 +228,9 @@ def _serve(pipe: Connection, others: Sequence[Connection], target: Any) -> None:
     with contextlib.suppress(*GONE), pipe:
         for name, arguments in _questions(pipe):
             try:
-                pipe.send(getattr(target, name)(*arguments))
+                answer = getattr(target, name)(*arguments)
+                for part in answer if isinstance(answer, Iterator) else (answer,):
+                    pipe.send(part)
             except GONE:
                 raise
             except Exception as error:  # of the method, or an answer that cannot be sent

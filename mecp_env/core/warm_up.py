@@ -25,7 +25,7 @@ from typing import Any
 import numba
 
 from mecp_env.core import warm_up_list
-from mecp_env.core.processes import cores
+from mecp_env.core.cores import cores
 from mecp_env.core.warm_up_list import Entry
 
 SWITCH = "MECP_ENV_WARM_UP"

@@ -14,8 +14,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 from torch.nn import functional
 
+from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.processes import WorkerDied, cores
+from mecp_env.core.processes import WorkerDied
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, run_units
 from mecp_env.learning.config import TrainConfig

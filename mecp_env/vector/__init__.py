@@ -14,7 +14,7 @@ from mecp_env.vector.checks import check_count
 
 __all__ = ["BatchEnv", "WorkerDied", "WorkerError", "make_batch"]
 
-OPTIONS = ("workers", "autoreset_mode", "context", "copy")
+OPTIONS = ("workers", "batch_size", "autoreset_mode", "context", "copy")
 
 
 def make_batch(

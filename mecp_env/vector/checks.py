@@ -32,6 +32,26 @@ def check_count(count: int) -> int:
     return int(count)
 
 
+def check_batch_size(size: int | None, count: int) -> int:
+    """`size` itself, or `count` for None. Raises `ValueError` unless it is an integer from 1 to `count`."""
+    if size is None:
+        return count
+    if not _is_integer(size) or not 1 <= size <= count:
+        raise ValueError(f"batch_size: {size!r:.80}, expected an integer from 1 to {count}, or None for all")
+    return int(size)
+
+
+def check_ids(ids: Any, count: int) -> NDArray[np.intp]:
+    """The numbers of environments (n,). Raises `ValueError` for what is no number, out of range, or given twice."""
+    numbers = np.arange(count) if ids is None else np.asarray(ids)
+    expected = f"expected different numbers of environments from 0 to {count - 1}"
+    if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
+        raise ValueError(f"env_ids: {ids!r:.80}, {expected}")
+    if numbers.min() < 0 or numbers.max() >= count or len(np.unique(numbers)) < len(numbers):
+        raise ValueError(f"env_ids: {numbers.tolist()!r:.80}, {expected}")
+    return numbers.astype(np.intp)
+
+
 def check_copy(copy: bool) -> bool:
     """`copy` itself. Raises `ValueError` unless it is a boolean; the text "no" is not one."""
     if not isinstance(copy, bool | np.bool_):

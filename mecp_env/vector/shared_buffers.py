@@ -1,4 +1,4 @@
-"""Shared memory of a batch: one block with an array for each result of a step."""
+"""Shared memory of a batch: arrays of observations and masks, and a record of each environment with all its numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 ALIGNMENT = 64  # bytes; a line of the processor's cache
-OBSERVATION, INFO = "observation/", "info/"  # prefixes of field names
+OBSERVATION, INFO = "observation/", "info/"  # prefixes of the names of fields, and of the numbers in a record
+MASK, RECORD = "mask", "record"
+RESULT = ("reward", "terminated", "truncated", "listed")  # first in a record; `listed`: its info has all keys
 ALONE = ""  # the name of an observation that is no Dict
 
 
@@ -20,11 +22,11 @@ class Field:
     """An array of the shared buffers: a row for each environment."""
 
     shape: tuple[int, ...]
-    dtype: str
+    dtype: np.dtype[Any]
 
     @property
     def bytes(self) -> int:
-        return int(np.prod(self.shape)) * np.dtype(self.dtype).itemsize
+        return int(np.prod(self.shape)) * self.dtype.itemsize
 
 
 Fields = dict[str, Field]
@@ -36,16 +38,22 @@ def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks
 
     Raises `ValueError` for an observation space that is neither a Box nor a Dict of them.
     """
-    rows: dict[str, tuple[tuple[int, ...], Any]] = {
-        "reward": ((), np.float64),
-        "terminated": ((), np.bool_),
-        "truncated": ((), np.bool_),
-        "listed": ((), np.bool_),  # whether the row's info has all keys that the buffers hold
-        "mask": ((masks,), np.bool_),
-    }
-    rows |= {OBSERVATION + name: (box.shape, box.dtype) for name, box in boxes(space).items()}
-    rows |= {INFO + name: (number.shape, number.dtype) for name, number in numbers(info).items()}
-    return {name: Field((n, *shape), np.dtype(dtype).str) for name, (shape, dtype) in rows.items()}
+    rows: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
+    rows = {OBSERVATION + name: (box.shape, np.dtype(box.dtype)) for name, box in boxes(space).items()}
+    rows |= {MASK: ((masks,), np.dtype(np.bool_)), RECORD: ((), record_type(info))}
+    return {name: Field((n, *shape), dtype) for name, (shape, dtype) in rows.items()}
+
+
+def record_type(info: Mapping[str, Any]) -> np.dtype[Any]:
+    """The numbers of one environment, side by side: reward, ends, and the numbers of its info."""
+    kinds: list[Any] = list(zip(RESULT, ("f8", "?", "?", "?"), strict=True))
+    kinds += [(INFO + name, number.dtype, number.shape) for name, number in numbers(info).items()]
+    return np.dtype(kinds, align=True)
+
+
+def info_names(record: np.dtype[Any]) -> list[str]:
+    """The keys of an info that a record holds."""
+    return [name.removeprefix(INFO) for name in record.names or () if name.startswith(INFO)]
 
 
 def boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
@@ -75,8 +83,9 @@ def lay_out(fields: Fields, memory: Any) -> SharedBuffers:
     """The arrays of the fields in a block of memory, the same in every process."""
     buffers, offset = {}, 0
     for name, field in fields.items():
-        flat = np.frombuffer(memory, field.dtype, int(np.prod(field.shape)), offset) if field.bytes else np.zeros(0)
-        buffers[name] = flat.reshape(field.shape).astype(field.dtype, copy=False)
+        count = int(np.prod(field.shape))
+        flat = np.frombuffer(memory, field.dtype, count, offset) if count else np.zeros(0, field.dtype)
+        buffers[name] = flat.reshape(field.shape)
         offset += _padded(field)
     return buffers
 

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, SupportsFloat
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import gymnasium
 from gymnasium.vector import AutoresetMode
 
-from mecp_env.vector.shared_buffers import ALONE, INFO, OBSERVATION, Fields, SharedBuffers, below, lay_out
+from mecp_env.core.processes import Failure
+from mecp_env.vector.shared_buffers import (
+    ALONE,
+    MASK,
+    OBSERVATION,
+    RECORD,
+    RESULT,
+    Fields,
+    SharedBuffers,
+    below,
+    info_names,
+    lay_out,
+)
 
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
-Infos = dict[int, dict[str, Any]]  # by number of the environment: the part of its info that has no place in the buffers
+Info = dict[str, Any]
+Infos = dict[int, Info]  # by number of the environment: the part of its info that has no place in the buffers
+Result = tuple[float, bool, bool]  # reward, terminated, truncated
+NOTHING: Result = (0.0, False, False)  # of a reset
+ANSWER_S = 0.004  # while there is more to do, what is finished is reported so often; an answer costs 0.1 ms
 
 
 class WorkerEnvironments:
@@ -19,7 +36,7 @@ class WorkerEnvironments:
 
     _buffers: SharedBuffers
     _seen: SharedBuffers
-    _listed: SharedBuffers
+    _listed: dict[str, None]  # the keys of an info that a record holds
 
     def __init__(
         self, first: int, makers: Makers, fields: Fields, memory: Any, mode: AutoresetMode, spaces: tuple[Any, Any]
@@ -39,13 +56,14 @@ class WorkerEnvironments:
     def open(self) -> None:
         """Make the environments. Raises `ValueError` for one with other spaces than the batch has."""
         self._buffers = lay_out(self._fields, self._memory)
-        self._seen, self._listed = below(self._buffers, OBSERVATION), below(self._buffers, INFO)
+        self._seen = below(self._buffers, OBSERVATION)
+        self._listed = dict.fromkeys(info_names(self._buffers[RECORD].dtype))
         for env, maker in enumerate(self._makers, self.first):
             self.env = env
             self._envs.append(maker())
             if (self._envs[-1].observation_space, self._envs[-1].action_space) != self._spaces:
                 raise ValueError(f"environment {env} has other spaces than the first one")
-        if self._buffers["mask"].size:
+        if self._buffers[MASK].size:
             self._masks = [env.get_wrapper_attr("action_masks") for env in self._envs]
 
     def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None, chosen: Sequence[bool]) -> Infos:
@@ -55,8 +73,27 @@ class WorkerEnvironments:
 
     def step(self, actions: Sequence[Any]) -> Infos:
         """One step in each environment, or in one whose episode is over what the autoreset mode says."""
-        step = self._advance if self._mode != AutoresetMode.NEXT_STEP else self._advance_or_begin
-        return {self.first + place: step(place, actions[place]) for place in self._places()}
+        return {self.first + place: self._step(place, actions[place]) for place in self._places()}
+
+    def run(self, name: str, items: Sequence[tuple[int, tuple[Any, ...]]]) -> Iterator[dict[int, Info | Failure]]:
+        """One environment after another what `name` says, "step" or "reset", each with its own arguments.
+
+        Yields what is finished every few milliseconds. An exception takes the place of the result.
+        """
+        act: Callable[..., Info] = self._step if name == "step" else self._begin
+        finished: dict[int, Info | Failure] = {}
+        begun = time.monotonic()
+        for env, arguments in items:
+            self.env = env
+            try:
+                finished[env] = act(env - self.first, *arguments)
+            except Exception as error:
+                finished[env] = Failure.of(error, self.place)
+            if time.monotonic() - begun > ANSWER_S:
+                yield finished
+                finished, begun = {}, time.monotonic()
+        if finished:
+            yield finished
 
     def each(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
         """What `function(environment, *its arguments)` returns, for each environment that has arguments."""
@@ -77,47 +114,44 @@ class WorkerEnvironments:
             self.env = self.first + place
             yield place
 
-    def _advance_or_begin(self, place: int, action: Any) -> dict[str, Any]:
+    def _step(self, place: int, action: Any) -> Info:
         return self._begin(place) if self._over[place] else self._advance(place, action)
 
-    def _advance(self, place: int, action: Any) -> dict[str, Any]:
+    def _advance(self, place: int, action: Any) -> Info:
         """A step; in the mode SAME_STEP, a new episode where one ends."""
         observation, reward, terminated, truncated, info = self._envs[place].step(action)
+        result = (float(reward), terminated, truncated)
         over = terminated or truncated
         if over and self._mode == AutoresetMode.SAME_STEP:
             last = {"final_obs": observation, "final_info": info}
-            rest = last | self._begin(place)
-        else:
-            rest = self._show(place, observation, info)
-        self._note(place, reward, terminated, truncated)
+            return last | self._begin(place, result=result)
         self._over[place] = over and self._mode == AutoresetMode.NEXT_STEP
-        return rest
+        return self._show(place, observation, info, result)
 
-    def _begin(self, place: int, seed: int | None = None, options: dict[str, Any] | None = None) -> dict[str, Any]:
+    def _begin(
+        self, place: int, seed: int | None = None, options: dict[str, Any] | None = None, result: Result = NOTHING
+    ) -> Info:
+        """The first observation of a new episode, beside the result of a step."""
         self._started[place] = True
         observation, info = self._envs[place].reset(seed=seed, options=options)
-        self._note(place, 0.0, False, False)
         self._over[place] = False
-        return self._show(place, observation, info)
+        return self._show(place, observation, info, result)
 
-    def _note(self, place: int, reward: SupportsFloat, terminated: bool, truncated: bool) -> None:
-        row, buffers = self.first + place, self._buffers
-        buffers["reward"][row], buffers["terminated"][row], buffers["truncated"][row] = reward, terminated, truncated
-
-    def _show(self, place: int, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
-        """Write observation, info and mask to the buffers; the part of the info without a place there is returned."""
+    def _show(self, place: int, observation: Any, info: Info, result: Result) -> Info:
+        """Write all to the buffers; the part of the info without a place there is returned."""
         row = self.first + place
         parts = observation if isinstance(observation, dict) else {ALONE: observation}
         for name, array in self._seen.items():
             array[row] = parts[name]
         self._show_mask(place)
-        listed = self._buffers["listed"][row] = info.keys() >= self._listed.keys()
-        if not listed:
+        records = self._buffers[RECORD]
+        if not info.keys() >= self._listed.keys():
+            for name, value in zip(RESULT, (*result, False), strict=True):
+                records[name][row] = value
             return info
-        for name, column in self._listed.items():
-            column[row] = info[name]
+        records[row] = (*result, True, *(info[name] for name in self._listed))
         return {name: value for name, value in info.items() if name not in self._listed}
 
     def _show_mask(self, place: int) -> None:
         if self._masks and self._started[place]:
-            self._buffers["mask"][self.first + place] = self._masks[place]()
+            self._buffers[MASK][self.first + place] = self._masks[place]()

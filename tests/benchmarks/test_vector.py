@@ -22,11 +22,21 @@ def test_every_kind_is_driven_the_same_way(setting: str, monkeypatch: pytest.Mon
         driver.close()
 
 
+def test_what_is_ready_is_driven_on_while_the_others_are_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vector, "COUNT", 4)
+    driver = vector.Driver(vector.SEND_RECV, vector.SETTINGS["velocity"])
+    assert [driver.step() for _ in range(3)] == [2, 2, 2]
+    assert len(driver.observation["pose"]) == 2
+    assert len(driver.pids()) >= 2
+    driver.close()
+
+
 def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector, "COUNT", 2)
-    kinds = vector.compare(vector.SETTINGS["velocity"], 2, 0.05, (vector.SINGLE, vector.ASYNC, vector.BATCH))
+    own = vector.SINGLE, vector.ASYNC, vector.BATCH, vector.SEND_RECV
+    kinds = vector.compare(vector.SETTINGS["velocity"], 2, 0.05, own)
     assert kinds["single"]["over_single"]["value"] == 1.0
     assert kinds["batch"]["over_async"]["n"] == 2
     assert kinds["batch"]["processor_us"]["value"] > 0.0
-    assert {gate.path for gate in vector.GATES} <= flatten({"velocity": kinds}).keys()
+    assert {gate.path for gate in vector.GATES} <= flatten({"velocity": kinds, "goal": kinds}).keys()
     assert "| batch |" in vector.report({"velocity": kinds})

@@ -13,10 +13,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
 
+from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.processes import cores, start_method
+from mecp_env.core.processes import start_method
 from mecp_env.vector import BatchEnv
-from mecp_env.vector.batch import slices
+from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
 from tests.vector.helpers import LAYOUT, N, equal, make_small
 

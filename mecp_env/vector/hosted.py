@@ -1,0 +1,189 @@
+"""Environments in worker processes: how they are started, asked for anything but steps, and closed."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from mecp_env.core.cores import cores
+from mecp_env.core.processes import WorkerDied, WorkerPool, start_method
+from mecp_env.vector.checks import check_workers
+from mecp_env.vector.flights import Flights
+from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
+from mecp_env.vector.worker import Makers, WorkerEnvironments
+
+STEPS, DRIVES = 1, 4  # workers a core: steps take equally long; drives do not, and the system evens them out
+RESERVED = ("reset", "step", "close")  # not for `call`
+
+
+class HostedEnvs(VectorEnv[Any, Any, Any]):
+    """`N` environments in `workers` processes and the shared buffers of their results."""
+
+    def __init__(self, makers: Makers, workers: int | None, mode: AutoresetMode, context: str | None) -> None:
+        if not makers:
+            raise ValueError("num_envs: 0, expected at least 1")
+        self.num_envs, self._mode = len(makers), mode
+        check_workers(workers)
+        method = start_method(context)
+        fields = self._describe(makers[0]())
+        self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
+        memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
+        self._buffers = lay_out(fields, memory)
+        self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
+        self._pending: str | None = None
+        self._pool = WorkerPool(self._targets(makers, fields, memory), method)
+        self._flights = Flights(self._pool, self._slices)
+        self._close_pool = weakref.finalize(self, self._pool.close)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """For each environment what its method `name` returns, or its attribute of that name."""
+        if name in RESERVED:
+            raise ValueError(f"call({name!r}): the batch has a method of that name")
+        return tuple(self.each(_call, [(name, args, kwargs)] * self.num_envs))
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """The attribute of that name of each environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute: to the entries of a list or tuple of N values, or everywhere to the same."""
+        several = isinstance(values, list | tuple)
+        self.each(_set_attribute, [(name, value) for value in (values if several else [values] * self.num_envs)])
+
+    def each(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...] | None]) -> list[Any]:
+        """What `function(environment, *arguments[i])` returns, run by the worker of each environment i.
+
+        An environment whose arguments are None is left out. The function must be found under its name in a module, as
+        pickle wants it. Raises `ValueError` for another number of arguments than of environments.
+        """
+        self._assert_free("call")
+        if len(arguments) != self.num_envs:
+            raise ValueError(f"{len(arguments)} values, expected one for each of {self.num_envs} environments")
+        answers = self._ask("each", [(function, arguments[own.start : own.stop]) for own in self._slices])
+        return [found for part in answers for found in part]
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A frame (H,W,3) of each environment in the mode "rgb_array"; None without a mode."""
+        return self.call("render") if self.render_mode is not None else None
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop the workers, whatever they are doing; `close` calls it, once."""
+        self._close_pool()
+
+    @property
+    def pids(self) -> list[int]:
+        """Of the workers."""
+        return self._pool.pids
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Copies of the generators of the environments."""
+        return self.get_attr("np_random")
+
+    @property
+    def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
+        """The seeds of the environments."""
+        return self.get_attr("np_random_seed")
+
+    def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
+        """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
+
+        The environment runs for a step, so that every compiled function is loaded: forked workers then have them,
+        others find them in the cache.
+        """
+        self.metadata = {**env.metadata, "autoreset_mode": self._mode}
+        self.render_mode = env.render_mode
+        self.single_observation_space, self.single_action_space = env.observation_space, env.action_space
+        self.observation_space = batch_space(env.observation_space, self.num_envs)
+        self.action_space = batch_space(env.action_space, self.num_envs)
+        _, info = env.reset(seed=0)
+        env.step(_still(env.action_space))
+        choices = _masked_choices(env)
+        self.masked = choices > 0
+        env.close()
+        return plan_fields(self.num_envs, env.observation_space, info, choices)
+
+    def _targets(self, makers: Makers, fields: Fields, memory: Any) -> dict[str, WorkerEnvironments]:
+        """What each worker holds, by the name of the worker."""
+        kinds = self.single_observation_space, self.single_action_space
+        return {
+            f"worker {number} (environments {own[0]} to {own[-1]})": WorkerEnvironments(
+                own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds
+            )
+            for number, own in enumerate(self._slices)
+        }
+
+    def _assert_open(self, name: str) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError(f"{name}() of a batch that is closed")
+        if self._pending:
+            raise AlreadyPendingCallError(f"{name}() while {self._pending}() is under way", self._pending)
+
+    def _assert_free(self, name: str) -> None:
+        self._assert_open(name)
+        self._flights.check_free(range(self.num_envs), f"{name}()")
+
+    @contextlib.contextmanager
+    def _closed_by(self, error: type[Exception]) -> Iterator[None]:
+        try:
+            yield
+        except error:
+            self.close()
+            raise
+
+    def _ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
+        self._begin(name, arguments)
+        return self._answers()
+
+    def _begin(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
+        self._pending = name
+        with self._closed_by(WorkerDied):
+            self._pool.ask(name, arguments)
+
+    def _answers(self) -> list[Any]:
+        with self._closed_by(WorkerDied):
+            try:
+                answers = self._pool.gather()
+            except Exception:
+                self._pending = None
+                raise
+        self._pending = None
+        return answers
+
+
+def slices(count: int, workers: int | None, each_core: int = 1) -> list[range]:
+    """Numbers of the environments of each worker; `workers` None makes `each_core` per core."""
+    workers = min(count, workers or each_core * cores())
+    ends = [count * k // workers for k in range(workers + 1)]
+    return [range(first, end) for first, end in itertools.pairwise(ends)]
+
+
+def _still(space: spaces.Space[Any]) -> Any:
+    """An action of zeros: to stand still, or the first choice."""
+    return np.zeros(space.shape or (), space.dtype)
+
+
+def _masked_choices(env: gymnasium.Env[Any, Any]) -> int:
+    """How many choices the environment masks; 0 where it masks none."""
+    space = env.action_space
+    return int(space.n) if isinstance(space, spaces.Discrete) and env.has_wrapper_attr("action_masks") else 0
+
+
+def _call(env: gymnasium.Env[Any, Any], name: str, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
+    found = env.get_wrapper_attr(name)
+    return found(*arguments, **keywords) if callable(found) else found
+
+
+def _set_attribute(env: gymnasium.Env[Any, Any], name: str, value: Any) -> None:
+    env.set_wrapper_attr(name, value)

@@ -1,0 +1,255 @@
+"""`send` and `recv`: each environment goes as it would alone, first ready first served, and mistakes are named."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
+from gymnasium.vector import AutoresetMode
+
+from mecp_env.core.errors import ActionError
+from mecp_env.vector import BatchEnv, WorkerDied
+from tests.env.helpers import SMALL
+from tests.vector.helpers import N, choose, equal, gone_within, make_small, needs_linux
+
+STEPS = 14  # per environment
+STILL = np.zeros((N, 2), np.float32)
+
+
+class SlowFirst(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Takes long over a step when its action turns to the right, in a worker."""
+
+    def step(self, action: Any) -> Any:
+        time.sleep(0.3 if multiprocessing.parent_process() and action[1] < 0.0 else 0.0)
+        return super().step(action)
+
+
+@pytest.fixture(scope="module")
+def batch() -> Any:
+    venv = make_small(batch_size=2)
+    yield venv
+    venv.close()
+
+
+def histories(venv: BatchEnv, steps: int) -> list[list[Any]]:
+    """All rows of each environment, driven by `send` and `recv`; its actions follow from its own observations."""
+    rows: list[list[Any]] = [[] for _ in range(N)]
+    rngs = [np.random.default_rng(i) for i in range(N)]
+    venv.async_reset(seed=11)
+    while any(len(row) <= steps for row in rows):
+        observation, *rest, infos = venv.recv()
+        going, actions = [], []
+        for k, env in enumerate(infos.pop("env_id").tolist()):
+            row = {key: part[k] for key, part in observation.items()}
+            rows[env].append((row, [part[k] for part in rest], row_of(infos, k)))
+            if len(rows[env]) <= steps:
+                going.append(env)
+                actions.append(choose(venv.single_action_space, {key: row[key][None] for key in row}, rngs[env])[0])
+        if going:
+            venv.send(np.array(actions), going)
+    return rows
+
+
+def row_of(infos: dict[str, Any], k: int) -> dict[str, Any]:
+    """What a batched info holds of row `k`."""
+    inner = {name: part for name, part in infos.items() if f"_{name}" in infos and infos[f"_{name}"][k]}
+    return {name: row_of(part, k) if isinstance(part, dict) else part[k] for name, part in inner.items()}
+
+
+@pytest.mark.parametrize("actions", ["velocity", "goal"])
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_each_environment_goes_the_same_way_whatever_is_served_first(actions: str, mode: AutoresetMode) -> None:
+    keywords: dict[str, Any] = {"actions": actions, "max_steps": 30 if actions == "goal" else 5, "autoreset_mode": mode}
+    found = []
+    for size, workers in ((1, 2), (2, 2), (N, 1)):
+        venv = make_small(batch_size=size, workers=workers, **keywords)
+        found.append(histories(venv, STEPS))
+        venv.close()
+    assert any(part[0] or part[1] for rows in found[0] for _, (_, *part), _ in rows)  # episodes end on the way
+    assert equal(found[0], found[1])
+    assert equal(found[0], found[2])
+
+
+def test_all_at_once_gives_what_reset_and_step_give() -> None:
+    one, other = make_small(max_steps=3), make_small(max_steps=3)
+    one.async_reset(seed=1)
+    observation, _, _, _, infos = one.recv()
+    assert infos.pop("env_id").tolist() == [0, 1, 2]
+    assert equal((observation, infos), other.reset(seed=1))
+    for _ in range(5):
+        one.send(STILL + 0.5)
+        row = one.recv()
+        row[-1].pop("env_id")
+        assert equal(row, other.step(STILL + 0.5))
+    assert equal(one.step(STILL), other.step(STILL))  # both interfaces in turn
+    one.close()
+    other.close()
+
+
+def test_what_is_finished_first_is_served_first() -> None:
+    venv = make_small(batch_size=1, wrappers=(SlowFirst,))
+    venv.reset(seed=1)
+    actions = STILL.copy()
+    actions[0, 1] = -0.5  # the only environment of its worker
+    venv.send(actions)
+    served = [venv.recv()[-1]["env_id"].tolist() for _ in range(N)]
+    assert served[-1] == [0]
+    assert sorted(served) == [[0], [1], [2]]
+    venv.close()
+
+
+def test_a_batch_is_smaller_when_fewer_are_under_way(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
+    batch.send(STILL)
+    sizes = [len(batch.recv()[1]) for _ in range(2)]
+    assert sizes == [2, 1]
+    batch.send(STILL[:1], [2])
+    observation, reward, *_, infos = batch.recv()
+    assert infos["env_id"].tolist() == [2]
+    assert infos["period"].tolist() == [2]
+    assert len(observation["pose"]) == len(reward) == len(infos["_period"]) == 1
+
+
+def test_a_mask_resets_some_while_others_are_under_way(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
+    batch.send(STILL[:1], [1])
+    batch.async_reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True])})
+    periods: dict[int, int] = {}
+    while len(periods) < N:
+        infos = batch.recv()[-1]
+        periods |= dict(zip(infos["env_id"].tolist(), infos["period"].tolist(), strict=True))
+    assert periods == {0: 0, 1: 1, 2: 0}
+    assert batch.np_random_seed == (7, 2, 9)
+
+
+@pytest.mark.parametrize("ids", [[], [3], [-1], [0, 0], [[0]], [0.0], ["0"], [True], 0, {0}], ids=str)
+def test_wrong_numbers_of_environments_are_refused(batch: BatchEnv, ids: Any) -> None:
+    batch.reset(seed=1)
+    with pytest.raises(ValueError, match=r"env_ids: .*expected different numbers of environments from 0 to 2"):
+        batch.send(STILL[:1], ids)
+
+
+def test_an_action_for_each_environment_is_needed(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
+    with pytest.raises(ValueError, match="actions: 2 of them, expected one for each of 3 env_ids"):
+        batch.send(STILL[:2])
+    with pytest.raises(ValueError, match="actions: 3 of them, expected one for each of 1 env_ids"):
+        batch.send(STILL, [1])
+
+
+def test_what_is_under_way_is_named(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
+    with pytest.raises(NoAsyncCallError, match=r"recv\(\) without send\(\)"):
+        batch.recv()
+    batch.send(STILL[:2], [0, 2])
+    for call in (batch.reset, lambda: batch.step(STILL), lambda: batch.call("summary"), lambda: batch.send(STILL)):
+        with pytest.raises(AlreadyPendingCallError, match=r"environments \[0, 2\] are under way: recv\(\) them first"):
+            call()
+    with pytest.raises(AlreadyPendingCallError, match=r"async_reset\(\) while environments \[0, 2\]"):
+        batch.async_reset()
+    batch.recv()
+    batch.step_async(STILL)
+    for call in (batch.recv, lambda: batch.send(STILL), batch.async_reset):
+        with pytest.raises(AlreadyPendingCallError, match=r"while step\(\) is under way"):
+            call()
+    batch.step_wait()
+
+
+def test_what_was_never_reset_or_is_over_must_be_reset() -> None:
+    venv = make_small(max_steps=1, autoreset_mode="Disabled")
+    with pytest.raises(ResetNeeded, match=r"send\(\) before reset\(\) of the environments \[1\]"):
+        venv.send(STILL[:1], [1])
+    venv.reset(seed=1)
+    venv.send(STILL[:2], [0, 1])
+    assert venv.recv()[3].all()
+    venv.send(STILL[:1], [2])
+    venv.recv()
+    with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
+        venv.send(STILL)
+    venv.close()
+    with pytest.raises(ClosedEnvironmentError):
+        venv.send(STILL)
+    with pytest.raises(ClosedEnvironmentError):
+        venv.recv()
+
+
+def test_an_exception_is_that_of_one_environment_and_the_others_are_received() -> None:
+    venv = make_small()
+    venv.reset(seed=1)
+    actions = STILL.copy()
+    actions[1] = 0.3, np.nan
+    venv.send(actions)
+    with pytest.raises(ActionError, match=r"action\[turn\]: nan") as caught:
+        venv.recv()
+    assert "in environment 1 of the batch" in caught.value.__notes__[0]
+    assert venv.recv()[-1]["env_id"].tolist() == [0, 2]
+    with pytest.raises(ResetNeeded, match=r"\[1\]"):
+        venv.send(STILL)
+    venv.async_reset(seed=5, options={"reset_mask": np.array([False, True, False])})
+    assert venv.recv()[-1]["env_id"].tolist() == [1]
+    venv.send(STILL)
+    assert venv.recv()[-1]["period"].tolist() == [2, 1, 2]
+    venv.close()
+
+
+class Unsendable(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Has something in its info that cannot be sent."""
+
+    def step(self, action: Any) -> Any:
+        *row, info = super().step(action)
+        return *row, info | {"function": lambda: None}
+
+
+def test_an_info_that_cannot_be_sent_closes_the_batch() -> None:
+    venv = make_small(wrappers=(Unsendable,))
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.send(STILL)
+    with pytest.raises(Exception, match="pickle"):
+        venv.recv()
+    assert venv.closed
+    assert gone_within(pids, 5.0)
+
+
+@needs_linux
+def test_a_killed_worker_is_named() -> None:
+    venv = make_small(wrappers=(SlowFirst,))
+    venv.reset(seed=1)
+    pids = venv.pids
+    venv.send(STILL - 0.5)
+    os.kill(pids[1], signal.SIGKILL)
+    with pytest.raises(WorkerDied, match=r"worker 1 \(environments 1 to 2\) was killed by SIGKILL"):
+        venv.recv()
+    assert venv.closed
+    assert gone_within(pids, 5.0)
+
+
+def test_masks_of_those_that_were_received() -> None:
+    venv = make_small(actions="goal", batch_size=1)
+    venv.async_reset(seed=1)
+    observation, *_, infos = venv.recv()
+    masks = venv.action_masks(infos["env_id"])
+    assert np.array_equal(masks, observation["goals"][:, :, 8] == 1.0)
+    with pytest.raises(AlreadyPendingCallError, match=r"action_masks\(\)"):
+        venv.action_masks()
+    venv.close()
+
+
+@pytest.mark.parametrize("size", [0, N + 1, 1.5, True, "2"], ids=str)
+def test_a_wrong_batch_size_is_refused(size: Any) -> None:
+    with pytest.raises(ValueError, match=f"batch_size: {size!r}, expected an integer from 1 to 3"):
+        make_small(batch_size=size)
+
+
+def test_make_vec_takes_the_batch_size() -> None:
+    venv = gymnasium.make_vec("mecp_env/Layout-v0", N, batch_size=2, context="fork", **SMALL)
+    assert isinstance(venv, BatchEnv)
+    assert venv.batch_size == 2
+    venv.close()
