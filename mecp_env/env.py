@@ -412,11 +412,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         mapped = len(output.map_polygons) > 0 or (output.beams.blind and len(output.belief.ids) > 0)
         empty = not len(episode.goals) and mapped and output.localised
         episode.quiet = episode.quiet + 1 if empty else 0
-        if not (self.config.crowd.people or output.beams.blind):
+        if not (empty and (self.config.crowd.people or output.beams.blind)):
             return empty
-        if empty:
-            episode.pipeline.grid.look_again()
-            episode.goal_history.retry_refused(self._planning.goals)
+        episode.pipeline.grid.look_again()
+        episode.goal_history.retry_refused(self._planning.goals)
         return episode.quiet >= self.config.end.quiet_steps
 
     def _rewards(self, episode: EpisodeState, terminated: bool) -> dict[str, float]:

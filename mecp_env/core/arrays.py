@@ -7,17 +7,6 @@ from mecp_env.core.jit import compiled
 
 
 @compiled
-def find_equal(values: Ints, wanted: int, found: Ints) -> int:
-    """Write the indices of `values` (n,) that equal `wanted`; returns how many there are."""
-    count = 0
-    for i in range(values.shape[0]):
-        if values[i] == wanted:
-            found[count] = i
-            count += 1
-    return count
-
-
-@compiled
 def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> bool:
     """Write the row in `ids` (N,), which differ, of each of `wanted` (m,), -1 where missing; True: none is missing."""
     complete = True

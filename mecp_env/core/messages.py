@@ -8,8 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.quick import quick
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
     """A burst of K sweeps of B beams, all taken at the pose that ends the step (IV; dense scan of III-A.1)."""
@@ -20,6 +22,7 @@ class Scan:
     max_range_m: float
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
     """The body motion of one control step as measured: M arcs one after the other."""

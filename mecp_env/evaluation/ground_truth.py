@@ -12,6 +12,7 @@ import shapely
 
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.laser_view import LaserView
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose
 from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import Corners
@@ -39,6 +40,7 @@ class DynamicObstacles(NamedTuple):
 NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueCorrespondences:
     """True correspondences of the corners of a scan from a true pose; plain data."""
@@ -79,6 +81,11 @@ class GroundTruth:
     def laser(self) -> Laser:
         """A laser without noise."""
         return Laser(self.outline, LaserConfig(preset="ideal", sweeps=1, beams=BEAMS, max_range_m=self.max_range_m))
+
+    @cached_property
+    def T_robot_laser(self) -> Array:
+        """(3,) m, rad: where the laser sits on the robot."""
+        return self.view.T_robot_laser
 
     @property
     def sees_all_around(self) -> bool:
@@ -132,7 +139,7 @@ class GroundTruth:
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
-        x, y, heading = compose(T_world_robot, self.view.T_robot_laser).tolist()
+        x, y, heading = compose(T_world_robot, self.T_robot_laser).tolist()
         level = np.array([x, y, 0.0])
         ranges = self.laser.scan(level, NO_NOISE).ranges[0]
         if not self.sees_all_around:
@@ -142,7 +149,7 @@ class GroundTruth:
 
     def correspondences(self, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> TrueCorrespondences:
         """Which true corner each corner of a scan is, for a scan taken at a robot's pose (3,)."""
-        return true_correspondences(compose(T_world_robot, self.view.T_robot_laser), self.outline, obstacles)
+        return true_correspondences(compose(T_world_robot, self.T_robot_laser), self.outline, obstacles)
 
     def identify(self, corners: Corners, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES) -> Ints:
         """(n,) index of the true corner that each corner of a scan is, or -1 (see `TrueCorrespondences`)."""

@@ -149,6 +149,8 @@ def _require_arrays(
     """Raise `error` unless the fields of `kinds` are arrays of that type and `shape`."""
     for name, kind in kinds.items():
         given = getattr(carrier, name)
+        if type(given) is np.ndarray and given.dtype == kind and given.shape == shape:
+            continue
         if not isinstance(given, np.ndarray):
             raise error(f"{what}.{name}: {type(given).__name__}, an array of {kind} expected")
         if given.dtype != kind:

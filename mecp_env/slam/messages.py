@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
-from mecp_env.core.arrays import find_equal, find_rows
+from mecp_env.core.arrays import find_rows
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose
 
 UNKNOWN_ROOM = -1
@@ -87,6 +88,7 @@ class Cell(IntEnum):
     DOOR = 3
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedScan:
     """One beam per nominal bearing of a sweep: the K interleaved beams around it, without outliers at edges."""
@@ -110,6 +112,7 @@ class MergedScan:
         return float(self.bearings[0] - self.bearings[-1]) + 2.0 * math.pi > 2.0 * self.step
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Clusters:
     """Runs of beams that may be on one structure. Positions count from `roll`, a gap, so that no run wraps."""
@@ -120,6 +123,7 @@ class Clusters:
     kind: Ints  # (C,) ClusterKind
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
     """Straight pieces of wall, ccw around the robot (the bearing increases from start to end)."""
@@ -133,6 +137,7 @@ class Segments:
     roll: int  # as in Clusters
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Doorways:
     """Gaps of door width between two collinear jambs, as seen in one scan (III)."""
@@ -142,6 +147,7 @@ class Doorways:
     confirmable: Bools  # (g,) seen near and steeply enough to count as a sighting
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
     """Point features of one scan (III-A.1), in order of bearing."""
@@ -185,6 +191,7 @@ class Corners:
         return len(self.z)
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanFeatures:
     """What the front end finds in a scan (III-A.1)."""
@@ -194,7 +201,12 @@ class ScanFeatures:
     corners: Corners
     wall: Bools  # (B,) which beams end on a straight wall, and may cross a polygon
 
+    def with_corners(self, corners: Corners) -> ScanFeatures:
+        """The same with other `corners`."""
+        return ScanFeatures(self.beams, self.segments, corners, self.wall)
 
+
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Polygon:
     """A Maximum Empty Convex Polygon of one scan (III-A.2)."""
@@ -203,6 +215,7 @@ class Polygon:
     intervals: Array  # (m,4) edge index, start and end as share of the edge's length, EdgeLabel; in order
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPolygon:
     """A polygon of the map: links to features (III-B.1); centre and covariance are recomputed from the belief.
@@ -217,6 +230,7 @@ class MapPolygon:
     last_step: int = 0
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonGroup:
     """The map polygons of one cardinality, for matching."""
@@ -265,6 +279,7 @@ class FeatureTable:
         return len(self.rows)
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """The decision for each corner of a scan, with its reason."""
@@ -291,10 +306,11 @@ class Match:
 
     def recognised(self) -> Ints:
         """The corners (c,) that are landmarks."""
-        corners = np.empty(len(self.decision), np.int64)
-        return corners[: find_equal(self.decision, LANDMARK, corners)]
+        corners: Ints = (self.decision == LANDMARK).nonzero()[0]
+        return corners
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
     """A scan's corners with the features that they are, and the belief about where they were seen from."""
@@ -305,7 +321,12 @@ class Sighting:
     belief: Belief
     step: int
 
+    def with_match(self, match: Match) -> Sighting:
+        """The same with another `match`."""
+        return Sighting(self.corners, match, self.through, self.belief, self.step)
 
+
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """The estimate of the filter in world coordinates, whatever its internal state is."""
@@ -323,6 +344,7 @@ class Belief:
         return rows
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Door:
     """A door of the map: one pair of jambs per wall face, the second face optional."""
@@ -334,6 +356,7 @@ class Door:
     sightings: int  # counted up to 50
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """A gap of door width that is not yet confirmed as a door."""
@@ -353,6 +376,7 @@ def resolved(room: int, merged: dict[int, int]) -> int:
     return room
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomGraph:
     """Rooms and the doors between them."""
@@ -372,26 +396,24 @@ class RoomGraph:
 
     def rooms_behind(self, through: Ints) -> Ints:
         """(n,) the room, or UNKNOWN_ROOM, behind the door that each corner is seen `through` (n,); HERE without one."""
-        doors = through.tolist()
-        if max(doors, default=-1) < 0:
-            return np.full(len(doors), HERE)
-        behind = {
-            door.id: door.rooms[1] if door.rooms[0] == self.current else door.rooms[0]
-            for door in self.doors
-            if door.id in doors
-        }
-        return np.array([behind.get(door, HERE) for door in doors])
+        behind, seen = np.full(len(through), HERE), set(through.tolist())
+        for door in self.doors if max(seen, default=-1) >= 0 else ():
+            if door.id in seen:
+                behind[through == door.id] = door.rooms[1] if door.rooms[0] == self.current else door.rooms[0]
+        return behind
 
     def rooms_of(self, beyond: Ints, through: Ints) -> Ints:
         """(n,) the room of each corner, UNKNOWN_ROOM `beyond` (n,) a gap that is no door, and seen from a doorway."""
         if self.in_doorway:
             return np.full(len(beyond), UNKNOWN_ROOM)
-        if max(beyond.tolist(), default=-1) < 0 and max(through.tolist(), default=-1) < 0:
-            return np.full(len(beyond), self.current)
-        behind = self.rooms_behind(through)
-        return np.where(behind != HERE, behind, np.where(beyond >= 0, UNKNOWN_ROOM, self.current))
+        rooms = self.rooms_behind(through)
+        here = rooms == HERE
+        rooms[here] = self.current
+        rooms[here & (beyond >= 0)] = UNKNOWN_ROOM
+        return rooms
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
     """What an associator may use: the map before the corners of this scan are known."""
@@ -404,7 +426,12 @@ class MapView:
     through: Ints  # (n,) for each corner of the scan: id of the mapped door it is seen through, or -1
     past: Ints | None = None  # (p,) corners of recent scans: they are vertices of polygons, and matched with them only
 
+    def at(self, belief: Belief) -> MapView:
+        """The same map as it is expected from another `belief`."""
+        return MapView(self.step, belief, self.features, self.groups, self.graph, self.through, self.past)
 
+
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class SemanticGrid:
     """The occupancy grid with meaning, painted from the current estimates. Index [row, col] = [y, x]."""
@@ -417,6 +444,7 @@ class SemanticGrid:
     version: int  # grows whenever a cell changed
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamOutput:
     """Everything that one step of the pipeline saw and decided: for info, rendering and benchmarks."""

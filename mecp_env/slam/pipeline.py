@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association import ignored
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
@@ -70,13 +68,13 @@ class SlamPipeline(SlamParts):
         tracked = self.register(scanned)
         predicted, graph = self.filter.belief(), self.rooms.graph()
         corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)
-        around = self.recent.around(replace(scanned, corners=corners), graph, self.map.features, self.filter)
+        around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
         around = around.with_polygons(find_polygons(*around.place, config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         untouched = self.filter
         associated, updated, evidence = self._localise(around, view, tracked)  # III-B
         belief = self.divergence.watch(self.filter.belief())
-        if self.guard.trusts(evidence._replace(tracked=tracked)):
+        if self.guard.trusts(evidence._replace(tracked=True) if tracked else evidence):
             seen = Sighting(corners, updated, through, belief, self.step_count)
             match, belief = self._map_scan(around, seen, evidence.sharp)  # III-B.1
         else:
@@ -110,7 +108,7 @@ class SlamPipeline(SlamParts):
             return first
         tried, self.filter = self.filter, predicted.copy()
         self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))
-        associated, sure = self._associate(around, replace(view, belief=self.filter.belief()))
+        associated, sure = self._associate(around, view.at(self.filter.belief()))
         updated = self._update(corners, sure, iterate=True)
         said = self.guard.ask(beams, self.filter.belief(), grid)
         again = associated, updated, self.guard.evidence(said, sure, view, sharp=False)
@@ -164,13 +162,13 @@ class SlamPipeline(SlamParts):
         beams, segments = around.scan.beams, around.scan.segments
         dynamic = self.dynamic_objects.find(beams, segments, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
-        seen = self._extend_map(replace(seen, match=static), around, wide=not sharp)
+        seen = self._extend_map(seen.with_match(static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)
         self.rooms.forget(pruned)
         matched = seen.match.ids[seen.match.recognised()]
         painted = self.dynamic_objects.without(beams, segments, dynamic)
         self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, self.rooms.graph())
-        still = replace(around.scan, beams=painted[0], segments=painted[1])
+        still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
         self.recent.remember(still, seen.match, self.rooms.graph(), self.filter)
         return seen.match, belief
 
@@ -180,7 +178,7 @@ class SlamPipeline(SlamParts):
         self.associator.remember(around.widen(seen.match))
         seen = self.map.initialise(seen, confirmed, self.filter)
         moved = self.rooms.update(seen, self.map.features, self.map.polygons.polygons)
-        known = replace(seen, match=around.widen(seen.match))
+        known = seen.with_match(around.widen(seen.match))
         self.map.link(around.polygons, known, self.rooms.graph(), moved)
         with self.divergence:
             seen, merged = self.map.merge(seen, self.filter)

@@ -79,6 +79,9 @@ class LaserConfig(LaserNoise, PresetSettings):
         return self.dark_share > 0.0 and self.dark_dropout > 0.0
 
 
+READINGS = ("per_metre", "per_step", "linear")
+
+
 class OdometryConfig(PresetSettings):
     """Noise of the measured body motion: the paper's sigma_rR and sigma_thetaR (IV) in one of three readings.
 
@@ -89,6 +92,7 @@ class OdometryConfig(PresetSettings):
     """
 
     PRESETS: ClassVar = WHEELS
+    DERIVED: ClassVar = ("rule",)
 
     preset: Literal["paper", "pioneer", "turtlebot", "skid_steer"] = "paper"
     reading: Literal["per_metre", "per_step", "linear"] = "per_metre"
@@ -99,6 +103,11 @@ class OdometryConfig(PresetSettings):
     slip_share: float = Field(0.0, ge=0.0, le=1.0)  # of the steps, in which
     slip_most: float = Field(3.0, ge=1.0, le=10.0)  # the measured distance is up to this many times the true one, and
     slip_turn_deg: float = Field(10.0, ge=0.0, le=90.0)  # the measured turn is off by an error of this sigma
+
+    @property
+    def rule(self) -> int:
+        """The number of the reading."""
+        return READINGS.index(self.reading)
 
     @property
     def turn_sigma_rad(self) -> float:

@@ -89,10 +89,13 @@ class Laser:
 
 @cache
 def _normal_quantiles() -> Normals:
-    """The standard normal in 65,536 equally likely values, cut at 4 sigma: cheaper than `standard_normal`."""
+    """The upper half of the standard normal in 65,536 equally likely values, cut at 4 sigma.
+
+    Cheaper than `standard_normal`, and half of it stays in the processor's cache.
+    """
     quantile = NormalDist().inv_cdf
-    values = np.array([quantile((i + 0.5) / QUANTILES) for i in range(QUANTILES)], dtype=np.float32)
-    return np.clip(values, -CUT_SIGMAS, CUT_SIGMAS)
+    values = np.array([quantile((i + 0.5) / QUANTILES) for i in range(QUANTILES // 2, QUANTILES)], dtype=np.float32)
+    return np.minimum(values, CUT_SIGMAS)
 
 
 @compiled
@@ -116,7 +119,7 @@ def _burst(
     if bearing_sigma > 0.0:  # turn the rays
         directions, errors = np.empty_like(table), np.empty(table.shape[1])
         for i in range(table.shape[1]):
-            errors[i] = bearing_sigma * normals[draws[0, i]]
+            errors[i] = bearing_sigma * _normal(normals, draws[0, i])
         for i in range(table.shape[1]):
             e = errors[i]
             q = e * e
@@ -150,10 +153,17 @@ def _burst(
             if inverse[i] * max_range <= 1.0:
                 continue
             r = 1.0 / inverse[i]
-            measured = r + max(range_sigma, share * r) * normals[draws[1, i]]
+            measured = r + max(range_sigma, share * r) * _normal(normals, draws[1, i])
             if measured < max_range:
                 ranges[k, j], hit[k, j] = max(measured, MIN_RANGE_M), True
     return ranges, hit
+
+
+@compiled
+def _normal(normals: Normals, draw: int) -> float:
+    """The quantile of number `draw` of the whole normal, by its upper half; without a branch: it would be a guess."""
+    upper = np.int64(draw) >> 15
+    return float((2 * upper - 1) * normals[(draw ^ (upper - 1)) & 32_767])
 
 
 @compiled

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Odometry
-from mecp_env.world.config import OdometryConfig
+from mecp_env.world.config import READINGS, OdometryConfig
 from mecp_env.world.simulation import Motion
 
 FLOOR_M = 1e-6  # sigmas of an increment at rest, so that its covariance is positive
 FLOOR_RAD = 1e-6
 QUARTER_TURN = math.pi / 2.0
-READINGS = ("per_metre", "per_step", "linear")
-PER_METRE, PER_STEP = 0, 1
+PER_METRE, PER_STEP = READINGS.index("per_metre"), READINGS.index("per_step")
 
 
 def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
@@ -27,7 +25,7 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
     The noise grows with the true motion; the covariance is computed from the reading alone.
     """
     noise = rng.standard_normal(motion.increments.shape)
-    measured, cov = _measure(motion.increments, noise, *_rules(config))
+    measured, cov = _measure(motion.increments, noise, config.record)
     odometry = Odometry(measured, cov, motion.contact)
     return slip(odometry, config, rng) if config.slip_share > 0.0 else odometry
 
@@ -42,19 +40,10 @@ def slip(odometry: Odometry, config: OdometryConfig, rng: np.random.Generator) -
     return replace(odometry, increments=increments)
 
 
-@lru_cache
-def _rules(config: OdometryConfig) -> tuple[int, float, float, float]:
-    """Reading, sigma of distance and of turn, metres per radian."""
-    distance, turn = config.scale * config.distance_sigma_m, config.scale * config.turn_sigma_rad
-    return READINGS.index(config.reading), distance, turn, config.turn_m / QUARTER_TURN
-
-
 @compiled
-def _measure(
-    increments: Array, noise: Array, reading: int, distance: float, turn: float, turn_m: float
-) -> tuple[Array, Array]:
+def _measure(increments: Array, noise: Array, config: Rows) -> tuple[Array, Array]:
     """The increments (M,2) with noise, given in sigmas (M,2), and their covariances (M,2,2)."""
-    measured, variance = np.empty_like(increments), _variances(increments, reading, distance, turn, turn_m)
+    measured, variance = np.empty_like(increments), _variances(increments, config)
     for m in range(increments.shape[0]):  # no noise at rest
         measured[m, 0] = increments[m, 0] + math.sqrt(variance[m, 0]) * noise[m, 0]
         measured[m, 1] = increments[m, 1] + math.sqrt(variance[m, 1]) * noise[m, 1]
@@ -66,7 +55,7 @@ def _measure(
             total += abs(measured[m, k])
         for m in range(arcs):
             even[m, k] = total / arcs
-    variance = _variances(even, reading, distance, turn, turn_m)
+    variance = _variances(even, config)
     for m in range(arcs):
         cov[m, 0, 0] = variance[m, 0] + FLOOR_M * FLOOR_M
         cov[m, 1, 1] = variance[m, 1] + FLOOR_RAD * FLOOR_RAD
@@ -74,19 +63,20 @@ def _measure(
 
 
 @compiled
-def _variances(increments: Array, reading: int, distance: float, turn: float, turn_m: float) -> Array:
+def _variances(increments: Array, config: Rows) -> Array:
     """Variances (M,2) of distance (m^2) and turn (rad^2) of each increment (M,2)."""
-    arcs = increments.shape[0]
+    limits, arcs = config[0], increments.shape[0]
+    distance, turn = limits.scale * limits.distance_sigma_m, limits.scale * limits.turn_sigma_rad
     variance = np.empty((arcs, 2))
     path, turned = 0.0, 0.0
     for m in range(arcs):
         path += abs(increments[m, 0])
         turned += abs(increments[m, 1])
     for m in range(arcs):
-        if reading == PER_METRE:
-            metres = abs(increments[m, 0]) + turn_m * abs(increments[m, 1])
+        if limits.rule == PER_METRE:
+            metres = abs(increments[m, 0]) + limits.turn_m / QUARTER_TURN * abs(increments[m, 1])
             variance[m, 0], variance[m, 1] = metres * distance * distance, metres * turn * turn
-        elif reading == PER_STEP:
+        elif limits.rule == PER_STEP:
             moves = 1.0 if path + turned > 0.0 else 0.0
             variance[m, 0], variance[m, 1] = moves * distance * distance / arcs, moves * turn * turn / arcs
         else:

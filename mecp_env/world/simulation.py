@@ -18,6 +18,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ActionError, MecpError
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.bodies import Bodies
 from mecp_env.world.config import RobotConfig
@@ -35,6 +36,7 @@ from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """What the body truly did in one step, arc by arc; while it turns faster and faster, an arc leaves 0.1 mm out."""

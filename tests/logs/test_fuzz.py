@@ -68,7 +68,7 @@ TEXT = (truncated, flipped, garbage, cut_out, swapped_lines, doubled_lines, othe
 
 def check(path: Path, tried: list[str]) -> None:
     """Read a log, and let the estimator run on some of them."""
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         log = read_log(path)
         assert len(log) >= 1
@@ -79,7 +79,7 @@ def check(path: Path, tried: list[str]) -> None:
             run_log(log, run=LogRunConfig(odometry="reference" if log.T_odom_robot is None else "log")).metrics()
     except LogError:
         tried.append("refused")
-    assert time.perf_counter() - start < MOST_S
+    assert time.process_time() - start < MOST_S
 
 
 def fuzz(

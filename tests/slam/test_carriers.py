@@ -1,16 +1,19 @@
 """The small compiled functions behind the messages, against NumPy: indices, covariance blocks, rows of ids."""
 
 import math
+import pickle
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
-from mecp_env.core.arrays import find_equal, find_rows
+from mecp_env.core.arrays import find_rows
 from mecp_env.core.linalg import downdate
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map.map_polygons import are_whole, link
-from mecp_env.slam.messages import Corners, Decision, Doorways, FeatureState, MapPolygon, Match, Reason
+from mecp_env.slam.messages import Corners, Decision, Door, Doorways, FeatureState, MapPolygon, Match, Reason
 from tests.slam.tables import table_of
 
 
@@ -38,10 +41,28 @@ def test_recognised_corners_are_those_with_a_landmark():
     assert match.recognised().tolist() == [1, 3]
 
 
+def test_a_quick_carrier_is_made_and_copied_as_the_plain_dataclass_is():
+    @quick
+    @dataclass(frozen=True, slots=True, eq=False)
+    class Part:
+        a: int
+        b: list[int] = field(default_factory=list)
+        c: int = field(init=False, default=3)
+
+        def __post_init__(self) -> None:
+            self.b.append(self.a)
+
+    part = Part(1)
+    assert (part.a, part.b, part.c) == (1, [1], 3)
+    assert part.b is not Part(1).b
+    assert replace(part, a=2).a == 2
+    assert pickle.loads(pickle.dumps(Door(1, (2, 3), None, (0, 1), 5))).rooms == (0, 1)
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        Part(1, d=2)
+
+
 def test_integers_are_looked_up():
-    found, rows = np.empty(4, np.int64), np.empty(3, np.int64)
-    assert find_equal(np.array([5, 7, 5, 5]), 5, found) == 3
-    assert found[:3].tolist() == [0, 2, 3]
+    rows = np.empty(3, np.int64)
     find_rows(np.array([4, 9, 2]), np.array([2, 4, 8]), rows)
     assert rows.tolist() == [2, 0, -1]
 

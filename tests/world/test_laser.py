@@ -66,10 +66,25 @@ def test_rays_agree_with_pymunk(outline: Outline) -> None:
             assert ranges[i] == pytest.approx(40.0 * hit.alpha, abs=1e-6)
 
 
+def all_normals() -> NDArray[np.float32]:
+    """The quantiles of the whole normal."""
+    upper = module._normal_quantiles()
+    return np.concatenate((-upper[::-1], upper))
+
+
+def test_every_draw_is_its_quantile_of_the_normal() -> None:
+    normals, upper = all_normals(), module._normal_quantiles()
+    assert [module._normal(upper, np.uint16(draw)) for draw in (0, 1, 32_767, 32_768, 65_535)] == [
+        normals[draw] for draw in (0, 1, 32_767, 32_768, 65_535)
+    ]
+    assert (np.diff(normals) >= 0.0).all()
+    assert normals.std() == pytest.approx(1.0, abs=1e-3)
+
+
 def test_noisy_rays_are_cast_where_they_point(outline: Outline) -> None:
     """With large bearing noise every beam has the range of its true direction: no face is missed at its ends."""
     laser = Laser(outline, LaserConfig(**SLANTED, sweeps=2))
-    normals = module._normal_quantiles()
+    normals = all_normals()
     for seed, pose in enumerate(poses(outline, 20, seed=2)):
         scan = laser.scan(pose, np.random.default_rng(seed))
         draws = laser._draw(np.random.default_rng(seed))[0].reshape(-1, 2).T
@@ -101,9 +116,7 @@ def test_noisy_rays_at_the_ends_of_the_view_are_cast_where_they_point(
     laser = Laser(outline, LaserConfig(**SLANTED, sweeps=1, beams=90, field_of_view_deg=200.0))
     for seed, pose in enumerate(poses(outline, 20, seed=9)):
         scan = laser.scan(pose, np.random.default_rng(seed))
-        true_bearings = (
-            scan.bearings[0] + 0.03 * module._normal_quantiles()[laser._draw(np.random.default_rng(seed))[0]]
-        )
+        true_bearings = scan.bearings[0] + 0.03 * all_normals()[laser._draw(np.random.default_rng(seed))[0]]
         np.testing.assert_allclose(scan.ranges[0], brute_force(outline.segments, pose, true_bearings), rtol=1e-6)
 
 

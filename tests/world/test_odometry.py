@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import OdometryConfig
-from mecp_env.world.odometry import _rules, _variances, measure
+from mecp_env.world.odometry import _variances, measure
 from mecp_env.world.simulation import Motion
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ REST = Motion(np.zeros((4, 2)), contact=False)
 
 def variances(increments: Array, config: OdometryConfig) -> Array:
     """Variances (M,2) of distance and turn of each increment (M,2) by the configured reading."""
-    return _variances(increments, *_rules(config))
+    return _variances(increments, config.record)
 
 
 def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import HERE, UNKNOWN_ROOM, CornerKind, Corners, MapView
@@ -26,6 +27,7 @@ def chi2_gate(dof: int, probability: float) -> float:
     return float(chdtri(dof, 1.0 - probability))
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class PairingTable:
     """Every corner of the scan against every landmark."""

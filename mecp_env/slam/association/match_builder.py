@@ -38,7 +38,7 @@ class MatchBuilder:
     @property
     def paired(self) -> int:
         """How many corners are paired."""
-        return int((self.rows["id"] != NO_ID).sum())
+        return int(np.count_nonzero(self.rows["id"] != NO_ID))
 
     def classify_unmatched(self, nis: Array, ignore_gate: float) -> Self:
         """Decide which of the corners that are not paired may be new; the others are ignored.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -46,9 +46,9 @@ class MecpAssociator(Associator):
         if self.config.is_sharp(view.belief):
             return self._paired(corners, polygons, view, belief).match()
         table = pairing_table(corners, view, belief, self.config, self.gate)
-        known = int((table.costs <= self.gate).any(axis=1).sum())  # corners that may be a landmark
+        known = np.count_nonzero((table.costs <= self.gate).any(axis=1))  # corners that may be a landmark
         corrected = self._corrected(corners, polygons, view, belief, table)
-        builder = self._paired(corners, polygons, replace(view, belief=corrected.belief()), corrected)
+        builder = self._paired(corners, polygons, view.at(corrected.belief()), corrected)
         if 2 * builder.paired < known:  # most of them disagree: so few agree by chance
             builder = MatchBuilder(len(corners)).classify_unmatched(table.nis, self.config.ignore_gate)
         return builder.match()

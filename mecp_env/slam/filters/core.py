@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import Self
 
@@ -183,7 +182,8 @@ class LandmarkFilter:
 
     def copy(self) -> Self:
         """An independent filter with the same state; later changes of one do not touch the other."""
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)  # as `copy.copy`, in a tenth of the time
         other.state = self.state[: 1 + self.size, : self.size].copy()  # the rest is capacity
         return other
 

@@ -46,25 +46,22 @@ def circle_cost(points: Array, first: int, last: int, largest: float, outlier: f
     mx, my = 0.5 * (points[0, first] + points[0, last]), 0.5 * (points[1, first] + points[1, last])
     radius = 0.5 * math.hypot(points[0, last] - points[0, first], points[1, last] - points[1, first])
     x, y, cost = mx, my, math.inf
-    A, g, row = np.empty((3, 3)), np.empty(3), np.empty(3)
+    A, g = np.empty((3, 3)), np.empty(3)
     for _ in range(ITERATIONS):
         cost = 0.0
         for a in range(3):
             g[a] = A[a, 0] = A[a, 1] = A[a, 2] = 0.0
         for i in range(first, last + 1):
             dx, dy = points[0, i] - x, points[1, i] - y
-            distance, r2 = math.hypot(dx, dy) + 1e-12, points[0, i] ** 2 + points[1, i] ** 2
-            steep = (dx * points[0, i] + dy * points[1, i]) ** 2 / (distance**2 * r2)
-            variance = points[2, i] * steep + points[3, i] * (1.0 - steep)
+            distance, r2 = math.sqrt(dx * dx + dy * dy) + 1e-12, points[0, i] ** 2 + points[1, i] ** 2
+            steep = (dx * points[0, i] + dy * points[1, i]) ** 2 / (distance * distance * r2)
+            weight = 1.0 / (points[2, i] * steep + points[3, i] * (1.0 - steep))
             residual = distance - radius
-            row[0], row[1], row[2] = dx / distance, dy / distance, 1.0
-            cost += min(residual * residual / variance, outlier * outlier)
-            for a in range(3):
-                g[a] += row[a] * residual / variance
-                A[a, 0] += row[a] * row[0] / variance
-            A[1, 1] += row[1] * row[1] / variance
-            A[2, 1] += row[2] * row[1] / variance
-            A[2, 2] += row[2] * row[2] / variance
+            cost += min(residual * residual * weight, outlier * outlier)
+            u, v = dx / distance, dy / distance
+            g[0], g[1], g[2] = g[0] + weight * u * residual, g[1] + weight * v * residual, g[2] + weight * residual
+            A[0, 0], A[1, 0], A[2, 0] = A[0, 0] + weight * u * u, A[1, 0] + weight * u * v, A[2, 0] + weight * u
+            A[1, 1], A[2, 1], A[2, 2] = A[1, 1] + weight * v * v, A[2, 1] + weight * v, A[2, 2] + weight
         A[0, 1], A[0, 2], A[1, 2] = A[1, 0], A[2, 0], A[2, 1]
         solve3(A, g)
         x, y, radius = x + g[0], y + g[1], radius + g[2]

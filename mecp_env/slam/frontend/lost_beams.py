@@ -66,8 +66,10 @@ def stop_at_walls(beams: MergedScan, segments: Segments, sensor: SensorModel) ->
     The wall may go on there unseen, so that the floor behind is not known to be free. Without an incidence beyond which
     beams are lost nothing changes.
     """
+    if sensor.grazing_deg >= 90.0 or not len(segments.line):
+        return beams
     silent = np.flatnonzero(~beams.hit)
-    if sensor.grazing_deg >= 90.0 or not len(silent) or not len(segments.line):
+    if not len(silent):
         return beams
     (alpha, rho), doubt = segments.line.T[:, :, None], np.sqrt(segments.cov[:, 0, 0])[:, None]
     cosine = np.cos(beams.bearings[silent] - alpha)  # of the incidence on each line

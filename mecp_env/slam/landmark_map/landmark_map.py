@@ -53,7 +53,7 @@ class LandmarkMap:
         """
         self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
         match, confirmed = track_corners(self.features, seen, graph, self.config.tracks, wide)
-        return Sighting(seen.corners, match, seen.through, seen.belief, seen.step), confirmed
+        return seen.with_match(match), confirmed
 
     def forget_tracks(self, step: int, resolve: Resolve) -> None:
         """Drop all tracks and the polygons that they were vertices of: the robot was put elsewhere after `step`."""

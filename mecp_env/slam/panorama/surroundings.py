@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.quick import quick
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.messages import (
     NO_ID,
@@ -25,6 +26,7 @@ from mecp_env.slam.panorama.pose_marks import TURN
 from mecp_env.slam.panorama.surfaces import Surfaces
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
     """A scan, and what associator and polygon search see of the place: without past corners that of the scan itself."""

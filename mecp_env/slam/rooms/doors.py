@@ -137,10 +137,9 @@ def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
 def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
     doorways, id_of = seen.corners.doorways, seen.match.ids.tolist()
-    elsewhere = _elsewhere(seen) if len(doorways.jambs) else []
     for pair, confirmable in zip(doorways.jambs.tolist(), doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        if elsewhere[pair[0]] or elsewhere[pair[1]]:
+        if any(_is_elsewhere(seen, corner) for corner in pair):
             continue
         if ids in door_map.row and not door_map.inside:
             _see_again(door_map, ids, confirmable, room, config)
@@ -151,10 +150,10 @@ def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, r
             _record_gap(door_map, gap, features, seen.belief, config)
 
 
-def _elsewhere(seen: Sighting) -> list[bool]:
-    """(n,) the corners that are not of this room, or on something that moves."""
-    columns = seen.through.tolist(), seen.corners.beyond.tolist(), seen.match.reason.tolist()
-    return [door >= 0 or gap >= 0 or reason == DYNAMIC for door, gap, reason in zip(*columns, strict=True)]
+def _is_elsewhere(seen: Sighting, corner: int) -> bool:
+    """True for a corner that is not of this room, or on something that moves."""
+    outside = seen.through[corner] >= 0 or seen.corners.beyond[corner] >= 0
+    return bool(outside or seen.match.reason[corner] == DYNAMIC)
 
 
 def _record_gap(door_map: DoorMap, gap: Candidate, features: FeatureTable, belief: Belief, config: RoomConfig) -> None:

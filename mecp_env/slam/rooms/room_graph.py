@@ -323,12 +323,12 @@ def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: fl
 
 def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
     """True when the robot is between `margin` and 1 m behind the gap with the ends (2,2): right and left in front."""
-    right_x, right_y, left_x, left_y = map(float, ends.ravel())
-    x, y = left_x - right_x, left_y - right_y
+    (right_x, right_y), (left_x, left_y) = ends.tolist()
+    (p_x, p_y, _), x, y = p_robot.tolist(), left_x - right_x, left_y - right_y
     width = math.hypot(x, y)
-    dx, dy = float(p_robot[0]) - (right_x + left_x) / 2.0, float(p_robot[1]) - (right_y + left_y) / 2.0
+    dx, dy = p_x - (right_x + left_x) / 2.0, p_y - (right_y + left_y) / 2.0
     ahead, aside = dx * (-y / width) + dy * (x / width), dx * (x / width) - dy * (-y / width)
-    return abs(aside) < width / 2.0 and -1.0 < ahead < -margin
+    return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
 
 
 @compiled

@@ -25,7 +25,8 @@ class Trail:
             self.places[n - 1, :2] = x, y
             return
         kept = self.places[max(n - config.trail_places, 0) :]
-        self.places = np.concatenate((kept, ((x, y, step, features),)))
+        self.places = np.empty((len(kept) + 1, 4))
+        self.places[:-1], self.places[-1] = kept, (x, y, step, features)
 
     def passed(self, jambs: Array) -> tuple[int, int] | None:
         """Step and number of features when the robot went through a gap (2,2) m for good; None if it did not."""
