@@ -40,6 +40,7 @@ IN_UNITS = (
     "loop",
     "noise",
     "real",
+    "soak",
     "worlds",
 )  # of work, kept and divided
 NAMES = (
@@ -55,11 +56,12 @@ NAMES = (
     "worlds",
     "real",
     "vector",
+    "soak",
 )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit code: 0, or 1 where a gate failed, or 2 for a wrong command line."""
+    """Exit code: 0, or 1 where a gate or a bound failed, or 2 for a wrong command line."""
     given = parser().parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
     options = options_of(given, module)
@@ -86,7 +88,9 @@ def main(arguments: list[str] | None = None) -> int:
         save(content, page + (f"\n![{given.name}]({path.stem}.png)\n" if hasattr(module, "figure") else ""), path)
         if hasattr(module, "figure"):
             save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
-    return 0
+    faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
+    print(*(f"failed: {fault}" for fault in faults), sep="\n", end="\n" * bool(faults), file=sys.stderr)
+    return 1 if faults else 0
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:
@@ -102,7 +106,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     if given.shard != WHOLE and given.name not in IN_UNITS:
         parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
     parts = tuple(given.sets), tuple(given.modules)
-    return Options(given.jobs, given.quick, *parts, given.against, given.sweeps or 4, given.shard, UNITS / given.name)
+    return Options(
+        given.jobs, given.quick, *parts, given.against, given.sweeps or (1, 4), given.shard, UNITS / given.name
+    )
 
 
 def parser() -> argparse.ArgumentParser:
@@ -118,7 +124,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME[:COUNT]",
-        help="of association, loop, noise, real and worlds: only these; written only with --json",
+        help="of association, loop, noise, real, soak and worlds: only these; written only with --json",
     )
     made.add_argument(
         "--with",
@@ -133,7 +139,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="GIT_REF",
         help="of speed and start: compare the working tree with this commit; written only with --json",
     )
-    made.add_argument("--sweeps", type=positive, metavar="K", help="of speed --against: sweeps per scan, default 4")
+    made.add_argument(
+        "--sweeps", type=positive, nargs="+", metavar="K", help="of speed --against: sweeps per scan, default 1 and 4"
+    )
     made.add_argument(
         "--shard",
         type=shard,

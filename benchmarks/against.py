@@ -3,6 +3,7 @@
 Two processes, one in each tree, drive the same episodes. They take turns in blocks of control steps, so that both meet
 the same state of the machine, and each measures the CPU time of `env.step` (with goals, planner and controller
 included; resets and warm-up excluded). Blocks in which a function was compiled or loaded do not count, in either tree.
+Simulators of the extra `peers` are measured after that (`peers.py`).
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import itertools
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from benchmarks import peers
 from benchmarks.common import Figures, Options, ratio, table
 from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
 
@@ -35,18 +38,22 @@ QUICK = Sizes(block=50, warm_up=100, total=500)
 
 
 def run(options: Options, sizes: Sizes | None = None) -> Figures:
-    """For each kind of action: the ratio of the step times, new to old, and control steps per second of both."""
+    """For each number of sweeps and kind of action the ratio of the step times, new to old; then the peers."""
     assert options.against is not None
     sizes = sizes or (QUICK if options.quick else Sizes())
     with checkout(options.against) as other:
         trees = {HERE: WORKING_TREE, options.against: other}
-        figures = {}
-        for actions in ACTIONS:
-            with contextlib.ExitStack() as stack:
-                arguments = actions, str(options.sweeps)
-                workers = [stack.enter_context(TreeWorker(name, tree, *arguments)) for name, tree in trees.items()]
-                figures[actions] = summarise(list(measure(workers, sizes)))
-    return {"against": options.against, f"K={options.sweeps}": figures}
+        figures: Figures = {
+            f"K={k}": {actions: compare(trees, actions, k, sizes) for actions in ACTIONS} for k in options.sweeps
+        }
+    return {"against": options.against, **figures, "peers": peers.measure(sizes.total // sizes.block, options.sweeps)}
+
+
+def compare(trees: dict[str, Path], actions: str, sweeps: int, sizes: Sizes) -> Figures:
+    """The figures of one kind of action."""
+    with contextlib.ExitStack() as stack:
+        workers = [stack.enter_context(TreeWorker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
+        return summarise(list(measure(workers, sizes)))
 
 
 def measure(workers: list[TreeWorker], sizes: Sizes) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
@@ -98,7 +105,7 @@ def report(figures: Figures) -> str:
             v["same_observations"],
         )
         for sweeps, kinds in figures.items()
-        if sweeps != "against"
+        if sweeps.startswith("K=")
         for actions, v in kinds.items()
     ]
     header = [f"time per step, {HERE} / {ref}", f"steps per second, {HERE}", f"steps per second, {ref}"]
@@ -106,5 +113,7 @@ def report(figures: Figures) -> str:
         [
             __doc__.partition("\n\n")[2].strip() if __doc__ else "",
             table(["sweeps", "actions", *header, "pairs of blocks", "share with the same observation"], rows),
+            "## MiniGrid and ir-sim",
+            peers.report(figures["peers"]),
         ]
     )

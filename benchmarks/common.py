@@ -1,8 +1,9 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown, and
-`figure(figures)`, a figure of matplotlib that is saved as PNG beside them.
+It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown,
+`figure(figures)`, a figure of matplotlib that is saved as PNG beside them, and `faults(figures) -> list[str]`, what
+exceeds its bound.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Options:
     sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
     modules: tuple[str, ...] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
-    sweeps: int = 4  # per scan, in that comparison
+    sweeps: tuple[int, ...] = (1, 4)  # per scan, in that comparison
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
 

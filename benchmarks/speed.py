@@ -1,4 +1,4 @@
-"""Speed: steps per second of the whole environment, time per stage, and the ray and polygon functions alone.
+"""Speed: steps per second of the whole environment, beside other simulators, and by stage; rays and polygons alone.
 
 Everything runs on one core. Times are CPU times of this thread, so that other load on the machine does not count; steps
 in which numba compiled or loaded a function are excluded.
@@ -15,7 +15,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from benchmarks import crowd_speed, polygon_speed
+from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.polygon_speed import SITES
 from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
@@ -46,6 +46,7 @@ def run(options: Options) -> Figures:
     steps = 300 if options.quick else 3000
     return {
         "env": {f"K={k}": environment(k, steps) for k in SWEEPS},
+        "peers": peers.measure(5 if options.quick else 60, SWEEPS),
         "crowd": crowd_speed.measure(2 if options.quick else 12),
         "rays": rays(50 if options.quick else 300),
         "polygon": polygon_speed.measure(20 if options.quick else 200),
@@ -180,6 +181,8 @@ def report(figures: Figures) -> str:
             table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
             "## Time per stage, us",
             table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
+            "## MiniGrid and ir-sim",
+            peers.report(figures["peers"]),
             f"## A larger building, and pedestrians\n\n{crowd_speed.__doc__}",
             crowd_speed.report(figures["crowd"]),
             "## 720 rays, us (median over poses)",

@@ -12,11 +12,9 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 import os
-import re
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -26,6 +24,7 @@ from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.process_use import memory_mb, processor_s
 from mecp_env.core.cores import cores
 from mecp_env.vector import BatchEnv
 
@@ -57,7 +56,7 @@ def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[s
             driver.measure(seconds)  # loads compiled functions and fills caches
         turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds)]
         measured = [{name: drivers[name].measure(seconds) for name in turn} for turn in turns]
-        memory = {name: driver.memory_mb() for name, driver in drivers.items()}
+        memory = {name: memory_mb(driver.pids()) for name, driver in drivers.items()}
     finally:
         for driver in drivers.values():
             driver.close()
@@ -175,10 +174,10 @@ class Driver:
 
     def measure(self, seconds: float) -> tuple[float, float]:
         """Control steps per second, and microseconds of CPU time per step, over at least this time."""
-        start, spent, steps = time.perf_counter(), self.processor_s(), 0
+        start, spent, steps = time.perf_counter(), processor_s(self.pids()), 0
         while time.perf_counter() < start + seconds:
             steps += self.step()
-        return steps / (time.perf_counter() - start), 1e6 * (self.processor_s() - spent) / steps
+        return steps / (time.perf_counter() - start), 1e6 * (processor_s(self.pids()) - spent) / steps
 
     def step(self) -> int:
         """One step of all environments: the total number of control steps."""
@@ -202,22 +201,6 @@ class Driver:
         batch = getattr(self.venv, "batch", self.venv)
         workers = batch.pids if isinstance(batch, BatchEnv) else [p.pid for p in processes(self.venv)]
         return [os.getpid(), *workers]
-
-    def processor_s(self) -> float:
-        """CPU seconds of all threads of all processes until now; nan where the system does not report them."""
-        try:
-            threads = [thread for pid in self.pids() for thread in Path(f"/proc/{pid}/task").iterdir()]
-            return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads) / 1e9
-        except OSError:
-            return float("nan")
-
-    def memory_mb(self) -> float:
-        """Memory of all processes with shared pages divided (Pss); nan where the system does not report it."""
-        try:
-            pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in self.pids()]
-        except OSError:
-            return float("nan")
-        return sum(int(re.findall(r"\nPss:\s+(\d+)", page)[0]) for page in pages) / 1e3
 
     def close(self) -> None:
         """Stop the workers."""

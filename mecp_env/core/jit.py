@@ -14,6 +14,7 @@ import numba
 
 try:
     from mecp_env.core.jit_cache import cache_for
+    from mecp_env.core.jit_dispatcher import LeanDispatcher
 except ImportError:  # another numba keeps its cache elsewhere
     cache_for = None  # type: ignore[assignment]
 
@@ -30,8 +31,8 @@ def compiled(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
     if numba.config.DISABLE_JIT:
         return function
-    dispatcher: Any = numba.njit(**OPTIONS)(function)
-    if CHECKED_CACHE and hasattr(dispatcher, "_cache"):
+    if CHECKED_CACHE:
+        dispatcher: Any = LeanDispatcher(function, OPTIONS)
         dispatcher._cache = cache_for(function)
     else:
         dispatcher = with_plain_cache(function)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "6: nogil, numpy errors, no wrapper for C"  # changes with the options of `compiled`
+FORMAT = "7: nogil, numpy errors, no wrapper for C, no variants of numbers"  # changes with the options of `compiled`
 
 
 def fingerprint(function: Callable[..., Any]) -> str:

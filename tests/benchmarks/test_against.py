@@ -29,8 +29,8 @@ def temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 @needs_git
 def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(temporary: Path) -> None:
     sizes = against.Sizes(block=10, episode=20, warm_up=30, total=40)
-    figures = against.run(Options(against="HEAD", sweeps=1), sizes)
-    assert set(figures) == {"against", "K=1"}
+    figures = against.run(Options(against="HEAD", sweeps=(1,)), sizes)
+    assert set(figures) == {"against", "K=1", "peers"}
     for values in figures["K=1"].values():
         assert values["ratio"]["value"] > 0.0
         assert values["ratio"]["n"] + values["left_out"] >= 2

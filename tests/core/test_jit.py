@@ -35,7 +35,7 @@ class Tree:
     def __init__(self, folder: Path) -> None:
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         (self.package / "core").mkdir(parents=True)
-        for name in ("jit.py", "jit_cache.py", "jit_key.py", "warm_up_list.py"):
+        for name in ("jit.py", "jit_cache.py", "jit_dispatcher.py", "jit_key.py", "warm_up_list.py"):
             shutil.copy(PACKAGE / "core" / name, self.package / "core")
         (self.package / "core" / "__init__.py").touch()
         (self.package / "__init__.py").touch()
@@ -97,6 +97,13 @@ def test_a_callee_is_part_of_its_callers_entry_and_python_can_call_it_too(tree: 
     assert tree.call(code)[0] == 2.0  # compiled for Python now
     assert len(tree.entries("nbc")) == 2
     assert tree.call(code) == (2.0, "")
+
+
+def test_what_was_compiled_as_a_part_of_its_caller_is_compiled_again_for_python(tree: Tree) -> None:
+    code = "from mecp_env.caller import caller, called; caller(1.0); print(called(1.0), caller(1.0) - 2.0)"
+    assert tree.call(code)[0] == 2.0
+    assert tree.call(code) == (2.0, "")
+    assert len(tree.entries("nbc")) == 2
 
 
 def test_a_function_on_the_list_has_an_entry_of_its_own(tree: Tree) -> None:

@@ -69,7 +69,8 @@ def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
         xi[:] = 0.0
         cost, W = gauss_newton(state, n, slots, z, R, invariant, 1, np.zeros(n))
         if math.isnan(cost):
-            state[0, :n] = before
+            for i in range(n):  # not by slices: for their error messages numba compiles its strings, two seconds long
+                state[0, i] = before[i]
     return not math.isnan(cost) and apply_update(state, slot_ids, W, xi, invariant)
 
 

@@ -1,0 +1,196 @@
+"""Soak: a million control steps of a vector environment, and of a single one, over many episodes and buildings.
+
+`vector` is 16 environments of `make_vec` with random velocities, `single` one with random goals, both in generated
+buildings with pedestrians and boxes. After a tenth of the steps to warm up, memory (Pss), open files, shared memory and
+CPU time of all processes are taken a hundred times. The run fails when memory grows by more than 5 MB from the first
+tenth of these to the last (means), when files or segments are more at the end than at any time in the first tenth,
+when an observation is not finite or outside its space, when no episode ended, when a step costs more than 1.1 times the
+CPU time at the end (lower end of the interval), or when closing leaves a process, file or segment behind.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import mecp_env  # noqa: F401  (registers the environments)
+from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress, table
+from benchmarks.process_use import memory_mb, open_files, processor_s, shared_segments
+from benchmarks.vector import HELD
+
+NAME, COUNT = "mecp_env/Rooms-v0", 16
+SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 500}
+SETS = {"vector": 1_000_000, "single": 1_000_000}  # control steps
+QUICK = {"vector": 16_000, "single": 4_000}
+MOST = 1_000_000_000
+SLICES, TENTH = 100, 10
+
+BOUNDS = {
+    "growth_mb": 5.0,
+    "more_files": 0.0,
+    "more_segments": 0.0,
+    "wrong_observations": 0.0,
+    "left_behind": 0.0,
+    "processor_time_last_over_first": 1.1,
+}
+GATES = tuple(Gate(f"{name}/{figure}", "bound", most) for name in SETS for figure, most in BOUNDS.items())
+
+
+@dataclass(slots=True)
+class Soak:
+    """What was watched, a number per slice of the run."""
+
+    steps: list[int] = field(default_factory=list)  # control steps
+    seconds: list[float] = field(default_factory=list)
+    processor_s: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+    files: list[int] = field(default_factory=list)
+    segments: list[int] = field(default_factory=list)
+    episodes: list[int] = field(default_factory=list)  # that ended
+    wrong: int = 0  # observations that are not finite or outside their space
+    left_behind: int = 0  # workers, files and segments after closing
+
+
+class Many:
+    """A vector environment and random velocities, each held for several steps."""
+
+    def __init__(self) -> None:
+        self.env: Any = gymnasium.make_vec(NAME, num_envs=COUNT, **SETTING)
+        self.observation, _ = self.env.reset(seed=0)
+        self.rng, self.calls = np.random.default_rng(0), 0
+
+    def step(self) -> tuple[int, int]:
+        """One step of all environments: control steps, and episodes that ended."""
+        if self.calls % HELD == 0:
+            self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (COUNT, 2)).astype(np.float32)
+        self.calls += 1
+        self.observation, _, terminated, truncated, infos = self.env.step(self.held)
+        return int((infos["period"] > 0).sum()), int((terminated | truncated).sum())
+
+    def workers(self) -> list[int]:
+        """Their process ids."""
+        return list(self.env.pids)
+
+
+class One:
+    """A single environment and random goals."""
+
+    def __init__(self) -> None:
+        self.env = gymnasium.make(NAME, actions="goal", **SETTING)
+        self.observation, _ = self.env.reset(seed=0)
+        self.rng = np.random.default_rng(0)
+
+    def step(self) -> tuple[int, int]:
+        """A drive to a goal: control steps, and episodes that ended."""
+        goals = np.flatnonzero(self.env.get_wrapper_attr("action_masks")())
+        action = self.rng.choice(goals) if len(goals) else 0
+        self.observation, _, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            self.observation, _ = self.env.reset()
+        return int(info["periods"]), int(terminated or truncated)
+
+    def workers(self) -> list[int]:
+        """None."""
+        return []
+
+
+KINDS = {"vector": Many, "single": One}
+
+
+def run(options: Options) -> Figures:
+    """The figures of each set; one after the other, each kept when it is finished."""
+    counts = chosen(options.sets, SETS, MOST) or (QUICK if options.quick else SETS)
+    soaks = in_parallel(soak, Soak, list(counts.items()), replace(options, jobs=1))
+    return {name: summarise(result) for name, result in zip(counts, soaks, strict=True)}
+
+
+def soak(task: tuple[str, int]) -> Soak:
+    """Drive the environment of a kind for so many control steps, and watch it."""
+    kind, steps = task
+    KINDS[kind]().env.close()  # starts what the process keeps: the servers of multiprocessing
+    before = open_files(["self"]) + shared_segments(["self"])
+    driver, watched = KINDS[kind](), Soak()
+    block = max(steps // SLICES, 1)
+    drive(driver, block * TENTH, watched)
+    begun = time.monotonic()
+    for number in range(SLICES):
+        watch(driver, block, watched)
+        show_progress(number + 1, SLICES, time.monotonic() - begun)
+    workers = driver.workers()
+    driver.env.close()
+    watched.left_behind = max(open_files(["self", *workers]) + shared_segments(["self", *workers]) - before, 0)
+    return watched
+
+
+def watch(driver: Any, steps: int, watched: Soak) -> None:
+    """Drive for a slice and append what it used."""
+    pids = ["self", *driver.workers()]
+    start, spent = time.perf_counter(), processor_s(pids)
+    counted, episodes = drive(driver, steps, watched)
+    watched.steps.append(counted)
+    watched.episodes.append(episodes)
+    watched.seconds.append(time.perf_counter() - start)
+    watched.processor_s.append(processor_s(pids) - spent)
+    watched.memory_mb.append(memory_mb(pids))
+    watched.files.append(open_files(pids))
+    watched.segments.append(shared_segments(pids))
+
+
+def drive(driver: Any, steps: int, watched: Soak) -> tuple[int, int]:
+    """At least so many control steps: their number, and the number of episodes that ended."""
+    counted = episodes = 0
+    while counted < steps:
+        done, ended = driver.step()
+        counted, episodes = counted + done, episodes + ended
+        watched.wrong += not sound(driver.env.observation_space, driver.observation)
+    return counted, episodes
+
+
+def sound(space: Any, observation: dict[str, Any]) -> bool:
+    """True when every number is finite and the observation is in its space."""
+    return all(np.isfinite(part).all() for part in observation.values()) and space.contains(observation)
+
+
+def summarise(soak: Soak) -> Figures:
+    """The figures of a run: first and last tenth, and what must be none."""
+    first, last = slice(0, TENTH), slice(-TENTH, None)
+    per_step = np.array(soak.processor_s) / soak.steps
+    rate = [float(np.sum(soak.steps[tenth]) / np.sum(soak.seconds[tenth])) for tenth in (first, last)]
+    return {
+        "steps": sum(soak.steps),
+        "episodes": sum(soak.episodes),
+        "memory_mb": float(np.mean(soak.memory_mb[last])),
+        "growth_mb": float(np.mean(soak.memory_mb[last]) - np.mean(soak.memory_mb[first])),
+        "files": max(soak.files[last]),
+        "more_files": max(soak.files[last]) - max(soak.files[first]),
+        "segments": max(soak.segments[last]),
+        "more_segments": max(soak.segments[last]) - max(soak.segments[first]),
+        "wrong_observations": soak.wrong,
+        "left_behind": soak.left_behind,
+        "steps_per_s_first": rate[0],
+        "steps_per_s_last": rate[1],
+        "processor_time_last_over_first": ratio(per_step[last], per_step[first]),
+    }
+
+
+def faults(figures: Figures) -> list[str]:
+    """What exceeds a bound, one line each."""
+    return [f"{name}: {fault}" for name, values in figures.items() for fault in _faults(values)]
+
+
+def _faults(values: Figures) -> list[str]:
+    least = {name: values[name]["low"] if isinstance(values[name], dict) else values[name] for name in BOUNDS}
+    found = [f"{name} {least[name]:.4g}, at most {most:g}" for name, most in BOUNDS.items() if not least[name] <= most]
+    return found + ["no episode ended"] * (not values["episodes"])
+
+
+def report(figures: Figures) -> str:
+    """One column per set."""
+    names = next(iter(figures.values()))
+    rows = [(name.replace("_", " "), *(values[name] for values in figures.values())) for name in names]
+    verdict = "\n".join(f"- {fault}" for fault in faults(figures)) or "All within their bounds."
+    return "\n\n".join([(__doc__ or "").strip(), table(["", *figures], rows), verdict])
