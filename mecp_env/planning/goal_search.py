@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig
-from mecp_env.slam.messages import MapPolygon, SemanticGrid
+from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid
 
 Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]
@@ -40,17 +40,19 @@ def floor_clusters(grid: SemanticGrid, lines: Array, config: GoalsConfig) -> tup
 
 def uncovered_edges(
     polygons: Sequence[MapPolygon],
-    places: dict[int, list[float]],
+    belief: Belief,
     grid: SemanticGrid,
     wanted: tuple[int, float, float],
 ) -> Array:
     """Wide intervals of one label beyond which no polygon lies (e,6): middle x, y, outward normal, width, polygon.
 
-    `places`: x, y in m, map frame, of the landmarks by id. `wanted`: the EdgeLabel, the least width and the distance
-    from the edge at which another polygon is looked for, m.
+    `wanted`: the EdgeLabel, the least width and the distance from the edge at which another polygon is looked for, m.
     """
-    p_map = [places.get(i, NOWHERE) for polygon in polygons for i in polygon.ids.tolist()]
-    rings = np.array(p_map, np.float64), starts([len(polygon.ids) for polygon in polygons])
+    ids = np.concatenate([polygon.ids for polygon in polygons])
+    row = np.full(1 + max(ids.max(), belief.ids.max(initial=0)), -1)
+    row[belief.ids] = np.arange(len(belief.ids))
+    p_map = np.concatenate((belief.p_map, [NOWHERE]))[row[ids]]
+    rings = p_map, starts([len(polygon.ids) for polygon in polygons])
     intervals = np.concatenate([polygon.intervals for polygon in polygons])
     rows = starts([len(polygon.intervals) for polygon in polygons])
     layer = grid.polygon, grid.origin, grid.resolution_m

@@ -101,8 +101,12 @@ def open_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
 def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
     """The widest of goals closer to each other than this."""
     kept: list[Goal] = []
+    squares: dict[tuple[float, float], list[Goal]] = {}  # of that side: others so close are in it or beside it
     for goal in sorted(goals, key=lambda goal: -goal.size_m):
-        if all(math.hypot(goal.x - other.x, goal.y - other.y) > apart_m for other in kept):
+        column, row = goal.x // apart_m, goal.y // apart_m
+        beside = [squares.get((column + right, row + up), ()) for right in (-1, 0, 1) for up in (-1, 0, 1)]
+        if all(math.hypot(goal.x - other.x, goal.y - other.y) > apart_m for some in beside for other in some):
+            squares.setdefault((column, row), []).append(goal)
             kept.append(goal)
     return kept
 
@@ -116,9 +120,9 @@ def uncovered_edges(context: GoalContext, wanted: tuple[int, float, float]) -> l
     polygons = [polygon for polygon in output.map_polygons if len(polygon.intervals)]
     if not polygons:
         return []
-    edges = goal_search.uncovered_edges(polygons, context.places, output.grid, wanted)
-    rooms = [output.graph.resolve(polygon.room) for polygon in polygons]
-    return [(x, y, nx, ny, width, rooms[int(owner)]) for x, y, nx, ny, width, owner in edges.tolist()]
+    edges = goal_search.uncovered_edges(polygons, output.belief, output.grid, wanted).tolist()
+    rooms = [polygons[int(edge[5])].room for edge in edges]
+    return [(*edge[:5], output.graph.resolve(room)) for edge, room in zip(edges, rooms, strict=True)]
 
 
 def floor_goals(context: GoalContext, config: GoalsConfig) -> tuple[list[Goal], list[Goal]]:

@@ -14,7 +14,7 @@ from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
-from mecp_env.planning.levels import door_levels, polygon_levels
+from mecp_env.planning.levels import door_levels, polygon_levels, rings_by_room
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import UNKNOWN_ROOM, RoomGraph, SlamOutput
 
@@ -51,7 +51,8 @@ class GoalHistory:
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
         for drive in self.drives if output.graph.merged else ():
-            drive.room = output.graph.resolve(drive.room)
+            if drive.room in output.graph.merged:
+                drive.room = output.graph.resolve(drive.room)
 
     def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> Remembered:
         """What is remembered of a goal after one more drive to it. Ended often enough, and the goal is closed.
@@ -86,11 +87,26 @@ class GoalHistory:
 
         A drive in another room does not close a goal of this one.
         """
-        (x, y), alike = place, [drive for drive in self.drives if drive.kind == kind and drive.room == room]
-        places = [(drive.p_map.tolist(), drive) for drive in alike]
-        near = [(math.hypot(p[0] - x, p[1] - y), drive) for p, drive in places]
-        far, nearest = min(near, key=lambda pair: pair[0], default=(math.inf, None))
-        return nearest if far <= apart_m else None
+        alike = [drive for drive in self.drives if drive.kind == kind and drive.room == room]
+        return nearest([(drive.p_map.tolist(), drive) for drive in alike], place, apart_m)
+
+    def find_all(self, goals: list[Goal], apart_m: float) -> list[Remembered | None]:
+        """The same for each goal."""
+        alike: dict[tuple[int, int], list[Drive]] = {}
+        for drive in self.drives:
+            alike.setdefault((drive.kind, drive.room), []).append((drive.p_map.tolist(), drive))
+        return [nearest(alike.get((goal.kind, goal.room), []), (goal.x, goal.y), apart_m) for goal in goals]
+
+
+Drive = tuple[list[float], Remembered]  # where it went (x, y) m, and what is remembered of it
+
+
+def nearest(drives: list[Drive], place: tuple[float, float], apart_m: float) -> Remembered | None:
+    """The drive that went nearest to a place, within `apart_m`."""
+    x, y = place
+    near = [(math.hypot(p[0] - x, p[1] - y), drive) for p, drive in drives]
+    far, found = min(near, key=lambda pair: pair[0], default=(math.inf, None))
+    return found if far <= apart_m else None
 
 
 def find_goals(output: SlamOutput, history: GoalHistory, config: PlanningConfig) -> Goals:
@@ -122,8 +138,7 @@ def complete_rooms(goals: Goals, history: GoalHistory, graph: RoomGraph) -> tupl
 def without_closed(goals: list[Goal], history: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals that are not closed, with their visits."""
     still = []
-    for goal in goals:
-        memory = history.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m)
+    for goal, memory in zip(goals, history.find_all(goals, config.apart_m), strict=True):
         if memory is not None:
             goal.visits = memory.visits + memory.refusals + memory.settled
         if memory is None or not memory.closed:
@@ -133,7 +148,7 @@ def without_closed(goals: list[Goal], history: GoalHistory, config: GoalsConfig)
 
 def not_visited(goals: list[Goal], history: GoalHistory, config: GoalsConfig) -> list[Goal]:
     """The goals where no drive ended and that are not closed; a door is confirmed in the time of one visit."""
-    memories = [history.find(goal.kind, goal.room, (goal.x, goal.y), config.apart_m) for goal in goals]
+    memories = history.find_all(goals, config.apart_m)
     seen = [memory is not None and (memory.closed or memory.visits > 0) for memory in memories]
     return [goal for goal, done in zip(goals, seen, strict=True) if not done]
 
@@ -183,9 +198,10 @@ def with_levels(goals: list[Goal], output: SlamOutput, history: GoalHistory) -> 
     for goal in doors:
         goal.level = rooms.get(goal.room, len(rooms))
     local = [goal for goal in goals if goal.kind != DOOR]
-    for room in {goal.room for goal in local}:
+    rings, p_map = rings_by_room(output, {goal.room for goal in local}), output.belief.p_map.tolist()
+    for room in rings:
         of_room = [goal for goal in local if goal.room == room]
-        set_levels(of_room, *polygon_levels(output, room, history.entry.get(room)))
+        set_levels(of_room, *polygon_levels(rings[room], p_map, history.entry.get(room)))
     return goals
 
 

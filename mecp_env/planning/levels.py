@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mecp_env.core.array_types import Array
-from mecp_env.slam.messages import UNKNOWN_ROOM, RoomGraph, SlamOutput
+from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, RoomGraph, SlamOutput
 
 Point = tuple[float, float]
 
@@ -31,20 +31,19 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(output: SlamOutput, room: int, p_entry: Array | None) -> tuple[list[Point], list[int]]:
-    """Centres (m, map frame) and levels of the known polygons of a room; neighbours share a vertex.
+def polygon_levels(
+    rings: list[list[int]], p_map: list[list[float]], p_entry: Array | None
+) -> tuple[list[Point], list[int]]:
+    """Centres (m, map frame) and levels of the polygons of a room, `rings` of rows of `p_map`.
 
-    Level 0 is the polygon nearest to where the room was entered.
+    Neighbours share a vertex. Level 0 is the polygon nearest to where the room was entered.
     """
-    rings = rings_of_room(output, room)
     if not rings:
         return [], []
-    p_map = output.belief.p_map.tolist()
     centres = [centre_of([p_map[row] for row in sorted(ring)]) for ring in rings]
     x, y = centres[0] if p_entry is None else p_entry.tolist()
     far = [math.hypot(a - x, b - y) for a, b in centres]
-    level = levels_from(far.index(min(far)), neighbours_of(rings))
-    return centres, [level.get(i, len(rings)) for i in range(len(rings))]
+    return centres, ring_levels(far.index(min(far)), rings)
 
 
 def centre_of(points: list[list[float]]) -> Point:
@@ -55,17 +54,29 @@ def centre_of(points: list[list[float]]) -> Point:
     return x / len(points), y / len(points)
 
 
-def neighbours_of(rings: list[list[int]]) -> dict[int, set[int]]:
-    """The rings that share a vertex with each ring."""
-    owners: dict[int, set[int]] = {}
+def ring_levels(start: int, rings: list[list[int]]) -> list[int]:
+    """Number of steps from the ring `start` to each, over shared vertices; of those out of reach how many there are."""
+    owners: dict[int, list[int]] = {}
     for i, ring in enumerate(rings):
         for row in ring:
-            owners.setdefault(row, set()).add(i)
-    return {i: set().union(*(owners[row] for row in ring)) for i, ring in enumerate(rings)}
+            owners.setdefault(row, []).append(i)
+    level, wave = {start: 0}, {start}
+    while wave:
+        onward = {i for ring in wave for row in rings[ring] for i in owners.pop(row, ())} - level.keys()
+        level |= dict.fromkeys(onward, level[next(iter(wave))] + 1)
+        wave = onward
+    return [level.get(i, len(rings)) for i in range(len(rings))]
 
 
-def rings_of_room(output: SlamOutput, room: int) -> list[list[int]]:
-    """Of the known polygons of a room: the rows of their vertices in the belief, where all are landmarks."""
-    row = {landmark: i for i, landmark in enumerate(output.belief.ids.tolist())}
-    rings = [p.ids.tolist() for p in output.map_polygons if output.graph.resolve(p.room) == room]
-    return [[row[i] for i in ids] for ids in rings if row.keys() >= set(ids)]
+def rings_by_room(output: SlamOutput, rooms: set[int]) -> dict[int, list[list[int]]]:
+    """Of the known polygons of each room: the rows of their vertices in the belief, where all are landmarks."""
+    ids = output.belief.ids.tolist()
+    row = dict(zip(ids, range(len(ids)), strict=True))
+    named = [polygon.room for polygon in output.map_polygons]
+    became = {room: output.graph.resolve(room) for room in set(named)}
+    rings: dict[int, list[list[int]]] = {room: [] for room in rooms}
+    for polygon, name in zip(output.map_polygons, named, strict=True):
+        vertices = polygon.ids.tolist() if became[name] in rooms else [NO_ID]
+        if row.keys() >= set(vertices):
+            rings[became[name]].append(list(map(row.__getitem__, vertices)))
+    return rings

@@ -18,7 +18,7 @@ from mecp_env.planning.goal_sources import (
     open_goals,
 )
 from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
-from mecp_env.planning.levels import door_levels, levels_from, polygon_levels
+from mecp_env.planning.levels import door_levels, levels_from, polygon_levels, rings_by_room
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.messages import Door, EdgeLabel, MapPolygon, RoomGraph, SlamOutput
 from tests.toy import Toy, candidate, layer_at
@@ -294,7 +294,9 @@ def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
     toy.add_polygon([4, 1, 2, 5], 0)
     toy.add_polygon([1, 8, 6], 0)
     toy.add_polygon([9, 10, 11], 1)
-    centres, levels = polygon_levels(toy.output(), 0, to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0])
+    output = toy.output()
+    rings, p_entry = rings_by_room(output, {0}), to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0]
+    centres, levels = polygon_levels(rings[0], output.belief.p_map.tolist(), p_entry)
     assert len(centres) == 3
     assert levels == [0, 1, 2]
 

@@ -89,25 +89,28 @@ class SubmapEkf(RightInvariantEkf):
         return nis
 
     def fuse(self, keep: int, drop: int) -> None:
-        self.synchronise()
+        self._wake(np.unique([keep, drop]))
         super().fuse(keep, drop)
 
     def remove(self, ids: Ints) -> None:
-        ids = integers(ids)
-        if (ids > NO_ID).any() or not self._is_at_work(ids):
-            self.synchronise()
+        ids = np.unique(integers(ids))
+        self._wake(ids)
         super().remove(ids)
 
     def belief(self) -> Belief:
         own = super().belief()
         if self.rest is None:
             return own
-        shown = self.rest.belief
+        shown, kept = self.rest.belief, self.rest.is_at_rest.copy()
         rows = rows_of(shown.ids, own.ids)
         known, fresh = rows >= 0, rows < 0
+        ids = np.concatenate((shown.ids, own.ids[fresh]))
         p_map, covs = np.concatenate((shown.p_map, own.p_map[fresh])), np.concatenate((shown.covs, own.covs[fresh]))
-        p_map[rows[known]], covs[rows[known]] = own.p_map[known], own.covs[known]
-        return Belief(own.T_map_robot, own.pose_cov, np.concatenate((shown.ids, own.ids[fresh])), p_map, covs)
+        p_map[rows[known]], covs[rows[known]], kept[rows[known]] = own.p_map[known], own.covs[known], True
+        if not kept.all():  # some were removed
+            left = np.flatnonzero(np.concatenate((kept, fresh[fresh])))
+            ids, p_map, covs = ids[left], p_map[left], covs[left]
+        return Belief(own.T_map_robot, own.pose_cov, ids, p_map, covs)
 
     def copy(self) -> Self:
         other = super().copy()
@@ -118,17 +121,19 @@ class SubmapEkf(RightInvariantEkf):
         """Carry over what happened in the submap to all landmarks."""
         if self.rest is None:
             return
-        ids, own, resting = self._all_ids(), self._numbers_at_work(), self._rows_at_rest()
-        mean, cross, block = self._expanded(resting, own)
-        rest = numbers_of(rows_of(ids, self.rest.slot_ids[resting]))
-        work = np.concatenate((np.arange(3), numbers_of(rows_of(ids, self._at_work()))))
-        size = 3 + 2 * len(ids)
+        old, work, own = self.rest.slot_ids, self._at_work(), self._numbers_at_work()
+        ids = np.concatenate((old, work[rows_of(old, work) < 0]))
+        known, size = 3 + 2 * len(old), 3 + 2 * len(ids)
+        mean, cross, block = self._expanded(np.arange(len(old)), own)
         state = np.zeros((1 + size, size))
-        cov = state[1:]
-        state[0, rest], state[0, work] = mean, self.mean[own]
-        cov[np.ix_(rest, rest)], cov[np.ix_(work, work)] = block, self.cov[np.ix_(own, own)]
-        cov[np.ix_(rest, work)], cov[np.ix_(work, rest)] = cross, cross.T
+        state[0, 3:known], state[4 : 1 + known, 3:known] = mean, block
+        numbers, cov = np.concatenate((np.arange(3), numbers_of(rows_of(ids, work)))), state[1:]
+        cov[3:known, numbers], cov[numbers, 3:known] = cross, cross.T
+        state[0, numbers], cov[np.ix_(numbers, numbers)] = self.mean[own], self.cov[np.ix_(own, own)]
+        gone = np.setdiff1d(old[self.rest.at_work], work)
         self.state, self.slot_ids, self.divided = state, ids, ()
+        if len(gone):
+            super().remove(gone)
 
     def _part(self, ids: Ints) -> tuple[Array, Ints]:
         ids = integers(ids)
@@ -146,17 +151,17 @@ class SubmapEkf(RightInvariantEkf):
             self.synchronise()
         if self.rest is None and self.count > 6 * self.most:
             self._take_submap(ids)
-        elif self.rest is not None and len(wanted):
-            self._wake(wanted)
+        self._wake(ids)
 
     def _take_submap(self, ids: Ints) -> None:
         """Work on the landmarks `ids` (m,), on the marks, and on the nearest ones that were measured lately."""
+        self._refuse_unknown(ids)
         size, mean = self.size, self.mean
         self.measured = {i: last for i, last in self.measured.items() if last > self.updates - self.most}
         nearest = np.argsort(np.hypot(mean[3:size:2] - mean[1], mean[4:size:2] - mean[2]), kind="stable")
-        lately = nearest[np.isin(self.slot_ids[nearest], list(self.measured))][: 2 * self.most // 5]
+        lately = nearest[np.isin(self.slot_ids[nearest], list(self.measured))][: self.most // 4]
         rows = np.union1d(lately, np.flatnonzero(np.isin(self.slot_ids, ids) | (self.slot_ids < NO_ID)))
-        shown, whole, numbers = super().belief(), self.state[: 1 + size, :size].copy(), np.arange(3)
+        shown, whole, numbers = super().belief(), self.state[: 1 + size, :size], np.arange(3)
         variance, resting = shown.covs.trace(axis1=1, axis2=2), np.ones(len(shown.ids), np.bool_)
         rest = Rest(self.slot_ids, whole, np.empty(0, np.int64), factored(whole[1:4, :3]), shown, resting, variance)
         self.divided = (rest,)
@@ -167,8 +172,11 @@ class SubmapEkf(RightInvariantEkf):
         self._wake(rest.slot_ids[rows])
 
     def _wake(self, ids: Ints) -> None:
-        """Take landmarks at rest (m,) into the submap, each with a probe per coordinate."""
+        """Take landmarks (m,) that are at rest into the submap, each with a probe per coordinate."""
+        if self._is_at_work(ids):
+            return
         assert self.rest is not None
+        ids = ids[rows_of(self.slot_ids, ids) < 0]
         size, count, rows = self.size, 2 * len(ids), self._rows_of_rest(ids)
         awake = self._joined(np.arange(size), rows)
         rest = self.rest.with_more(rows)
@@ -225,11 +233,6 @@ class SubmapEkf(RightInvariantEkf):
     def _numbers_at_work(self) -> Ints:
         """Where pose and submap are in the state."""
         return np.concatenate((np.arange(3), numbers_of(np.flatnonzero(self.slot_ids > FIRST_PROBE))))
-
-    def _rows_at_rest(self) -> Ints:
-        """Rows of the whole map that are not in the submap."""
-        assert self.rest is not None
-        return np.delete(np.arange(len(self.rest.slot_ids)), self.rest.at_work)
 
     def _rows_of_rest(self, ids: Ints) -> Ints:
         """(m,) rows of the whole map; raises `FilterError` for ids that are not at rest there."""

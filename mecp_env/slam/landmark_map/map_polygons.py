@@ -24,7 +24,6 @@ from mecp_env.slam.messages import (
 )
 
 DEAD = int(FeatureState.DEAD)
-NOWHERE = -2  # the room of what is dead
 
 
 @dataclass(slots=True, eq=False)
@@ -48,7 +47,7 @@ class MapPolygonStore:
             if link(polygon.corners, match.ids, features.rows, graph.current, ring, polygon.intervals, intervals):
                 self._note(ring, intervals, graph.current, step)
         if len(self.polygons) > added:
-            count = sum(polygon.room == graph.current for polygon in self.polygons)
+            count = [polygon.room for polygon in self.polygons].count(graph.current)
             self.outdated |= count > self.most_per_room
 
     def _note(self, ring: Ints, intervals: Array, room: int, step: int) -> None:
@@ -69,15 +68,12 @@ class MapPolygonStore:
         """
         if not self.outdated:
             return
-        rooms = {room: resolve(room) for room in {p.room for p in self.polygons}}
-        sound = are_whole(self.polygons, features, rooms)
-        kept = {
-            tuple(p.ids.tolist()): MapPolygon(p.ids, p.intervals, rooms[p.room], p.seen, p.last_step)
-            for p in compress(self.polygons, sound)
-        }
-        self.polygons = _seen_most(list(kept.values()), self.most_per_room)
+        before, renamed = len(self.polygons), len(self.row) < len(self.polygons)
+        kept = still_whole(self.polygons, features, resolve)
+        self.polygons = _seen_most(without_doubles(kept) if renamed else kept, self.most_per_room)
         self.outdated = False
-        self._index()
+        if renamed or len(self.polygons) < before:
+            self._index()
 
     def visible_landmarks(self, p_map: Array, belief: Belief) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
@@ -89,20 +85,22 @@ class MapPolygonStore:
     def rename(self, keep: int, drop: int) -> None:
         """Two ids are one corner: polygons that named `drop` now name `keep`."""
         self.outdated = True
-        for i, polygon in enumerate(self.polygons):
-            if (polygon.ids == drop).any():
-                ring = np.where(polygon.ids == drop, keep, polygon.ids)
-                intervals = np.empty_like(polygon.intervals)
-                roll_to_least(ring, polygon.intervals, intervals)
-                self.polygons[i] = replace(polygon, ids=ring, intervals=intervals)
+        flat, lengths = all_vertices(self.polygons)
+        for i in np.unique(np.repeat(np.arange(len(lengths)), lengths)[flat == drop]).tolist():
+            polygon = self.polygons[i]
+            ring = np.where(polygon.ids == drop, keep, polygon.ids)
+            intervals = np.empty_like(polygon.intervals)
+            roll_to_least(ring, polygon.intervals, intervals)
+            self.polygons[i] = replace(polygon, ids=ring, intervals=intervals)
+            self.row = {}  # two may be one now: `prune` finds out
 
     def _index(self) -> None:
-        rings = [polygon.ids.tolist() for polygon in self.polygons]
-        self.row = {tuple(ring): i for i, ring in enumerate(rings)}
-        self.groups = {}
-        for cardinality in set(map(len, rings)):
-            index = [i for i, ring in enumerate(rings) if len(ring) == cardinality]
-            self.groups[cardinality] = PolygonGroup(np.array(index), np.array([rings[i] for i in index]))
+        self.row = {tuple(polygon.ids.tolist()): i for i, polygon in enumerate(self.polygons)}
+        flat, lengths = all_vertices(self.polygons)
+        first, self.groups = np.cumsum(lengths) - lengths, {}
+        for cardinality in set(lengths.tolist()):
+            index = np.flatnonzero(lengths == cardinality)
+            self.groups[cardinality] = PolygonGroup(index, flat[first[index, None] + np.arange(cardinality)])
 
     def _index_ring(self, ring: Ints) -> None:
         """Take in the ids of the last polygon of the list."""
@@ -152,18 +150,33 @@ def roll_to_least(ring: Ints, intervals: Array, rolled: Array) -> None:
 def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
     """The polygons in order, of each room the `most` that were seen most often, then latest."""
     dropped: set[int] = set()
-    for room, count in Counter(p.room for p in polygons).items():
+    for room, count in Counter([p.room for p in polygons]).items():
         if count > most:
             members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_step))
             dropped.update(id(p) for p in members[: count - most])
-    return [p for p in polygons if id(p) not in dropped]
+    return [p for p in polygons if id(p) not in dropped] if dropped else polygons
 
 
-def are_whole(polygons: list[MapPolygon], features: FeatureTable, rooms: dict[int, int]) -> list[bool]:
-    """Which polygons have vertices that differ, live and lie in the room that theirs has become."""
-    home = np.where(features.rows["state"] == DEAD, NOWHERE, features.rows["room"]).tolist()
-    vertices = [polygon.ids.tolist() for polygon in polygons]
-    return [
-        len(set(ids)) == len(ids) and all(home[i] == rooms[polygon.room] for i in ids)
-        for ids, polygon in zip(vertices, polygons, strict=True)
-    ]
+def still_whole(polygons: list[MapPolygon], features: FeatureTable, resolve: Callable[[int], int]) -> list[MapPolygon]:
+    """The polygons whose vertices live and lie in the room that theirs has become, with that room."""
+    named = [polygon.room for polygon in polygons]
+    became = {room: resolve(room) for room in set(named)}
+    rooms, (flat, lengths) = [became[room] for room in named], all_vertices(polygons)
+    state, room = features.rows["state"][flat], features.rows["room"][flat]
+    wrong = (state == DEAD) | (room != np.repeat(np.array(rooms, np.int64), lengths))
+    whole = np.ones(len(polygons), np.bool_)
+    whole[np.repeat(np.arange(len(polygons)), lengths)[wrong]] = False
+    kept = compress(zip(polygons, rooms, strict=True), whole.tolist())
+    return [polygon if polygon.room == room else replace(polygon, room=room) for polygon, room in kept]
+
+
+def without_doubles(polygons: list[MapPolygon]) -> list[MapPolygon]:
+    """Without those that name a vertex twice; of those with the same vertices the last one, in place of the first."""
+    rings = {tuple(polygon.ids.tolist()): polygon for polygon in polygons}
+    return [polygon for ring, polygon in rings.items() if len(set(ring)) == len(ring)]
+
+
+def all_vertices(polygons: list[MapPolygon]) -> tuple[Ints, Ints]:
+    """The vertex ids of all polygons in a row, and how many each (P,) has."""
+    rings = [polygon.ids for polygon in polygons]
+    return np.concatenate([np.empty(0, np.int64), *rings]), np.array(list(map(len, rings)), np.int64)
