@@ -57,6 +57,7 @@ NAMES = (
     "real",
     "vector",
     "soak",
+    "learning",
 )
 
 

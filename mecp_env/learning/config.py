@@ -13,6 +13,7 @@ import tyro
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
+from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.learning.building_fields import OPTION, Value, check_fields
@@ -20,6 +21,7 @@ from mecp_env.learning.building_fields import OPTION, Value, check_fields
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 ALGORITHMS = get_args(Algorithm)
 MOST_CONFIG_BYTES = 1_000_000
+MOST_THREADS = 4  # the networks are too small for more
 RENAMED = {  # field of an older run folder -> its name of today
     f"{name}_periods": f"{name}_steps"
     for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
@@ -131,7 +133,8 @@ class TrainConfig(Settings):
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
-    threads: int = Field(1, ge=1, le=256)  # of PyTorch
+    # that learn, while the environments wait; by default one per core, at most 4
+    threads: int = Field(default_factory=lambda: min(cores(), MOST_THREADS), ge=1, le=256)
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
     network: NetworkConfig = NetworkConfig()

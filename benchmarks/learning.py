@@ -1,0 +1,97 @@
+"""Training: control steps per second including learning, with 16 environments, against one environment without it.
+
+In each round a single environment of the training is driven with random actions for a few seconds, then a training of
+some updates is started, whose first update is not counted; a ratio is taken within a round, so that other load affects
+both. `waiting` is the share of the time in which the learner waits for the environments.
+"""
+
+from __future__ import annotations
+
+import csv
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common import Figures, Gate, Options, estimate, table
+
+ALGORITHMS = ("maskable_ppo", "ppo")
+RATE, WAITING = "periods_per_s", "waiting_share"
+
+GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in ALGORITHMS)
+
+
+def run(options: Options) -> Figures:
+    """All results; 6 rounds of 5 s and 4 updates (--quick: 2 of 1 s and 2 updates)."""
+    rounds, seconds, updates = (2, 1.0, 2) if options.quick else (6, 5.0, 4)
+    return {algorithm: compare(algorithm, rounds, seconds, updates) for algorithm in ALGORITHMS}
+
+
+def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
+    """Speed of an algorithm over the rounds; `fields` of the configuration."""
+    single = Single(algorithm, fields)
+    single.measure(seconds)  # loads compiled functions and fills caches
+    measured = [(single.measure(seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
+    alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
+    return {
+        "steps_per_s": estimate(rates),
+        "single_per_s": estimate(alone),
+        "over_single": estimate(rates / alone),
+        "waiting": estimate(waiting),
+    }
+
+
+def train(algorithm: str, updates: int, fields: dict[str, Any]) -> tuple[float, float]:
+    """Control steps per second and share of waiting of a training, means of its updates but the first."""
+    from mecp_env.learning.train import train as run_training
+
+    with tempfile.TemporaryDirectory() as folder:
+        run_training(configuration(algorithm, fields, updates), Path(folder) / "run")
+        with (Path(folder) / "run" / "progress.csv").open() as lines:
+            rows = list(csv.DictReader(lines))[1:updates]
+    rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in (RATE, WAITING))
+    return rate, waiting
+
+
+def configuration(algorithm: str, fields: dict[str, Any], updates: int = 1) -> Any:
+    """Default settings, without evaluations and checkpoints."""
+    from mecp_env.learning.config import TrainConfig
+
+    log = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}
+    config = TrainConfig.build({"algorithm": algorithm, "log": log} | fields)
+    return config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
+
+
+class Single:
+    """An environment of a training, driven with random actions."""
+
+    def __init__(self, algorithm: str, fields: dict[str, Any]) -> None:
+        from mecp_env.learning.environments import make_env
+
+        self.goals = algorithm == "maskable_ppo"
+        self.env, self.rng = make_env(configuration(algorithm, fields)), np.random.default_rng(0)
+        self.observation = self.env.reset(seed=0)[0]
+
+    def measure(self, seconds: float) -> float:
+        """Control steps per second, over at least this time."""
+        start, steps = time.perf_counter(), 0
+        while time.perf_counter() < start + seconds:
+            self.observation, _, terminated, truncated, info = self.env.step(self.choose())
+            steps += info["periods"]
+            if terminated or truncated:
+                self.observation = self.env.reset()[0]
+        return steps / (time.perf_counter() - start)
+
+    def choose(self) -> Any:
+        """Any goal, or mostly forward."""
+        if self.goals:
+            return int(self.rng.integers(max(1, int((self.observation["goals"][:, 8] == 1.0).sum()))))
+        return self.rng.uniform([0.3, -0.4], [1.0, 0.4]).astype(np.float32)
+
+
+def report(figures: Figures) -> str:
+    """One row per algorithm."""
+    heads = ["algorithm", "steps per second, including learning", "single environment", "ratio", "waiting"]
+    return f"{__doc__}\n{table(heads, [(name, *values.values()) for name, values in figures.items()])}"
