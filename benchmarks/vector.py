@@ -35,10 +35,7 @@ HELD = 10  # steps for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
 SINGLE, ASYNC, BATCH, SEND_RECV, SUBPROC = "single", "async", "batch", "batch, send, recv", "subproc"
 
-GATES = (
-    *(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async")),
-    *(Gate(f"{setting}/{SEND_RECV}/over_single", "share", 0.25) for setting in ("velocity", "goal")),
-)
+GATES = tuple(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async"))
 
 
 def run(options: Options) -> Figures:
