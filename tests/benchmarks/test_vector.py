@@ -25,7 +25,7 @@ def test_every_kind_is_driven_the_same_way(setting: str, monkeypatch: pytest.Mon
 def test_what_is_ready_is_driven_on_while_the_others_are_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector, "COUNT", 4)
     driver = vector.Driver(vector.SEND_RECV, vector.SETTINGS["velocity"])
-    assert [driver.step() for _ in range(3)] == [2, 2, 2]
+    assert sum(driver.step() for _ in range(6)) in range(10, 13)  # twelve rows, of which at most two are resets
     assert len(driver.observation["pose"]) == 2
     assert len(driver.pids()) >= 2
     driver.close()
