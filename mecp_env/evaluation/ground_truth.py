@@ -65,7 +65,8 @@ def true_correspondences(
     """The correspondences of a scan taken by a laser at a pose (3,) in the building, with what moves in it."""
     true, segments = outline.corners.p_world, outline.segments
     if len(obstacles.faces):
-        true, segments = np.concatenate([true, obstacles.corners]), np.concatenate([segments, obstacles.faces])
+        true = np.concatenate([true, obstacles.corners]) if len(obstacles.corners) else true
+        segments = np.concatenate([segments, obstacles.faces])
     return TrueCorrespondences(T_world_laser, true, segments)
 
 

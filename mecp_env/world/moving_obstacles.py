@@ -78,6 +78,8 @@ class Movers:
     @property
     def walking(self) -> Array:
         """(n,3) m: position and radius of the pedestrians, and of the boxes that slide."""
+        if not len(self.state.boxes):
+            return self.pedestrian_discs
         slides = self.state.boxes[:, 3:].any(axis=1)
         return np.concatenate([self.pedestrian_discs, self.box_discs[slides]])
 
@@ -90,7 +92,10 @@ class Movers:
     @property
     def box_discs(self) -> Array:
         """(b,3) m: position and radius of the boxes."""
-        return np.column_stack([self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)])
+        discs = np.empty((len(self.state.boxes), 3))
+        if len(discs):
+            discs[:, :2], discs[:, 2] = self.state.boxes[:, :2], 0.5 * np.hypot(*self.state.sizes.T)
+        return discs
 
     def decide(self, segments: Array, T_world_robot: Array, velocity: Array) -> None:
         """All pedestrians choose a velocity for the next step, and a new destination when they have arrived."""
@@ -214,4 +219,6 @@ def leads_away(p_world: Array, route: Array, p_robot: Array) -> bool:
 
 def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Array:
     """The robot (6,) as the compiled functions of the pedestrians need it."""
-    return np.array([*T_world_robot[:2], *velocity[:2], robot.radius_m, robot.max_acceleration_m_s2])
+    row = np.empty(6)
+    row[:2], row[2:4], row[4:] = T_world_robot[:2], velocity[:2], (robot.radius_m, robot.max_acceleration_m_s2)
+    return row

@@ -102,13 +102,13 @@ def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
 
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
     """The segments but for those of whose beams more than half are dynamic."""
-    before = np.concatenate(([0], np.cumsum(np.roll(dynamic, -segments.roll))))  # dynamic beams before each position
-    count = before[segments.last + 1] - before[segments.first]
-    kept = 2 * count <= segments.last - segments.first + 1
+    first, last = segments.first, segments.last
+    positions = np.sort((np.flatnonzero(dynamic) - segments.roll) % len(dynamic))
+    kept = 2 * (np.searchsorted(positions, last, "right") - np.searchsorted(positions, first)) <= last - first + 1
     if kept.all():
         return segments
-    columns = ("points", "line", "cov", "cluster", "first", "last")
-    return replace(segments, **{name: getattr(segments, name)[kept] for name in columns})
+    places = segments.points[kept], segments.line[kept], segments.cov[kept]
+    return Segments(*places, segments.cluster[kept], first[kept], last[kept], segments.roll)
 
 
 @compiled
