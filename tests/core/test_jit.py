@@ -106,6 +106,12 @@ def test_what_was_compiled_as_a_part_of_its_caller_is_compiled_again_for_python(
     assert len(tree.entries("nbc")) == 2
 
 
+def test_numbers_that_are_written_in_calls_make_no_variants(tree: Tree) -> None:
+    (tree.package / "caller.py").write_text(CALLER.replace("2.0 * called(x)", "x + called(1) + called(2)"))
+    code = "from mecp_env.caller import caller, called; caller(1.0); print(len(called.signatures), 1)"
+    assert tree.call(code)[0] == 1.0
+
+
 def test_a_function_on_the_list_has_an_entry_of_its_own(tree: Tree) -> None:
     (tree.package / "core" / "signatures.json").write_text('[["mecp_env.called", "called", ["float64"]]]')
     tree.call()
