@@ -216,7 +216,7 @@ def _take(lock: Path) -> bool:
 
 def serve() -> None:
     """Compile one entry per line of the input, and answer each with a line."""
-    gc.set_threshold(50_000, 20, 20)  # numba makes many objects, and most live on: a seventh of the time
+    gc.set_threshold(50_000, 20, 20)  # numba makes many objects, and most live on: a tenth of the time
     answers: Any = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what a module prints at import is no answer
     for line in sys.stdin:
