@@ -163,7 +163,7 @@ def empty_room_goals(context: GoalContext, entry: dict[int, Array], config: Goal
     Its floor may be covered all the same: when it is a known room, entered by another door, which a polygon will tell.
     """
     graph = context.slam_output.graph
-    known = {graph.resolve(polygon.room) for polygon in context.slam_output.map_polygons}
+    known = {graph.resolve(room) for room in {polygon.room for polygon in context.slam_output.map_polygons}}
     empty = sorted({room for room in entry if graph.resolve(room) == room} - known)
     places = [(room, further_in(entry[room], context.doors, config.further_m)) for room in empty]
     return [Goal(OPEN, x, y, config.uncovered_m, room) for room, (x, y) in places]
@@ -205,7 +205,8 @@ def gap_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
 def unexplained_gaps(context: GoalContext, config: GoalsConfig) -> list[OpenEdge]:
     """The gaps in edges of known polygons where a door is missing: none is known, nor a candidate, polygon or wall."""
     edges = uncovered_edges(context, (GAP_EDGE, 0.0, config.open_beyond_m))
-    gaps = [gap for gap in edges if not is_explained(context, gap, config.same_gap_m)]
+    explained = are_explained(context, edges, config.same_gap_m) if edges else ()
+    gaps = [gap for gap, known in zip(edges, explained, strict=True) if not known]
     if not gaps:
         return []
     grid, middles = context.slam_output.grid, np.array(gaps, np.float64)
@@ -213,11 +214,14 @@ def unexplained_gaps(context: GoalContext, config: GoalsConfig) -> list[OpenEdge
     return [gap for gap, wall in zip(gaps, walled, strict=True) if not wall]
 
 
-def is_explained(context: GoalContext, gap: OpenEdge, near_m: float) -> bool:
-    """True when a door or a candidate is known near a gap."""
+def are_explained(context: GoalContext, gaps: list[OpenEdge], near_m: float) -> list[bool]:
+    """Whether a door or a candidate is known near each gap."""
     doors = [(door.x, door.y) for door in context.doors]
-    gaps = [candidate.ends.mean(axis=0).tolist() for candidate in context.slam_output.graph.candidates]
-    return any(math.hypot(gap[0] - x, gap[1] - y) < near_m for x, y in [*doors, *gaps])
+    candidates = [candidate.ends.mean(axis=0).tolist() for candidate in context.slam_output.graph.candidates]
+    x, y = np.array([*doors, *candidates], np.float64).reshape(-1, 2).T
+    gap_x, gap_y, *_ = np.array(gaps, np.float64).T[:, :, None]
+    near: list[bool] = (np.hypot(gap_x - x, gap_y - y) < near_m).any(axis=1).tolist()
+    return near
 
 
 def door_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:

@@ -104,7 +104,8 @@ Drive = tuple[list[float], Remembered]  # where it went (x, y) m, and what is re
 def nearest(drives: list[Drive], place: tuple[float, float], apart_m: float) -> Remembered | None:
     """The drive that went nearest to a place, within `apart_m`."""
     x, y = place
-    near = [(math.hypot(p[0] - x, p[1] - y), drive) for p, drive in drives]
+    beside = [(p, drive) for p, drive in drives if abs(p[0] - x) <= apart_m and abs(p[1] - y) <= apart_m]
+    near = [(math.hypot(p[0] - x, p[1] - y), drive) for p, drive in beside]
     far, found = min(near, key=lambda pair: pair[0], default=(math.inf, None))
     return found if far <= apart_m else None
 

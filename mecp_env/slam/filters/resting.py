@@ -61,12 +61,16 @@ class Rest:
 
     def near(self, p_map: Array, variance: Array) -> Ints:
         """Ids of landmarks at rest that may be inside a gate for a measurement at p_map (k,2), variance (k,)."""
-        places, variances = self.belief.p_map[self.is_at_rest], self.variance[self.is_at_rest]
-        (x, y), (rest_x, rest_y) = p_map.T, places.T
-        square = (x[:, None] - rest_x) ** 2 + (y[:, None] - rest_y) ** 2
-        bound = 2.0 * (variance[:, None] + variances)  # of the innovation, in any direction, however both are related
+        (x, y), (rest_x, rest_y) = p_map.T, self.belief.p_map.T
+        reach = np.sqrt(50.0 * (variance.max() + self.variance))  # as below, for all measurements
+        around = (rest_x > x.min() - reach) & (rest_x < x.max() + reach) & self.is_at_rest
+        rows = np.flatnonzero(around & (rest_y > y.min() - reach) & (rest_y < y.max() + reach))
+        square = (x[:, None] - rest_x[rows]) ** 2 + (y[:, None] - rest_y[rows]) ** 2
+        bound = 2.0 * (
+            variance[:, None] + self.variance[rows]
+        )  # of the innovation, in any direction, whatever joins them
         close = (square < 25.0 * bound).any(axis=0)  # else the NIS is above every gate
-        ids: Ints = self.belief.ids[self.is_at_rest][close]
+        ids: Ints = self.belief.ids[rows[close]]
         return ids
 
 

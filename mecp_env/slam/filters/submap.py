@@ -81,6 +81,9 @@ class SubmapEkf(RightInvariantEkf):
         nis, pose = np.full((len(z), len(ids)), math.inf), super().belief()
         variance = np.trace(pose.pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose.pose_cov[2, 2] + R[:, 1, 1])
         near = self.rest.near(to_map(pose.T_map_robot, polar_to_points(z)), variance)
+        if len(self._at_work()) + len(near) <= self.most:
+            self._wake(near)  # the next scans ask for them again
+            near = near[:0]
         for some in (self._at_work(), near):
             columns = rows_of(ids, some)
             columns = columns[columns >= 0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 import numpy as np
 
@@ -11,6 +13,8 @@ from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
 from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, Belief, MapPolygon, RoomGraph
+
+IDS = attrgetter("ids")
 
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
@@ -125,10 +129,12 @@ class PolygonLayer:
 
     def compare(self, canvas: Canvas, known: tuple[MapPolygon, ...]) -> None:
         """Take off what is no longer known; what is new waits to be painted."""
-        wanted = {tuple(polygon.ids.tolist()): polygon for polygon in known}
-        for ids in [ids for ids in self.painted if ids not in wanted]:
-            self._stamp(canvas, self.painted.pop(ids), -1)
-        self.waiting = [polygon for ids, polygon in wanted.items() if ids not in self.painted]
+        came, painted = without(known, self.known), without(self.known, self.waiting)
+        again = {ring_of(polygon) for polygon in came}
+        for ids in map(ring_of, without(painted, known)):
+            if ids in self.painted and ids not in again:
+                self._stamp(canvas, self.painted.pop(ids), -1)
+        self.waiting = [polygon for polygon in without(known, painted) if ring_of(polygon) not in self.painted]
         self.known = known
 
     def paint_waiting(self, canvas: Canvas, p_landmark: Array) -> None:
@@ -168,6 +174,17 @@ class PolygonLayer:
     def _stamp(self, canvas: Canvas, polygon: PaintedPolygon, delta: int) -> None:
         """Paint a polygon (`delta` 1) or take it off (-1)."""
         canvas.stamp(polygon.ring[None], cells.COVER, delta, polygon.room)
+
+
+def ring_of(polygon: MapPolygon) -> tuple[int, ...]:
+    """The vertex ids, to look up."""
+    return tuple(polygon.ids.tolist())
+
+
+def without(polygons: Sequence[MapPolygon], others: Sequence[MapPolygon]) -> list[MapPolygon]:
+    """The polygons that are not among the others: a polygon that changed keeps its array of ids."""
+    there = set(map(id, map(IDS, others)))
+    return [polygon for polygon in polygons if id(polygon.ids) not in there]
 
 
 @dataclass(slots=True, eq=False)

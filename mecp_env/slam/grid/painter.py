@@ -7,7 +7,7 @@ When one of them moves by more than half a cell, its votes are taken off the gri
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from operator import attrgetter, is_not
+from operator import is_not
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from mecp_env.core.array_types import Array, Ints
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas, empty_grid
-from mecp_env.slam.grid.layers import DoorLayer, PolygonLayer, ScanLayer
+from mecp_env.slam.grid.layers import IDS, DoorLayer, PolygonLayer, ScanLayer
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
-
-IDS = attrgetter("ids")
 
 
 class GridPainter:
