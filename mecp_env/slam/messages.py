@@ -396,11 +396,13 @@ class RoomGraph:
 
     def rooms_behind(self, through: Ints) -> Ints:
         """(n,) the room, or UNKNOWN_ROOM, behind the door that each corner is seen `through` (n,); HERE without one."""
-        behind, seen = np.full(len(through), HERE), set(through.tolist())
-        for door in self.doors if max(seen, default=-1) >= 0 else ():
-            if door.id in seen:
-                behind[through == door.id] = door.rooms[1] if door.rooms[0] == self.current else door.rooms[0]
-        return behind
+        doors = through.tolist()
+        seen = set(doors)
+        if max(seen, default=-1) < 0:
+            return np.full(len(doors), HERE)
+        known = [door for door in self.doors if door.id in seen]
+        behind = {door.id: door.rooms[1] if door.rooms[0] == self.current else door.rooms[0] for door in known}
+        return np.array([behind.get(door, HERE) for door in doors])
 
     def rooms_of(self, beyond: Ints, through: Ints) -> Ints:
         """(n,) the room of each corner, UNKNOWN_ROOM `beyond` (n,) a gap that is no door, and seen from a doorway."""

@@ -174,8 +174,7 @@ class LandmarkFilter:
         """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
         pose, pose_cov = np.empty(3), np.empty((3, 3))
         p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
-        world_belief(self.state, self.invariant, pose, pose_cov, p_map, covs)
-        if min(self.slot_ids.tolist(), default=0) < NO_ID:
+        if world_belief(self.state, self.slot_ids, self.invariant, pose, pose_cov, p_map, covs):
             kept = self.slot_ids > NO_ID
             return Belief(pose, pose_cov, self.slot_ids[kept], p_map[kept], covs[kept])
         return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)

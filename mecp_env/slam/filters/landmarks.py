@@ -13,6 +13,7 @@ import numpy as np
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.filters.error_state import change_chart
+from mecp_env.slam.messages import NO_ID
 
 
 @compiled
@@ -62,9 +63,14 @@ def take(state: Array, slots: Ints) -> Array:
 
 
 @compiled
-def world_belief(state: Array, invariant: bool, pose: Array, pose_cov: Array, p_map: Array, covs: Array) -> None:
-    """Write, in the world, pose (3,) and its covariance (3,3), means (N,2) and own covariances (N,2,2) of landmarks."""
-    mean, cov = state[0], state[1:]
+def world_belief(
+    state: Array, slot_ids: Ints, invariant: bool, pose: Array, pose_cov: Array, p_map: Array, covs: Array
+) -> bool:
+    """Write, in the world, pose (3,) and its covariance (3,3), means (N,2) and own covariances (N,2,2) of landmarks.
+
+    True when there are marks of past poses among them.
+    """
+    mean, cov, marked = state[0], state[1:], False
     block = state[:4, :3].copy()
     change_chart(block, 3, 1.0, invariant)
     for i in range(3):
@@ -79,3 +85,5 @@ def world_belief(state: Array, invariant: bool, pose: Array, pose_cov: Array, p_
         covs[k, 1, 0] = cov[i + 1, i] + tx * cov[0, i + 1] + ty * cov[0, i] + tx * ty * cov[0, 0]
         covs[k, 1, 1] = cov[i + 1, i + 1] + 2.0 * ty * cov[0, i + 1] + ty * ty * cov[0, 0]
         covs[k, 0, 1] = covs[k, 1, 0]
+        marked |= slot_ids[k] < NO_ID
+    return marked
