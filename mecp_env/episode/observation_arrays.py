@@ -77,7 +77,10 @@ def window_layers(
     c, s, half = cosine * side / resolution, sine * side / resolution, 0.5 * (n - 1)
     x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
     y = (pose[1] - corner[1]) / resolution + s * half + c * half
-    window = np.empty((n, n), np.uint8)
+    window, wide = np.empty((n, n), np.uint8), np.int32(cols)
+    down, right, place = np.empty(n), np.empty(n), np.empty(n, np.int32)
+    for j in range(n):
+        down[j], right[j] = c * j, s * j
     for i in range(n):
         u, v = x - c * i, y - s * i
         first, last = 0, n  # a row of the window enters the grid once, and leaves it once
@@ -87,8 +90,11 @@ def window_layers(
         while last > first and not _is_inside(u + s * (last - 1), v - c * (last - 1), cols, rows):
             last -= 1
             window[i, last] = UNKNOWN
-        for j in range(first, last):
-            window[i, j] = flat[np.uint64(int(v - c * j) * cols + int(u + s * j))]
+        at, row, below, beside = place[first:last], window[i, first:last], down[first:last], right[first:last]
+        for j in range(at.shape[0]):  # several at a time; then those of one row after the other
+            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j])
+        for j in range(at.shape[0]):
+            row[j] = flat[np.uint32(at[j])]
     for k in range(path.shape[0]):
         dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
         i = math.floor(0.5 * n - (cosine * dx + sine * dy) / side)

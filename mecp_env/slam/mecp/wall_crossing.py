@@ -84,8 +84,13 @@ def best_free_cycles(points: Array, sigmas: Array, beams: EdgeBeams, limits: Rec
     does not come to an end soon, all edges are tested. Points (n,2) are sorted as by `order_by_bearing`; the tolerance
     is `tolerance_sigmas` times the (upper) median of their sigmas (n,), m.
     """
-    n, attempt, cut = points.shape[0], 0, True
-    tolerance = limits.tolerance_sigmas * (np.sort(sigmas)[n // 2] if n > 0 else 0.0)
+    n, attempt, cut, median = points.shape[0], 0, True, 0.0
+    for sigma in sigmas:  # `np.sort` would take a second to compile
+        smaller, least = 0, 0
+        for other in sigmas:
+            smaller, least = smaller + (other < sigma), least + (other <= sigma)
+        median = sigma if smaller <= n // 2 < least else median
+    tolerance = limits.tolerance_sigmas * median
     allowed, tested, doubtful = visible_edges(points, tolerance), np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
     sizes, rings = best_cycles(points, allowed, tolerance, limits.keep_ties)
     while cut:
