@@ -41,6 +41,7 @@ IN_UNITS = (
     "noise",
     "real",
     "soak",
+    "scale",
     "worlds",
 )  # of work, kept and divided
 NAMES = (
@@ -57,6 +58,7 @@ NAMES = (
     "real",
     "vector",
     "soak",
+    "scale",
     "learning",
 )
 

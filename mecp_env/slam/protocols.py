@@ -17,6 +17,10 @@ class FilterError(MecpError):
     """An id the filter does not know, a wrong shape, or a covariance that is no longer positive."""
 
 
+class FullFilterWarning(UserWarning):
+    """The filter holds `max_landmarks`, and drops new ones from now on."""
+
+
 class Filter(Protocol):
     """A landmark filter: pose (x, y, heading) and points, measured by range and bearing.
 

@@ -5,6 +5,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.slam.protocols import FullFilterWarning
 from tests.env.helpers import drive, make, same
 from tests.env.test_goal_actions import explore
 
@@ -132,7 +133,8 @@ def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
 
 
 def test_info_counts_the_landmarks_that_found_no_room():
-    rows = explore(make(actions="goal", slam={"filter": {"max_landmarks": 8}}), limit=10)
+    with pytest.warns(FullFilterWarning, match="8 landmarks"):
+        rows = explore(make(actions="goal", slam={"filter": {"max_landmarks": 8}}), limit=10)
     assert rows[0][4]["landmarks_dropped"] == 0
     assert (rows[-1][4]["landmarks"], rows[-1][4]["landmarks_dropped"] > 0) == (8, True)
 

@@ -265,8 +265,8 @@ def damaged_inside(data, cls, name, value):
     ("cls", "name", "value"),
     [
         ("GridPainter", "merges", "none"),
-        ("RightInvariantEkf", "state", None),
-        ("RightInvariantEkf", "gone", 1),
+        ("SubmapEkf", "state", None),
+        ("SubmapEkf", "gone", 1),
         ("Belief", "pose_cov", {"@list": []}),
         ("MapPolygon", "ids", {"@array": [np.zeros(3), True]}),
         ("RoomGraph", "merged", {"@dict": [["a", 1]]}),

@@ -22,8 +22,8 @@ NUMBERS = (0, -1, 1, 7, 2**31, -(2**40), 2**62)
 FLOATS = (0.0, -1.0, float("nan"), float("inf"), 1e300, 1e5)
 
 CHECKED_BY_HAND = {
-    "RightInvariantEkf.slot_ids",
-    "RightInvariantEkf.state",
+    "SubmapEkf.slot_ids",
+    "SubmapEkf.state",
     "EpisodeMetrics.visited_by_obstacles",
 }
 

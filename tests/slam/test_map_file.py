@@ -20,7 +20,7 @@ from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
 from mecp_env.slam.association import Associator, MecpAssociator
 from mecp_env.slam.association.oracle import NoCorrespondences
 from mecp_env.slam.config import METHODS
-from mecp_env.slam.filters import RightInvariantEkf, make_filter
+from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf, make_filter
 from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.map_file import FILE, place
 from mecp_env.slam.messages import FeatureState
@@ -193,7 +193,7 @@ def test_ground_truth_stays_out_of_a_map(drive: Drive) -> None:
     assert not isinstance(known.associator.correspondences, NoCorrespondences)
     placed = SlamPipeline(filter=OraclePoseFilter(make_filter(SlamConfig().filter)))
     run(placed, drive, 0, 5)
-    assert type(SlamPipeline.from_map(SlamMap.of(placed)).filter) is RightInvariantEkf
+    assert type(SlamPipeline.from_map(SlamMap.of(placed)).filter) is SubmapEkf
 
 
 class Other(Associator):

@@ -239,6 +239,7 @@ def test_a_dict_configures_as_well():
         SlamPipeline({"filtre": {}})
 
 
+@pytest.mark.filterwarnings("ignore::mecp_env.slam.protocols.FullFilterWarning")
 def test_landmarks_beyond_the_capacity_are_counted(drive):
     *_, (pipeline, output, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
     assert len(output.belief.ids) == 8

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Self
 
 import numpy as np
@@ -20,7 +21,7 @@ from mecp_env.slam.filters.measurement import innovation
 from mecp_env.slam.filters.motion import predict
 from mecp_env.slam.filters.update import batch_update, merge_pair
 from mecp_env.slam.messages import NO_ID, Belief
-from mecp_env.slam.protocols import FilterError
+from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
@@ -100,9 +101,14 @@ class LandmarkFilter:
             raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
 
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
-        """Take in new landmarks z (n,2), R (2n,2n), ids (n,), each id once; without room the last ones are dropped."""
+        """Take in new landmarks z (n,2), R (2n,2n), ids (n,), each id once; without room the last ones are dropped.
+
+        The first ones that are dropped are reported by a `FullFilterWarning`.
+        """
         z, R, ids = _observations(z, R, ids)
         room = min(len(ids), self.max_landmarks - self.held)
+        if not self.dropped and room < len(ids):
+            warnings.warn(f"{self.max_landmarks} landmarks: new ones are dropped", FullFilterWarning, stacklevel=2)
         self.dropped += len(ids) - room
         if room == 0:
             return

@@ -60,13 +60,11 @@ class SubmapEkf(RightInvariantEkf):
         return len(self._all_ids())
 
     def has(self, landmark: int) -> bool:
-        return super().has(landmark) or bool((self._all_ids() == landmark).any())
+        return bool((self._all_ids() == landmark).any())
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
-        ids = integers(ids)
-        self._bring_to_work(ids)
-        self.updates += 1
-        self.measured.update(dict.fromkeys(ids.tolist(), self.updates))
+        if self.divided or self.count > 6 * self.most:
+            self._bring_to_work(integers(ids))
         super().update(z, R, ids, iterate)
 
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
@@ -96,8 +94,8 @@ class SubmapEkf(RightInvariantEkf):
         super().fuse(keep, drop)
 
     def remove(self, ids: Ints) -> None:
-        ids = np.unique(integers(ids))
-        self._wake(ids)
+        if self.divided:
+            self._wake(np.unique(integers(ids)))
         super().remove(ids)
 
     def belief(self) -> Belief:
@@ -139,9 +137,9 @@ class SubmapEkf(RightInvariantEkf):
             super().remove(gone)
 
     def _part(self, ids: Ints) -> tuple[Array, Ints]:
-        ids = integers(ids)
-        if self._is_at_work(ids):
+        if not self.divided or self._is_at_work(integers(ids)):
             return self.state, self.slot_ids
+        ids = integers(ids)
         slots = rows_of(self.slot_ids, ids)
         own = np.concatenate((np.arange(3), numbers_of(slots[slots >= 0])))
         rows = self._rows_of_rest(ids[slots < 0])
@@ -152,9 +150,11 @@ class SubmapEkf(RightInvariantEkf):
         wanted = ids[rows_of(self.slot_ids, ids) < 0]
         if self.rest is not None and len(self._at_work()) + len(wanted) > self.most:
             self.synchronise()
-        if self.rest is None and self.count > 6 * self.most:
+        if self.rest is None:
             self._take_submap(ids)
         self._wake(ids)
+        self.updates += 1
+        self.measured.update(dict.fromkeys(ids.tolist(), self.updates))
 
     def _take_submap(self, ids: Ints) -> None:
         """Work on the landmarks `ids` (m,), on the marks, and on the nearest ones that were measured lately."""

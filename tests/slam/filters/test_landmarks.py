@@ -10,12 +10,13 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters import Ekf, Filter, FilterError, RightInvariantEkf, make_filter
+from mecp_env.slam.filters import Ekf, Filter, FilterError, SubmapEkf, make_filter
+from mecp_env.slam.protocols import FullFilterWarning
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
 
 
 def test_kind_is_chosen_by_the_configuration():
-    assert isinstance(make_filter(FilterConfig()), RightInvariantEkf)
+    assert type(make_filter(FilterConfig())) is SubmapEkf
     paper: Filter = make_filter(FilterConfig(kind="ekf"))
     assert isinstance(paper, Ekf)
 
@@ -116,14 +117,16 @@ def test_capacity_grows_without_changing_a_bit(kind):
 def test_a_full_filter_drops_the_newest_and_counts(kind):
     estimate = make_filter(FilterConfig(kind=kind, max_landmarks=8))
     rng = np.random.default_rng(1)
-    for k in range(3):
-        z = np.stack([rng.uniform(1, 9, 5), rng.uniform(-3, 3, 5)], axis=1)
-        estimate.augment(z, np.eye(10) * 1e-4, 5 * k + np.arange(5))
+    z = np.stack([rng.uniform(1, 9, 15), rng.uniform(-3, 3, 15)], axis=1).reshape(3, 5, 2)
+    estimate.augment(z[0], np.eye(10) * 1e-4, np.arange(5))
+    with pytest.warns(FullFilterWarning, match="8 landmarks"):
+        estimate.augment(z[1], np.eye(10) * 1e-4, 5 + np.arange(5))
+    estimate.augment(z[2], np.eye(10) * 1e-4, 10 + np.arange(5))  # it is reported once
     assert estimate.ids.tolist() == list(range(8))
     assert estimate.dropped == 7
     assert not estimate.has(8)
     estimate.remove(np.array([0]))
-    estimate.augment(z[:1], np.eye(2) * 1e-4, np.array([99]))
+    estimate.augment(z[2, :1], np.eye(2) * 1e-4, np.array([99]))
     assert estimate.ids.tolist() == [1, 2, 3, 4, 5, 6, 7, 99]
 
 

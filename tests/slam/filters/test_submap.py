@@ -12,7 +12,7 @@ from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
-from mecp_env.slam.protocols import FilterError
+from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
 FIELD = np.random.default_rng(0).uniform(-3.0, 33.0, (320, 2))
 WAY = [(30.0, 0.0), (30.0, 7.0), (0.0, 7.0), (0.0, 14.0), (30.0, 14.0), (30.0, 21.0), (0.0, 21.0), (0.0, 0.0)]
@@ -218,6 +218,8 @@ def test_unknown_ids_are_refused_and_the_map_may_be_full():
             call(z, R, np.array([10**6]))
     with pytest.raises(FilterError, match="must be new"):
         divided.augment(z, R, divided.rest.belief.ids[divided.rest.is_at_rest][:1])
-    _, whole, divided = driven(460, max_landmarks=220)
+    with pytest.warns(FullFilterWarning) as warned:
+        _, whole, divided = driven(460, max_landmarks=220)
+    assert len(warned) == 2  # one of each filter
     assert whole.dropped == divided.dropped > 0
     assert len(divided.ids) == 220

@@ -82,6 +82,7 @@ def test_the_window_is_as_long_as_configured(drive):
     assert sorted(marks) == sorted(pipeline.filter.slot_ids[pipeline.filter.slot_ids < -1].tolist())
 
 
+@pytest.mark.filterwarnings("ignore::mecp_env.slam.protocols.FullFilterWarning")
 def test_a_full_filter_has_no_window(drive):
     config = half(filter=FilterConfig(max_landmarks=8))
     *_, (pipeline, _, _, error) = drive.run(config)
