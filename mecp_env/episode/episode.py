@@ -19,7 +19,7 @@ from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 10
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 11
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 
