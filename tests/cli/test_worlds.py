@@ -257,7 +257,7 @@ def test_wrong_input_ends_with_2_and_one_line_and_leaves_nothing(
     ("line", "named"),
     [
         (["generate", "--difficulty", "brutal"], "brutal"),
-        (["generate", "--rooms", "61"], "rooms"),
+        (["generate", "--rooms", "201"], "rooms"),
         (["generate", "--roms", "6"], "--rooms"),
         (["drwa", "office"], "did you mean `mecp-env worlds draw`?"),
         ([], "worlds stats"),
