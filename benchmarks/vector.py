@@ -35,7 +35,11 @@ HELD = 10  # steps for which a velocity is held
 SMALL = ("pose", "pose_cov", "landmarks", "goals")
 SINGLE, ASYNC, BATCH, SEND_RECV, SUBPROC = "single", "async", "batch", "batch, send, recv", "subproc"
 
-GATES = tuple(Gate(f"velocity/{BATCH}/{ratio}", "share", 0.25) for ratio in ("over_single", "over_async"))
+GATES = tuple(
+    Gate(f"velocity/{kind}/{ratio}", "share", 0.25)
+    for kind in (BATCH, SEND_RECV)
+    for ratio in ("over_single", "over_async")
+)
 
 
 def run(options: Options) -> Figures:
