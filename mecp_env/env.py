@@ -342,6 +342,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             self._oracle.inform(pipeline, self._true_world, metrics)
             output = pipeline.start(self._look(pose))
             metrics.look(self._true_world.truth, pose, output, self._true_world.obstacles())
+        metrics.compare_map(self._true_world.truth, output, due=True)
         self._episode = episode = EpisodeState(pipeline, output, metrics)
         self.refresh_goals()
         remember(episode.memory, self._reward_inputs(episode), self.config.reward)

@@ -15,6 +15,7 @@ from mecp_env.core.laser_view import LaserView
 from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose
 from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.correct_coverage import FloorAndWalls, floor_and_walls
 from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
@@ -123,6 +124,11 @@ class GroundTruth:
     def free_cells(self) -> int:
         """How many cells are free."""
         return int(self.free.sum())
+
+    @cached_property
+    def floor_and_walls(self) -> FloorAndWalls:
+        """The free cells, each with the place on a wall that is nearest to it."""
+        return floor_and_walls(self.centres, self.free, self.outline.segments)
 
     def room_at(self, p_world: Array) -> int:
         """Index of the room at `p_world` (2,), or -1."""

@@ -7,18 +7,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, solve_lower
 from mecp_env.core.se2 import polar_to_points, to_map, wrap_angle
-from mecp_env.slam.messages import Decision
+from mecp_env.slam.messages import Cell, Decision
 from mecp_env.world.laser import line_of_sight
 
 CELL_M = 0.1  # of the rasters: finer than the thinnest wall, so that a cell seen is a cell on this side
 STEP = 0.9  # cells between two looks along a beam
 LANDMARK = int(Decision.LANDMARK)
+FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 NEES_MAX = 1e9
 BESIDE_M = 0.15  # distance from dynamic obstacles: a landmark there may be on one
+WALL_M = 0.25  # distance from a true wall within which it is in the map
 BORDER = 3  # depth of a cell beside one of another room
 
 
@@ -233,3 +235,24 @@ def mark_discs(cells: Bools, corner: Array, walking: Array) -> None:
         for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius) + 1, cells.shape[0])):
             for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius) + 1, cells.shape[1])):
                 cells[row, column] |= (column + 0.5 - x) ** 2 + (row + 0.5 - y) ** 2 < radius * radius
+
+
+@compiled
+def count_correct(p_world: Array, wall: Ints, p_walls: Array, T_map_world: Array, label: Bytes, place: Array) -> int:
+    """How many of the places (n,2) are FREE or DOOR in a grid, and their wall, of `p_walls` (w,2), is in the grid.
+
+    `place` (3,): the lower left corner of the grid `label` (H,W) in the map frame and the size of its cells, m.
+    """
+    cells, walls, reach = to_map(T_map_world, p_world), to_map(T_map_world, p_walls), WALL_M / place[2]
+    known, correct = np.zeros(walls.shape[0], np.bool_), 0
+    for k in range(walls.shape[0]):
+        x, y = (walls[k, 0] - place[0]) / place[2], (walls[k, 1] - place[1]) / place[2]
+        for i in range(max(math.floor(y - reach), 0), min(math.floor(y + reach) + 1, label.shape[0])):
+            for j in range(max(math.floor(x - reach), 0), min(math.floor(x + reach) + 1, label.shape[1])):
+                near = (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= reach * reach
+                known[k] |= near and label[i, j] == OCCUPIED
+    for k in range(cells.shape[0]):
+        i, j = math.floor((cells[k, 1] - place[1]) / place[2]), math.floor((cells[k, 0] - place[0]) / place[2])
+        if i >= 0 and j >= 0 and i < label.shape[0] and j < label.shape[1] and known[wall[k]]:
+            correct += label[i, j] == FREE or label[i, j] == DOOR
+    return correct

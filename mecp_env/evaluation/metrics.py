@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.correct_coverage import MapQuality, correct_coverage
 from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.lost import LostWatch
 from mecp_env.evaluation.map_scores import (
@@ -28,7 +29,7 @@ __all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
 
 NEVER = 2**40  # a step that never comes
 SWEEP_STEP_M = 0.4  # the visible area is computed again after this motion
-MAP_STEPS = 25  # rooms and doors are compared with ground truth when one is new, and this often
+MAP_STEPS = 25  # the map is compared with ground truth this often; rooms and doors also when one is new
 
 
 @dataclass(slots=True, eq=False)
@@ -116,6 +117,7 @@ class EpisodeMetrics:
     nees_sum: float = 0.0
     rooms: tuple[int, int] = (0, 0)  # found, false
     doors: tuple[int, int] = (0, 0)  # found, false
+    quality: MapQuality = field(default_factory=MapQuality)
     compared_rooms: tuple[int, ...] = ()
     compared_doors: int = 0
     visited_by_obstacles: Bools = field(
@@ -149,6 +151,7 @@ class EpisodeMetrics:
         for distance in increments[:, 0].tolist():
             metres += abs(distance)
         self.metres += metres
+        self.quality.drive(metres)
 
     def coverage(self, truth: GroundTruth) -> float:
         """Share of the true free area that the robot has seen."""
@@ -206,7 +209,10 @@ class EpisodeMetrics:
         self.worst_error_m = max(self.worst_error_m, self.pose_error_m)
 
     def compare_map(self, truth: GroundTruth, output: SlamOutput, due: bool) -> None:
-        """Compare rooms and doors with ground truth when one is new, and all of them when `due`."""
+        """Compare rooms and doors with ground truth when one is new, and the whole map when `due`."""
+        if due:
+            self.quality.correct_coverage = correct_coverage(truth.floor_and_walls, output.grid, self.T_world_map)
+            self.quality.map_error_m, _ = self.map_error(truth, output.belief)
         if due or output.graph.rooms != self.compared_rooms:
             self.compared_rooms = output.graph.rooms
             self.rooms = rooms_found(truth, output, self.T_world_map)
@@ -227,6 +233,9 @@ class EpisodeMetrics:
             "metres": self.metres,
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
+            "correct_coverage": correct_coverage(truth.floor_and_walls, output.grid, self.T_world_map),
+            "correct_coverage_over_steps": self.quality.over_steps / max(1, self.steps),
+            "correct_coverage_over_metres": self.quality.over_metres / max(self.metres, 1e-9),
             "free_area_m2": truth.free_cells * metric_arrays.CELL_M**2,
             "rooms": len(truth.outline.rooms),
             "rooms_found": rooms,
@@ -261,6 +270,8 @@ def figures(metrics: EpisodeMetrics, truth: GroundTruth, output: SlamOutput) -> 
     tp, fp, fn, tn = metrics.association.counts.tolist()
     return {
         "coverage": metrics.coverage(truth),
+        "correct_coverage": metrics.quality.correct_coverage,  # every 25 steps
+        "map_error_m": metrics.quality.map_error_m,  # every 25 steps
         "pose_error_m": metrics.pose_error_m,
         "heading_error_rad": metrics.heading_error_rad,
         "nees": metrics.nees,

@@ -15,12 +15,16 @@ from mecp_env.policies.rollout import EpisodeResult
 Figures = dict[str, Any]
 
 MEANS = (
+    *("correct_over_steps", "correct_over_metres", "correct_coverage"),
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "periods_to_99%", "coverage", "metres", "periods"),
     *("decisions", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "map_rmse_m"),
     *("landmarks", "landmarks_false", "duplicates", "contacts"),
 )
 SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "lost", "diverged")
-COMPARED = ("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete")
+COMPARED = (
+    *("correct_over_steps", "correct_over_metres", "correct_coverage", "lost"),
+    *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete"),
+)
 SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 

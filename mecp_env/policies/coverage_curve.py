@@ -1,7 +1,8 @@
-"""The coverage of a building as a function of the metres driven, and its metrics."""
+"""The coverage of a building, and its correct coverage, as functions of metres and control steps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,15 +19,20 @@ def budget_m(free_area_m2: float) -> float:
 
 @dataclass(slots=True, eq=False)
 class CoverageCurve:
-    """The largest coverage so far, at each distance where it grew; a step function."""
+    """The largest coverage so far, at each distance where it grew; a step function.
 
+    With `falls`, the coverage itself at each distance where it changed: a map that slides off is correct no longer.
+    """
+
+    falls: bool = False
     metres: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     coverage: list[float] = field(default_factory=list)
 
     def add(self, metres: float, step: int, coverage: float) -> None:
-        """Add the coverage after a step; only an increase is kept."""
-        if not self.coverage or coverage > self.coverage[-1]:
+        """Add the coverage after a step; only an increase is kept, or with `falls` a change."""
+        last = self.coverage[-1] if self.coverage else -1.0
+        if coverage > last or (self.falls and coverage != last):
             self.metres.append(metres)
             self.steps.append(step)
             self.coverage.append(coverage)
@@ -37,8 +43,15 @@ class CoverageCurve:
         C(d) is the largest coverage that was reached within d metres. After the end of the episode it is constant;
         metres beyond L do not count.
         """
-        bounds = np.minimum(np.array([*self.metres, np.inf]), limit_m)
-        return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit_m)
+        return self._mean(self.metres, limit_m)
+
+    def area_under_steps(self, limit: int) -> float:
+        """The same over the first `limit` control steps."""
+        return self._mean(self.steps, float(limit))
+
+    def _mean(self, at: Sequence[float], limit: float) -> float:
+        bounds = np.minimum(np.array([*at, np.inf]), limit)
+        return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit)
 
     def at(self, metres: Array) -> Array:
         """C(d) at some distances (n,), which are not before the first point."""

@@ -10,6 +10,10 @@ Column = tuple[str, str, str, float]  # heading, name of the figure, format, fac
 
 PERCENT, PLAIN = ".0f", ".1f"
 HEADLINE: tuple[Column, ...] = (
+    ("correct coverage over steps", "correct_over_steps", ".3f", 1.0),
+    ("over metres", "correct_over_metres", ".3f", 1.0),
+    ("at the end, %", "correct_coverage", PLAIN, 100.0),
+    ("lost, %", "lost", PERCENT, 100.0),
     ("area under the curve", "auc", ".3f", 1.0),
     ("m to 90 %", "metres_to_90%", PERCENT, 1.0),
     ("m to 99 %", "metres_to_99%", PERCENT, 1.0),
@@ -35,10 +39,12 @@ LOCALISATION: tuple[Column, ...] = (
     ("of no corner", "landmarks_false", ".2f", 1.0),
     ("duplicates", "duplicates", ".2f", 1.0),
     ("contacts per 100 m", "contacts_per_100_m", ".2f", 1.0),
-    ("lost, %", "lost", PLAIN, 100.0),
     ("diverged, %", "diverged", PLAIN, 100.0),
 )
 DIFFERENCES: tuple[Column, ...] = (
+    ("correct coverage over steps", "correct_over_steps", "+.3f", 1.0),
+    ("over metres", "correct_over_metres", "+.3f", 1.0),
+    ("at the end, %", "correct_coverage", "+.1f", 100.0),
     ("area under the curve", "auc", "+.3f", 1.0),
     ("m to 90 %", "metres_to_90%", "+.1f", 1.0),
     ("m to 99 %", "metres_to_99%", "+.1f", 1.0),

@@ -21,7 +21,17 @@ COMPLETE_COVERAGE = 0.95
 NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
 LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
 KEPT = (  # of the environment's own summary
-    *("coverage", "metres", "periods", "free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
+    *(
+        "coverage",
+        "correct_coverage",
+        "metres",
+        "periods",
+        "free_area_m2",
+        "rooms",
+        "rooms_found",
+        "doors",
+        "doors_found",
+    ),
     *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
 )
 
@@ -75,12 +85,14 @@ class StepLog:
     """What is recorded in every step."""
 
     curve: CoverageCurve = field(default_factory=CoverageCurve)
+    correct: CoverageCurve = field(default_factory=lambda: CoverageCurve(falls=True))
     pose_errors_m: list[float] = field(default_factory=list)
     log_dets: list[float] = field(default_factory=list)
 
     def add(self, observation: dict[str, Any], info: Info) -> None:
         """Record one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
+        self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
         self.log_dets.append(log_det(observation["pose_cov"]))
 
@@ -174,6 +186,8 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
     curve, budget = log.curve, budget_m(summary["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
+    figures["correct_over_metres"] = log.correct.area_under(budget)
+    figures["correct_over_steps"] = log.correct.area_under_steps(max_steps)
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = float(curve.metres_to(level, np.inf) < NEVER_BUDGETS * budget)
         figures[f"metres_to_{level:.0%}"] = curve.metres_to(level, NEVER_BUDGETS * budget)
@@ -190,9 +204,9 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
 
 
 def is_complete(end: EpisodeEnd, summary: dict[str, float]) -> bool:
-    """True when the episode terminated by itself with every room and door found and 95 % of the floor seen."""
+    """True when the episode ended by itself, not lost, with all rooms and doors found and 95 % of the floor seen."""
     found = all(summary[f"{name}_found"] == summary[name] for name in ("rooms", "doors"))
-    return bool(end.terminated and found and summary["coverage"] >= COMPLETE_COVERAGE)
+    return bool(end.terminated and not summary["lost"] and found and summary["coverage"] >= COMPLETE_COVERAGE)
 
 
 def log_det(pose_cov: Any) -> float:

@@ -9,6 +9,7 @@ import pytest
 from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
+from mecp_env.evaluation.correct_coverage import correct_coverage
 from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
     _from_doorways,
@@ -16,12 +17,13 @@ from mecp_env.evaluation.map_scores import (
     door_centres,
     doors_found,
     grid_iou,
+    labels_at,
     nearest_pairs,
     room_centres,
     rooms_found,
 )
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
-from mecp_env.slam.messages import Belief, Door, RoomGraph, SemanticGrid
+from mecp_env.slam.messages import Belief, Cell, Door, RoomGraph, SemanticGrid
 from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
@@ -422,3 +424,54 @@ def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
     count = len(truth.outline.corners)
     assert sorted(truth.identify(seen, pose, obstacles)) == [-1, -1, count, count + 3]
     assert (truth.identify(seen, pose) == -1).all()
+
+
+def with_walls(truth, grid, T_world_map):
+    """`grid` with its cells OCCUPIED that a face of the building crosses."""
+    points = to_map(inverse(T_world_map), truth.floor_and_walls.p_walls)
+    columns, rows = np.floor((points - grid.origin) / grid.resolution_m).astype(int).T
+    label = grid.label.copy()
+    label[rows, columns] = int(Cell.OCCUPIED)
+    return replace(grid, label=label)
+
+
+@pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
+def test_a_perfect_map_is_correct_and_one_that_slid_off_is_not(truth, T_world_map):
+    floor, grid = truth.floor_and_walls, with_walls(truth, perfect_map(truth, T_world_map).grid, T_world_map)
+    correct = correct_coverage(floor, grid, T_world_map)
+    assert correct > 0.85  # but for the cells that a face crosses
+    assert (
+        correct_coverage(floor, replace(grid, origin=grid.origin + np.array([0.1, 0.0])), T_world_map) > 0.9 * correct
+    )
+    assert correct_coverage(floor, replace(grid, origin=grid.origin + np.array([2.0, 1.0])), T_world_map) < 0.3
+    assert correct_coverage(floor, perfect_map(truth, T_world_map).grid, T_world_map) == 0.0  # without a wall
+
+
+def test_correct_coverage_is_its_plain_twin(truth):
+    rng, T_world_map = np.random.default_rng(0), np.array([1.0, 2.0, 0.4])
+    floor = truth.floor_and_walls
+    label = rng.choice(4, size=(70, 90), p=(0.2, 0.6, 0.05, 0.15)).astype(np.uint8)
+    grid = SemanticGrid(label, label > 0, np.zeros_like(label, np.int16), np.array([-3.0, -2.5]), 0.13, 1)
+    occupied = grid.origin + (np.argwhere(label == Cell.OCCUPIED)[:, ::-1] + 0.5) * grid.resolution_m
+    p_map, walls = (to_map(inverse(T_world_map), p) for p in (floor.p_world, floor.p_walls))
+    known = distances(walls, occupied).min(axis=1) <= 0.25
+    free = np.isin(labels_at(grid, p_map), (Cell.FREE, Cell.DOOR))
+    expected = (free & known[floor.wall]).mean()
+    assert 0.01 < expected < 0.9
+    assert correct_coverage(floor, grid, T_world_map) == expected
+    nearest = distances(floor.p_world[:100], floor.p_walls)
+    assert np.array_equal(nearest.min(axis=1), nearest[np.arange(100), floor.wall[:100]])
+
+
+def test_info_and_summary_say_how_much_of_the_map_is_correct():
+    env = make(layout="two_rooms")
+    _, info = env.reset(seed=0)
+    first = info["correct_coverage"]
+    assert 0.1 < first < info["coverage"]
+    for _ in range(30):
+        *_, info = env.step(np.array([0.3, 0.5], np.float32))
+    summary = env.unwrapped.summary()
+    assert first < info["correct_coverage"] < info["coverage"]
+    assert first <= summary["correct_coverage_over_steps"] < summary["correct_coverage"]
+    assert first <= summary["correct_coverage_over_metres"] < summary["correct_coverage"]
+    assert 0.0 < info["map_error_m"] < 0.05

@@ -26,6 +26,18 @@ def test_the_area_under_the_curve_by_hand(curve: CoverageCurve) -> None:
     assert curve.area_under(10.0) == pytest.approx((2 * 0.2 + 4 * 0.5 + 4 * 0.9) / 10.0)
 
 
+def test_the_area_over_steps_by_hand(curve: CoverageCurve) -> None:
+    assert curve.area_under_steps(40) == pytest.approx((5 * 0.2 + 15 * 0.5 + 20 * 0.9) / 40)
+
+
+def test_a_coverage_that_may_fall_keeps_each_change() -> None:
+    made = CoverageCurve(falls=True)
+    for metres, step, coverage in [(0, 0, 0.2), (1, 3, 0.2), (2, 5, 0.5), (6, 10, 0.1)]:
+        made.add(metres, step, coverage)
+    assert made.steps == [0, 5, 10]
+    assert made.area_under_steps(20) == pytest.approx((5 * 0.2 + 5 * 0.5 + 10 * 0.1) / 20)
+
+
 def test_metres_beyond_the_budget_do_not_count(curve: CoverageCurve) -> None:
     assert curve.area_under(4.0) == pytest.approx((2 * 0.2 + 2 * 0.5) / 4.0)
     assert curve.area_under(2.0) == pytest.approx(0.2)

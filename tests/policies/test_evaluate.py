@@ -72,8 +72,16 @@ def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> Epis
     """An episode of which only the area under the curve matters."""
     log, final = StepLog(), dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0)
     log.curve.add(0.0, 0, auc)
+    log.correct.add(0.0, 0, auc)
     log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
-    final |= {"coverage": auc, "metres": 5.0, "periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0}
+    final |= {
+        "coverage": auc,
+        "correct_coverage": auc,
+        "metres": 5.0,
+        "periods": 9.0,
+        "pose_error_final_m": 0.2,
+        "landmarks": 4.0,
+    }
     final |= {"duplicates": 0.0, "contacts": 1.0, "lost": False, "map_rmse_m": 0.01, "landmarks_false": 0.0}
     figures = metrics(log, EpisodeEnd(terminated=True, decisions=3, act_s=0.5), final, 100)
     return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
@@ -415,10 +423,10 @@ def test_the_bootstrap_interval_of_a_paired_difference_covers_it_about_95_times_
 
 
 def test_complete_is_found_seen_and_ended_by_itself() -> None:
-    final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97}
+    final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97, "lost": False}
     assert is_complete(EpisodeEnd(terminated=True), final)
     assert not is_complete(EpisodeEnd(terminated=False), final)
-    for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}):
+    for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}, {"lost": True}):
         assert not is_complete(EpisodeEnd(terminated=True), final | lacking)
 
 
