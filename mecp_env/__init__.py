@@ -15,6 +15,9 @@ ENVIRONMENTS = {  # id -> entry point
     "mecp_env/Layout-v0": "mecp_env.registration:make",
     "mecp_env/Rooms-v0": "mecp_env.registration:make_rooms",
     "mecp_env/FloorPlan-v0": "mecp_env.registration:make_floor_plan",
+    "mecp_env/ActiveHalls-v0": "mecp_env.registration:make_active_halls",
+    "mecp_env/ActiveCorridors-v0": "mecp_env.registration:make_active_corridors",
+    "mecp_env/ActiveCheapRobot-v0": "mecp_env.registration:make_active_cheap_robot",
 }
 
 

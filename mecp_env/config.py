@@ -8,15 +8,33 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.preset import PresetSettings
+from mecp_env.core.registry import Names
 from mecp_env.core.settings import Settings, guess, number
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
+
+REWARDS = Names(  # `register_reward` adds others
+    *("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence", "lost"),
+    *("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality"),
+)
+
+
+def registered(name: str) -> str:
+    """`name` if it is that of a registered reward. Raises `ValueError` otherwise."""
+    if name in REWARDS.ours:
+        raise ValueError(f"{name}: one of ours, which has a field of its own: reward={{{name!r}: weight}}")
+    if name not in REWARDS.others:
+        known = ", ".join(REWARDS.others) or "none yet"
+        raise ValueError(
+            f"{name:.80}: not registered by register_reward (registered: {known}){guess(name, REWARDS.others)}"
+        )
+    return name
 
 
 class ObservationConfig(Settings):
@@ -24,6 +42,7 @@ class ObservationConfig(Settings):
 
     map: bool = False  # a coarse grid, 64 x 64 cells of 0.8 m
     scan: bool = False  # the ranges of the merged beams
+    uncertainty: bool = False  # `localisation`, and two columns of `goals`: predicted sigma and gain of information
 
 
 class RewardConfig(Settings):
@@ -38,6 +57,13 @@ class RewardConfig(Settings):
     time: float = -0.005  # per step
     completion: float = 10.0  # per 100 m^2 of map, once, when the episode terminates
     divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
+    lost: float = 0.0  # once, when an episode ends while the robot is lost, by ground truth: 1 + map / 100 m^2
+    expected_area: float = 0.0  # per m^2 of expected correct area
+    entropy: float = 0.0  # per nat m^2 that the grid loses
+    d_optimality: float = 0.0  # per nat, as the next two: of pose and landmarks
+    a_optimality: float = 0.0
+    t_optimality: float = 0.0
+    custom: dict[Annotated[str, AfterValidator(registered)], float] = Field({})  # weights of `register_reward` names
 
 
 class EndConfig(Settings):
@@ -128,8 +154,20 @@ class EnvConfig(Settings):
             "acceleration_m_s2": robot.max_acceleration_m_s2,
             "period_s": robot.period_s,
         }
-        paths = following(planning.paths, {"radius_m": robot.radius_m})
-        return planning.model_copy(update={"paths": paths, "control": following(planning.control, control)})
+        odometry, laser = self.odometry, self.laser
+        prediction = {
+            "distance_sigma_m": odometry.scale * odometry.distance_sigma_m,
+            "turn_sigma_deg": odometry.scale * odometry.turn_sigma_deg,
+            "turn_m": odometry.turn_m,
+            "max_range_m": laser.max_range_m,
+            "field_of_view_deg": laser.field_of_view_deg,
+        }
+        followed = {
+            "paths": following(planning.paths, {"radius_m": robot.radius_m}),
+            "control": following(planning.control, control),
+            "prediction": following(planning.prediction, prediction),
+        }
+        return planning.model_copy(update=followed)
 
     @model_validator(mode="after")
     def _can_explore(self) -> Self:
@@ -169,6 +207,10 @@ S = TypeVar("S", bound=Settings)
 FOLLOWING = {
     ("slam", "sensor"): tuple(LaserNoise.model_fields),
     ("planning", "paths"): ("radius_m",),
+    ("planning", "prediction"): (
+        *("distance_sigma_m", "turn_sigma_deg", "turn_m"),
+        *("max_range_m", "field_of_view_deg"),
+    ),
     ("planning", "control"): ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "period_s"),
 }
 

@@ -30,14 +30,17 @@ from mecp_env.episode.episode import (
     goals_key,
     nearest_goal,
 )
+from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import Observer
 from mecp_env.episode.oracle import ORACLES
-from mecp_env.episode.rewards import TERMS, RewardInputs, apply_weights, events, measured_terms, remember
+from mecp_env.episode.potentials import RewardInputs
+from mecp_env.episode.rewards import apply_weights, events, mapped_m2, measured_terms, remember, weights_of
 from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
+from mecp_env.planning.known_ground import Surroundings, offered_goals
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.world.odometry import measure
@@ -47,7 +50,6 @@ Observation = dict[str, NDArray[Any]]
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
-REWARD_KEYS = {name: f"reward_{name}" for name in TERMS}
 
 
 class MecpEnv(gymnasium.Env[Observation, Any]):
@@ -139,6 +141,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._oracle = ORACLES[self.config.estimator]
+        self._weights = weights_of(self.config.reward)
+        self._reward_keys = {name: f"reward_{name}" for name in self._weights}
         self._episode: EpisodeState | None = None
         self._screen: Any = None
         self._window: Any = None
@@ -163,7 +167,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         episode = self._begin()
         observation = self._observe(episode)
         self._show()
-        return observation, self._info(episode, self._true_world.T_world_robot, dict.fromkeys(TERMS, 0.0))
+        return observation, self._info(episode, self._true_world.T_world_robot, dict.fromkeys(self._weights, 0.0))
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step: observation, reward, terminated, truncated, info.
@@ -251,9 +255,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             path_map=episode.path_map.points[: episode.path_map.count].copy(),
             slam_output=episode.slam_output,
             robot_radius_m=self.config.robot.radius_m,
-            p_goals=episode.goals.p_map,
-            goal_kinds=np.asarray(episode.goals.kind, np.int64),
-            target=nearest_goal(episode.goals, episode.target),
+            p_goals=episode.rows.p_map,
+            goal_kinds=np.asarray(episode.rows.kind, np.int64),
+            target=nearest_goal(episode.rows, episode.target),
             title=f"{self._true_world.outline.name}, {self.config.estimator}, step {episode.metrics.steps}",
             metrics=figures(episode.metrics, self._true_world.truth, episode.slam_output),
         )
@@ -265,8 +269,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def goals(self) -> Goals:
-        """The current goals, as in the observation."""
-        return self._started().goals
+        """The current goals, as in the observation: those of the exploration, then known ground and waiting."""
+        return self._started().rows
+
+    @property
+    def goals_left(self) -> int:
+        """How many goals of the exploration are left; without one the episode ends."""
+        return len(self._started().goals)
 
     def aim_at(self, p_map: Array) -> None:
         """Set the target of a goal action, for rendering."""
@@ -331,7 +340,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _new_observer(self) -> Observer:
         parts = self.config.observation
-        return Observer(parts.map, self.config.laser.beams if parts.scan else 0, self.config.laser.max_range_m)
+        beams = self.config.laser.beams if parts.scan else 0
+        return Observer(parts.map, beams, self.config.laser.max_range_m, parts.uncertainty)
 
     def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
@@ -344,16 +354,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             metrics.look(self._true_world.truth, pose, output, self._true_world.obstacles())
         metrics.compare_map(self._true_world.truth, output, due=True)
         self._episode = episode = EpisodeState(pipeline, output, metrics)
+        self._follow(episode, pose)
         self.refresh_goals()
         remember(episode.memory, self._reward_inputs(episode), self.config.reward)
-        self._follow(episode, pose)
         return episode
 
     def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
         """The SLAM output of this step; only "known" and "truth" use ground truth."""
         odometry, scan = self._sense(motion, T_world_robot)
         self._oracle.inform(episode.pipeline, self._true_world, episode.metrics)
-        return episode.pipeline.step(odometry, scan)
+        output = episode.pipeline.step(odometry, scan)
+        episode.note_recognised(output.match)
+        return output
 
     def _look(self, T_world_robot: Array) -> Scan:
         """A scan from where the robot is."""
@@ -379,6 +391,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
         if not len(episode.goals):
             episode.slam_output = replace(episode.slam_output, grid=painter.finish(graph))
+        travelled = episode.path_map.points[: episode.path_map.count]
+        around = Surroundings(episode.slam_output, episode.goal_history, travelled)
+        episode.offered = offered_goals(episode.goals, around, self._planning, GOALS)
         episode.goals_step, episode.goals_key = episode.slam_output.step, goals_key(episode.slam_output)
 
     def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:
@@ -422,8 +437,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _rewards(self, episode: EpisodeState, terminated: bool) -> dict[str, float]:
         """The terms of this step's reward, weighted."""
         measured = measured_terms(episode.memory, self._reward_inputs(episode), self.config.reward)
-        happened = events(episode.memory, episode.contact, terminated, episode.slam_output.diverged)
-        return apply_weights(self.config.reward, measured | happened)
+        output = episode.slam_output
+        lost = episode.over and episode.metrics.lost.is_lost(output.diverged)
+        lost_m2 = mapped_m2(output.grid) if lost else None
+        happened = events(episode.memory, episode.contact, terminated, output.diverged, lost_m2)
+        return apply_weights(self._weights, measured | happened)
 
     def _reward_inputs(self, episode: EpisodeState) -> RewardInputs:
         """The inputs of the measured reward terms."""
@@ -433,9 +451,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     def _observe(self, episode: EpisodeState) -> Observation:
         features = episode.pipeline.map.features
-        observation, episode.saturated = self._observer.observe(
-            episode.slam_output, features, episode.goals, episode.path_map
-        )
+        seen = episode.slam_output, features, episode.rows, episode.path_map
+        observation, episode.saturated = self._observer.observe(*seen, episode.recognised)
         return observation
 
     def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
@@ -455,7 +472,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
             **figures(episode.metrics, self._true_world.truth, episode.slam_output),
-            **{REWARD_KEYS[name]: value for name, value in terms.items()},
+            **{self._reward_keys[name]: value for name, value in terms.items()},
         }
 
     def _paint(self) -> Bytes:

@@ -8,11 +8,12 @@ from typing import Any
 
 import gymnasium
 
-from mecp_env.config import EnvConfig, merge, plain, refuse_keywords
+from mecp_env.config import EnvConfig, merge, plain, plain_value, refuse_keywords
 from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv
 from mecp_env.episode.buildings import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
+from mecp_env.episode.tasks import TASKS
 from mecp_env.wrappers import GoalActions
 
 PAPER_LAYOUT = "paper"
@@ -49,6 +50,11 @@ def make_rooms(
     return _make_from(GENERATE, buildings, config, render_mode, rest)
 
 
+def make_task(name: str, config: Any, render_mode: str | None, keywords: dict[str, Any]) -> gymnasium.Env[Any, Any]:
+    """A task of active SLAM: as `make_rooms`, with the fields of the task below those given."""
+    return make_rooms(config, render_mode, **merge(TASKS[name], {key: plain_value(v) for key, v in keywords.items()}))
+
+
 def make_floor_plan(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
@@ -73,5 +79,28 @@ def _make_from(
     return make(config, render_mode, **keywords | {"layout": layout | {key: layout[key] | fields}})
 
 
-for entry_point in (make, make_paper_map, make_rooms, make_floor_plan):  # gymnasium.make reads the render modes from it
-    entry_point.metadata = MecpEnv.metadata  # type: ignore[attr-defined]
+def make_active_halls(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
+    """The entry point of `ActiveHalls-v0`: see `make_task`."""
+    return make_task("ActiveHalls-v0", config, render_mode, keywords)
+
+
+def make_active_corridors(
+    config: Any = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The entry point of `ActiveCorridors-v0`: see `make_task`."""
+    return make_task("ActiveCorridors-v0", config, render_mode, keywords)
+
+
+def make_active_cheap_robot(
+    config: Any = None, render_mode: str | None = None, **keywords: Any
+) -> gymnasium.Env[Any, Any]:
+    """The entry point of `ActiveCheapRobot-v0`: see `make_task`."""
+    return make_task("ActiveCheapRobot-v0", config, render_mode, keywords)
+
+
+MAKERS: tuple[Any, ...] = (
+    *(make, make_paper_map, make_rooms, make_floor_plan),
+    *(make_active_halls, make_active_corridors, make_active_cheap_robot),
+)
+for entry_point in MAKERS:
+    entry_point.metadata = MecpEnv.metadata  # gymnasium.make reads the render modes from it

@@ -16,7 +16,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv, Observation
 from mecp_env.episode.actions import check_choice, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.planning.goal_list import Outcome
+from mecp_env.planning.goal_list import WAIT, Outcome
 from mecp_env.planning.navigator import Navigator, Target
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
@@ -25,6 +25,7 @@ EVENTS = {
     Outcome.REACHED: "reached",
     Outcome.REFUSED: "refused",
     Outcome.SETTLED: "reached",
+    Outcome.UNLOCALISED: "unlocalised",
 }
 
 
@@ -37,6 +38,9 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     one. A drive after which no goal is left is followed by one step of waiting, in which the episode ends (unless
     nothing was mapped yet; with pedestrians or a blind side it ends after several such steps, and a robot with a blind
     side turns meanwhile).
+
+    Where `planning.known_ground` offers waiting, its row takes `wait_steps` ("waited"), and a drive also ends when the
+    robot no longer knows where it is ("unlocalised").
 
     `callback`, if set, receives the result of every inner step. A snapshot taken inside a drive continues as a velocity
     environment: the drive itself is not part of it.
@@ -72,10 +76,12 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         row = check_choice(action, GOALS)
         if not self.action_masks()[row]:
             return self._finish([self._wait()], "masked")
+        if self.base.goals.kind[row] == WAIT:
+            return self._finish(self.wait(), "waited")
         steps = self.drive(row)
         if steps and (steps[-1][2] or steps[-1][3]):
             return self._finish(steps, "ended")
-        if not steps or not len(self.base.goals):
+        if not steps or not self.base.goals_left:
             steps.append(self._wait())
         return self._finish(steps, EVENTS[self.navigator.outcome])
 
@@ -84,13 +90,32 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         goals, steps = self.base.goals, list[Step]()
         self.navigator.start(Target.of(goals, row))
         self.base.aim_at(goals.p_map[row])
-        command = self.navigator.step(self.base.slam_output)
+        command, was_localised = self.navigator.step(self.base.slam_output), self.base.slam_output.localised
         while self.navigator.outcome == Outcome.RUNNING:
             steps.append(self._step(*command))
             if steps[-1][2] or steps[-1][3]:
                 return steps
+            if self._gives_up(was_localised):
+                self.navigator.outcome = Outcome.UNLOCALISED
+                self.base.refresh_goals()
+                return steps
             command = self.navigator.step(self.base.slam_output)
         self.base.record_drive(goals, row, self.navigator.outcome)
+        return steps
+
+    def _gives_up(self, was_localised: bool) -> bool:
+        """True when a drive ends because the pose is searched for, where there are goals for that."""
+        offered = self.base.config.planning.known_ground.is_offered
+        return offered and was_localised and not self.base.slam_output.localised
+
+    def wait(self) -> list[Step]:
+        """The steps of the goal that waits; goals are looked for again after it."""
+        steps = list[Step]()
+        for _ in range(self.base.config.planning.known_ground.wait_steps):
+            steps.append(self._wait())
+            if steps[-1][2] or steps[-1][3]:
+                return steps
+        self.base.refresh_goals()
         return steps
 
     def _wait(self) -> Step:
@@ -114,7 +139,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def _finish(self, steps: list[Step], event: str) -> Step:
         """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
         observation, _, terminated, truncated, info = steps[-1]
-        info = info | {"event": event, "periods": len(steps), "goals": len(self.base.goals)}
-        if event in ("reached", "refused") and not terminated:
+        info = info | {"event": event, "periods": len(steps), "goals": self.base.goals_left}
+        if event in ("reached", "refused", "waited", "unlocalised") and not terminated:
             observation = self.base.observation()
         return observation, sum(step[1] for step in steps), terminated, truncated, info

@@ -11,7 +11,7 @@ MOST = {
     "import levels": 11,
     "files to change corner extraction": 9,
     "code lines of slam/pipeline.py": 150,
-    "compiled functions": 250,
+    "compiled functions": 257,  # six of them for the tasks of active SLAM, compiled when one is used (record 64)
     "compiled functions with more than 8 arguments": 0,
     "tunable numbers of the estimator": 120,
 }

@@ -15,11 +15,12 @@ from mecp_env.episode.observations import TravelledPath
 from mecp_env.episode.rewards import RewardMemory
 from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.goals import GoalHistory, Goals
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.messages import Match, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 11
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 12
+RECENT = 0.2  # weight of the last scan in the recent share of recognised corners
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 
 
@@ -32,16 +33,28 @@ class EpisodeState:
     metrics: EpisodeMetrics
     goal_history: GoalHistory = field(default_factory=GoalHistory)
     goals: Goals = field(default_factory=Goals)
+    offered: Goals | None = None  # the goals, known ground and waiting, where these are offered
     goals_step: int = -1  # step of the last search for goals
     goals_key: tuple[int, ...] = ()  # of the map in that search
     memory: RewardMemory = field(default_factory=RewardMemory)
     path_map: TravelledPath = field(default_factory=TravelledPath)
     path_world: TravelledPath = field(default_factory=TravelledPath)
     target: Array | None = None  # (2,) m, map frame: where a goal action drives to
+    recognised: float = 0.0  # recent share of the corners of a scan that were matched to landmarks
     quiet: int = 0  # steps without a goal, in a row
     contact: bool = False
     saturated: int = 0  # clipped values and omitted rows of the observation
     over: bool = False
+
+    @property
+    def rows(self) -> Goals:
+        """The rows of the observation's goals."""
+        return self.goals if self.offered is None else self.offered
+
+    def note_recognised(self, match: Match) -> None:
+        """Follow the share of corners that are matched; a scan without corners has none."""
+        share = len(match.recognised()) / max(1, len(match.ids))
+        self.recognised += RECENT * (share - self.recognised)
 
 
 def goals_key(output: SlamOutput) -> tuple[int, ...]:

@@ -20,8 +20,12 @@ GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)
 EXTENT_M = 200.0  # bound of every position and length
 COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
+SIGMA_MAX_M = 10.0  # bound of a predicted standard deviation
+SIGMA_MAX_RAD = 10.0
+GAIN_MAX_NAT = 1000.0  # bound of a predicted gain of information
 LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
 TRAIL_STEP_M = 0.1
+GOAL_COLUMNS = 27  # of the tables pose, pose_cov, landmarks and goals, without the predicted ones of the goals
 NOTHING_MERGED = np.empty(0, np.int64)
 
 
@@ -51,20 +55,26 @@ def bounds(rows: int, low: list[float], high: list[float]) -> spaces.Box:
     )
 
 
-def make_space(with_map: bool, beams: int, max_range_m: float) -> spaces.Dict:
+def make_space(with_map: bool, beams: int, max_range_m: float, uncertainty: bool = False) -> spaces.Dict:
     """The observation space; `beams` is 0 without the scan."""
     far, cov, label = EXTENT_M, COV_MAX, LABEL_MAX
+    goal_low, goal_high = [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]
+    if uncertainty:
+        goal_low = [*goal_low, 0, 0, 0]
+        goal_high = [*goal_high[:4], 6, *goal_high[5:], SIGMA_MAX_M, SIGMA_MAX_RAD, GAIN_MAX_NAT]
     parts: dict[str, spaces.Space[Any]] = {
         "pose": spaces.Box(np.array([-far, -far, -1, -1], np.float32), np.array([far, far, 1, 1], np.float32)),
         "pose_cov": spaces.Box(
             np.array([0, -cov, -cov, 0, -cov, 0], np.float32), np.full(6, cov, np.float32), dtype=np.float32
         ),
         "landmarks": bounds(LANDMARKS, [-far, -far, 0, -cov, 0, -1, 0, 0], [far, far, cov, cov, cov, label, 2, 1]),
-        "goals": bounds(GOALS, [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]),
+        "goals": bounds(GOALS, goal_low, goal_high),
         "grid": spaces.Box(0, 255, (len(observation_arrays.LAYERS), GRID[0], GRID[0]), np.uint8),
     }
     if with_map:
         parts["map"] = spaces.Box(0, 255, (len(observation_arrays.LAYERS), MAP[0], MAP[0]), np.uint8)
+    if uncertainty:
+        parts["localisation"] = spaces.Box(0.0, 1.0, (3,), np.float32)
     if beams:
         parts["scan"] = spaces.Box(0.0, max_range_m, (beams,), np.float32)
     return spaces.Dict(parts)
@@ -85,12 +95,21 @@ class Observer:
       semantic grid in it is free, in a polygon, occupied, unknown, a door, in the current room, a frontier, or on the
       path travelled.
     - `map` (8,64,64) uint8, on request: the same with cells of 0.8 m.
+    - `localisation` (3,), with `uncertainty`: the probability that the position error is below 0.5 m, 1 while the robot
+      is localised, and the recent share of recognised corners. `goals` then is (32,12): after the nine columns the
+      predicted standard deviations of position (m) and heading (rad) on arrival and the predicted gain of landmark
+      information on the way (nat), and there are more kinds: 4 a place on known ground (its level: 0 the last good
+      place, 1 closes a loop, 2 well-known landmarks), 5 waiting, and, while the pose is searched for, 6 open floor
+      ahead.
     - `scan` (B,), on request: ranges of the merged beams, the maximum range where nothing was hit.
     """
 
-    def __init__(self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0) -> None:
-        self.space = make_space(with_map, beams, max_range_m)
-        self._limits = column_limits(self.space, ("pose", "pose_cov", "landmarks", "goals"))
+    def __init__(
+        self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0, uncertainty: bool = False
+    ) -> None:
+        self.space = make_space(with_map, beams, max_range_m, uncertainty)
+        self._limits = column_limits(self.space, ("pose", "pose_cov", "landmarks", "goals"))  # goals: the last columns
+        self._predicted_limits = self._limits[:, GOAL_COLUMNS:] if uncertainty else None
         self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
         self._goals, self._goal_rows = Goals(), goal_rows(Goals())
         self._became, self._merges = NOTHING_MERGED, 0
@@ -98,9 +117,12 @@ class Observer:
         self._cache: dict[int, tuple[Bytes, Array]] = {}  # pool width -> codes, their corner
 
     def observe(
-        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath
+        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath, recognised: float = 0.0
     ) -> tuple[dict[str, NDArray[Any]], int]:
-        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
+        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out.
+
+        `recognised`: the recent share of recognised corners.
+        """
         became, rows = self._rooms(output.graph), self._goal_columns(goals).copy()
         tables, outside = observation_arrays.belief_tables(
             output.belief, features, became, rows, goals.p_map, self._limits
@@ -109,6 +131,12 @@ class Observer:
         observation["grid"] = self._window(output, trail, GRID)
         if "map" in self.space.spaces:
             observation["map"] = self._window(output, trail, MAP)
+        if self._predicted_limits is not None:
+            predicted = predicted_columns(goals)
+            outside += observation_arrays.saturate(predicted, self._predicted_limits, 0)
+            observation["goals"] = np.concatenate([observation["goals"], predicted], axis=1)
+            trust = output.confidence, output.localised, recognised
+            observation["localisation"] = np.array(trust, np.float32)
         if "scan" in self.space.spaces:
             observation["scan"] = scan = output.beams.ranges.astype(np.float32)
             outside += observation_arrays.saturate(scan.reshape(1, -1), self._scan_limits, 0)
@@ -156,6 +184,14 @@ def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.floa
 def rooms_after_merges(graph: RoomGraph) -> Ints:
     """(M,) the room that each room up to the last merged one stands for."""
     return np.array([graph.resolve(room) for room in range(1 + max(graph.merged, default=-1))], np.int64)
+
+
+def predicted_columns(goals: Goals) -> NDArray[np.float32]:
+    """(32,3) predicted sigmas on arrival and gain of information of the first goals of the list."""
+    rows = np.zeros((GOALS, 3), np.float32)
+    for column, values in enumerate((goals.sigma_m, goals.sigma_rad, goals.gain_nat)):
+        rows[: len(values), column] = values[:GOALS]
+    return rows
 
 
 def goal_rows(goals: Goals) -> NDArray[np.float32]:

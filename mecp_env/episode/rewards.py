@@ -8,30 +8,22 @@ mapped twice, or a map that is redrawn earns nothing.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.config import RewardConfig
+from mecp_env.config import REWARDS, RewardConfig
 from mecp_env.core.array_types import Array
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
-from mecp_env.slam.messages import Belief, SemanticGrid
+from mecp_env.episode.potentials import POTENTIALS, RewardInputs
+from mecp_env.slam.messages import SemanticGrid
 
-TERMS = ("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence")
+TERMS = REWARDS.ours
+OURS = tuple(name for name in TERMS if name in POTENTIALS)
 LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose
 COMPLETION_M2 = 100.0  # the unit of a completed area
 AHEAD_M = 5.0  # typical distance from the robot to a wall that it draws
-
-
-class RewardInputs(NamedTuple):
-    """The inputs of the measured terms in one step."""
-
-    belief: Belief
-    grid: SemanticGrid
-    diverged: bool = False
-    true_area_m2: float | None = None  # the true free area seen; None if the estimated area counts
 
 
 @dataclass(slots=True, eq=False)
@@ -42,10 +34,22 @@ class RewardMemory:
     pose_nat: float = 0.0
     landmark_nat: float = 0.0
     grid_version: int = -1  # version of the map with that area
+    potentials: dict[str, float] = field(default_factory=dict)  # those with a weight
+
+
+def weights_of(config: RewardConfig) -> dict[str, float]:
+    """The weight of each term, custom ones last."""
+    return {name: getattr(config, name) for name in TERMS} | config.custom
+
+
+def measured_potentials(config: RewardConfig) -> list[str]:
+    """The potentials that have a weight: the others are not measured."""
+    return [name for name in OURS if getattr(config, name)] + [name for name, weight in config.custom.items() if weight]
 
 
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
     """Update `memory` to this step."""
+    memory.potentials = {name: float(POTENTIALS[name](inputs)) for name in measured_potentials(config)}
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
@@ -63,7 +67,12 @@ def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
     if not sure or inputs.grid.version == memory.grid_version:
         return memory.area_m2
     memory.grid_version = inputs.grid.version
-    return float(np.count_nonzero(inputs.grid.label) * inputs.grid.resolution_m**2)  # UNKNOWN is 0
+    return mapped_m2(inputs.grid)
+
+
+def mapped_m2(grid: SemanticGrid) -> float:
+    """m^2 of cells that are not UNKNOWN."""
+    return float(np.count_nonzero(grid.label) * grid.resolution_m**2)  # UNKNOWN is 0
 
 
 def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
@@ -72,35 +81,46 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     - `area`: m^2 newly mapped minus what a redrawn map lost (see `area`); with `source="truth"` newly seen.
     - `pose_information`: nat, increase of -0.5 log det P of the pose.
     - `landmark_information`: nat, increase of the mean of -0.5 log det P over the landmarks.
+    - the potentials that have a weight (`mecp_env.episode.potentials`): their change; 0 for the others.
     """
-    area_m2, pose_nat, landmark_nat = memory.area_m2, memory.pose_nat, memory.landmark_nat
+    area_m2, pose_nat, landmark_nat, before = memory.area_m2, memory.pose_nat, memory.landmark_nat, memory.potentials
     remember(memory, inputs, config)
-    return {
-        "area": memory.area_m2 - area_m2,
-        "pose_information": memory.pose_nat - pose_nat,
-        "landmark_information": memory.landmark_nat - landmark_nat,
-    }
+    changes = {name: value - before.get(name, 0.0) for name, value in memory.potentials.items()}
+    return (
+        dict.fromkeys((*OURS, *config.custom), 0.0)
+        | changes
+        | {
+            "area": memory.area_m2 - area_m2,
+            "pose_information": memory.pose_nat - pose_nat,
+            "landmark_information": memory.landmark_nat - landmark_nat,
+        }
+    )
 
 
-def events(memory: RewardMemory, contact: bool, terminated: bool, diverged: bool) -> dict[str, float]:
+def events(
+    memory: RewardMemory, contact: bool, terminated: bool, diverged: bool, lost_m2: float | None = None
+) -> dict[str, float]:
     """The terms of events; `memory` is that of this step.
 
     - `contact`: 1 in a step in which the robot touched something.
     - `time`: 1 in every step.
     - `completion`: once, when the episode terminates: the area that counts as mapped, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
+    - `lost`: once, when the episode ends and the robot is lost (`mecp_env.evaluation.lost`, from ground truth) with a
+      map of `lost_m2`: 1, and 1 for each 100 m^2 of it, which it may have earned before.
     """
     return {
         "contact": float(contact),
         "time": 1.0,
         "completion": memory.area_m2 / COMPLETION_M2 if terminated else 0.0,
         "divergence": float(diverged),
+        "lost": 1.0 + lost_m2 / COMPLETION_M2 if lost_m2 is not None else 0.0,
     }
 
 
-def apply_weights(config: RewardConfig, terms: dict[str, float]) -> dict[str, float]:
-    """Each term times its weight, in the order of `TERMS`; the reward is their sum."""
-    return {name: getattr(config, name) * terms[name] for name in TERMS}
+def apply_weights(weights: dict[str, float], terms: dict[str, float]) -> dict[str, float]:
+    """Each term times its weight, in the order of `weights_of`; the reward is their sum."""
+    return {name: weight * terms[name] for name, weight in weights.items()}
 
 
 @compiled

@@ -26,7 +26,7 @@ SHAPES: Shapes = {
         "rows": "r 4",
         "used": " in 0:r+1",
     },
-    "GoalHistory": {"entry[]": "2"},
+    "GoalHistory": {"entry[]": "2", "good_place": "2"},
     "Goals": {"p_map": f"g 2 in {NEAR}"} | dict.fromkeys((*INTEGERS, *LENGTHS), "g"),
     "TravelledPath": {"points": f"c 2 in {NEAR}", "count": " in 0:c+1"},
     "Moving": {

@@ -33,7 +33,7 @@ class BreadthFirst:
     def act(self, observation: dict[str, Any], mask: Bools | None = None) -> int:
         """Row of the goal to drive to; 0 without goals. `mask` (32,) excludes rows."""
         goals = np.asarray(observation["goals"], np.float64)
-        valid = goals[:, VALID] > 0.5
+        valid = (goals[:, VALID] > 0.5) & (goals[:, KIND] <= GoalKind.DOOR)
         if mask is not None:
             valid &= np.asarray(mask, np.bool_)
         rows = np.flatnonzero(valid)
@@ -51,5 +51,5 @@ def rank(goals: Array, row: int) -> tuple[float, ...]:
 
 def room_to_complete(goals: Array) -> float:
     """The room of the first goal that is not a door: the robot's room, or else the nearest room with goals."""
-    local = np.flatnonzero((goals[:, VALID] > 0.5) & (goals[:, KIND] != GoalKind.DOOR))
+    local = np.flatnonzero((goals[:, VALID] > 0.5) & (goals[:, KIND] < GoalKind.DOOR))
     return float(goals[local[0], ROOM]) if len(local) else -1.0

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from pydantic import Field
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.settings import Settings
 
 
@@ -70,6 +74,41 @@ class NavigatorConfig(Settings):
     recoveries: int = Field(3, ge=0, le=100)  # after this many the goal is refused
 
 
+class KnownGroundConfig(Settings):
+    """Goals on known ground: places from which the robot may recognise what it has mapped, and waiting."""
+
+    places: int = Field(0, ge=0, le=8)  # at most; 0: none
+    wait_steps: int = Field(0, ge=0, le=100)  # of the goal that waits; 0: there is none
+    apart_m: float = Field(2.0, gt=0.0, le=50.0)  # between two places
+    around_m: float = Field(15.0, gt=0.0, le=1000.0)  # a place is not farther away, in a straight line
+    loop_m: float = Field(10.0, gt=0.0, le=1000.0)  # driven since a place was left: to come back closes a loop
+    good_sigma_m: float = Field(0.05, gt=0.0, le=10.0)  # of the position, at a good place
+
+    @property
+    def is_offered(self) -> bool:
+        """True when there are any such goals."""
+        return self.places > 0 or self.wait_steps > 0
+
+
+class PredictionConfig(Settings):
+    """The virtual filter that predicts the uncertainty on arrival; sensors as in the robot's own configuration."""
+
+    distance_sigma_m: float = Field(0.1, ge=0.0, le=10.0)  # of odometry, per square root of a metre
+    turn_sigma_deg: float = Field(1.5, ge=0.0, le=300.0)  # the same, of the heading
+    turn_m: float = Field(0.5, ge=0.0, le=10.0)  # path equivalent of a turn of 90 deg
+    max_range_m: float = Field(30.0, gt=0.0, le=1000.0)  # of the laser
+    field_of_view_deg: float = Field(360.0, gt=0.0, le=360.0)
+    corner_sigma_m: float = Field(0.03, gt=0.0, le=1.0)  # of a landmark's place as it is measured
+    step_m: float = Field(0.8, gt=0.0, le=10.0)  # between two looks along a path
+
+    @property
+    def numbers(self) -> Array:
+        """(7,) the numbers in SI units, as the compiled functions take them."""
+        turn_rad, view_rad = math.radians(self.turn_sigma_deg), math.radians(self.field_of_view_deg)
+        noise = self.distance_sigma_m, turn_rad, self.turn_m
+        return np.array([*noise, self.max_range_m, view_rad, self.corner_sigma_m, self.step_m])
+
+
 class PlanningConfig(Settings):
     """Goals, paths, control and drives."""
 
@@ -77,3 +116,5 @@ class PlanningConfig(Settings):
     paths: PathsConfig = PathsConfig()
     control: ControlConfig = ControlConfig()
     navigator: NavigatorConfig = NavigatorConfig()
+    known_ground: KnownGroundConfig = KnownGroundConfig()
+    prediction: PredictionConfig = PredictionConfig()

@@ -20,6 +20,17 @@ class GoalKind(IntEnum):
     CANDIDATE = 1  # a gap that may be a door
     FRONTIER = 2  # unknown cells beside the known floor of a room
     DOOR = 3  # an unexplored door
+    PLACE = 4  # known ground, from which the robot may recognise what it has mapped
+    WAIT = 5  # where the robot is
+    LOOK = 6  # open floor ahead, while the pose is searched for: another view may be recognised
+
+
+class PlaceKind(IntEnum):
+    """Why a place on known ground is a goal."""
+
+    GOOD = 0  # the last place where the pose was well known
+    LOOP = 1  # left long ago, and near: to come back closes a loop
+    LANDMARKS = 2  # many well-known landmarks are in view
 
 
 class Outcome(IntEnum):
@@ -29,10 +40,14 @@ class Outcome(IntEnum):
     REACHED = 1
     REFUSED = 2
     SETTLED = 3  # nothing was left to see before the robot arrived
+    UNLOCALISED = 4  # the robot no longer knows where it is, and so where the goal is
 
 
-OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind  # a name is found much faster than a member of an enumeration
-INTEGERS, LENGTHS = ("kind", "room", "level", "visits", "door"), ("size_m", "path_m")  # columns of `Goals`
+OPEN, CANDIDATE, FRONTIER, DOOR, PLACE, WAIT, LOOK = (
+    GoalKind  # a name is found much faster than a member of an enumeration
+)
+INTEGERS = ("kind", "room", "level", "visits", "door")  # columns of `Goals`
+LENGTHS = ("size_m", "path_m", "sigma_m", "sigma_rad", "gain_nat")
 LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 
 
@@ -48,7 +63,10 @@ class Goal:
     door: int = NO_ID  # id, for a door
     visits: int = 0  # drives that ended there or were refused
     path_m: float = 0.0  # length of the path there
-    level: int = 0  # of the polygon; door: of the room
+    level: int = 0  # of the polygon; door: of the room; place: `PlaceKind`
+    sigma_m: float = 0.0  # predicted standard deviation of the position on arrival
+    sigma_rad: float = 0.0  # the same, of the heading
+    gain_nat: float = 0.0  # predicted gain of information about landmarks on the way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,9 +81,22 @@ class Goals:
     path_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) length of the path there
     visits: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) drives that ended there or were refused
     door: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) door id, NO_ID for the other kinds
+    sigma_m: Array = field(default_factory=lambda: np.empty(0))  # (g,) predicted sigma of the position on arrival
+    sigma_rad: Array = field(default_factory=lambda: np.empty(0))  # (g,) the same, of the heading
+    gain_nat: Array = field(default_factory=lambda: np.empty(0))  # (g,) predicted gain of landmark information
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def rows(self, most: int) -> list[Goal]:
+        """The first goals of the list, at most so many, one by one."""
+        kinds, places = [GoalKind(kind) for kind in self.kind[:most].tolist()], self.p_map[:most].tolist()
+        rest = [getattr(self, name)[:most].tolist() for name in (*INTEGERS[1:], *LENGTHS)]
+        names = (*INTEGERS[1:], *LENGTHS)
+        return [
+            Goal(kind, x, y, **dict(zip(names, values, strict=True)))
+            for kind, (x, y), *values in zip(kinds, places, *rest, strict=True)
+        ]
 
     @classmethod
     def of(cls, goals: Sequence[Goal]) -> Goals:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 
 from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, Goal, GoalKind, Goals, Outcome
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, PLACE, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels, rings_by_room
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import UNKNOWN_ROOM, RoomGraph, SlamOutput
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph, SlamOutput
 
 __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 
@@ -42,6 +42,7 @@ class GoalHistory:
     entry: dict[int, Array] = field(default_factory=dict)  # room -> (2,) m, first position of the robot in it
     first_room: int = UNKNOWN_ROOM
     retries: int = 0  # number of retries of refused goals
+    good_place: Array | None = None  # (2,) m: the last one where the pose was well known
 
     def notice(self, output: SlamOutput) -> None:
         """Record where a room was entered."""
@@ -53,6 +54,11 @@ class GoalHistory:
         for drive in self.drives if output.graph.merged else ():
             if drive.room in output.graph.merged:
                 drive.room = output.graph.resolve(drive.room)
+
+    def remember_good_place(self, belief: Belief, sigma_m: float) -> None:
+        """Remember where the robot is, if the standard deviation of its position is at most `sigma_m`."""
+        if math.sqrt(0.5 * (belief.pose_cov[0, 0] + belief.pose_cov[1, 1])) <= sigma_m:
+            self.good_place = belief.T_map_robot[:2].copy()
 
     def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> Remembered:
         """What is remembered of a goal after one more drive to it. Ended often enough, and the goal is closed.
@@ -69,7 +75,7 @@ class GoalHistory:
         remembered.settled += int(ended == Outcome.SETTLED)
         remembered.closed = (
             remembered.refusals >= config.refusals
-            or remembered.visits >= config.visits
+            or (remembered.visits >= config.visits and kind != PLACE)
             or remembered.settled >= config.settled
         )
         return remembered

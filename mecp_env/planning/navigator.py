@@ -11,7 +11,7 @@ from mecp_env.core import grid_paths
 from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
-from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goals, Outcome
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, LOOK, OPEN, PLACE, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, landmark_places, unexplained_gaps
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid, SlamOutput
@@ -157,6 +157,8 @@ def settled(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:
         return not unknown_near(target.p_map, output)
     if target.kind == CANDIDATE:
         return not gap_left(target, output, config)
+    if target.kind in (PLACE, LOOK):
+        return target.kind == LOOK and output.localised
     return door_of(target, output) is None
 
 
@@ -204,7 +206,12 @@ def door_of(target: Target, output: SlamOutput) -> Door | None:
 
 
 def plan(target: Target, output: SlamOutput, config: PlanningConfig) -> Array:
-    """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no path."""
+    """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no path.
+
+    To look elsewhere the robot drives straight on, as its map may be wrong here.
+    """
+    if target.kind == LOOK:
+        return np.array([output.belief.T_map_robot[:2], target.p_map])
     for tight in (False, True):
         costs = cost_to_go_field(output.grid, output.belief.T_map_robot, config.paths, tight)
         path = plan_over(costs, target, output, config)

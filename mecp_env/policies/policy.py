@@ -11,7 +11,9 @@ from mecp_env.core.array_types import Bools, Ints
 Mask = Bools | None
 
 X, Y, PATH, SIZE, KIND, ROOM, LEVEL, VISITS, VALID = range(9)  # columns of `goals`
-KINDS = ("open edge", "door candidate", "frontier", "door")
+SIGMA, SIGMA_RAD, GAIN = 9, 10, 11  # of those with `uncertainty`
+KINDS = ("open edge", "door candidate", "frontier", "door", "place", "wait", "look")
+PLACE, WAIT, LOOK = 4, 5, 6
 
 
 class Policy(Protocol):
@@ -27,6 +29,16 @@ class Policy(Protocol):
 
 
 def choices(observation: dict[str, Any], mask: Mask = None) -> Ints:
-    """(k,) the rows of the observation's goals that may be selected."""
-    valid = np.asarray(observation["goals"])[:, VALID] > 0.5
+    """(k,) the rows of the observation's goals that have something left to see and may be selected."""
+    goals = np.asarray(observation["goals"])
+    return _allowed((goals[:, VALID] > 0.5) & (goals[:, KIND] < PLACE), mask)
+
+
+def of_kind(kind: int, observation: dict[str, Any], mask: Mask = None) -> Ints:
+    """(k,) the rows of that kind that may be selected."""
+    goals = np.asarray(observation["goals"])
+    return _allowed((goals[:, VALID] > 0.5) & (goals[:, KIND] == kind), mask)
+
+
+def _allowed(valid: Bools, mask: Mask) -> Ints:
     return np.flatnonzero(valid if mask is None else valid & np.asarray(mask, np.bool_))

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from mecp_env.config import RewardConfig
+from mecp_env.episode.potentials import RewardInputs
 from mecp_env.episode.rewards import (
     TERMS,
-    RewardInputs,
     RewardMemory,
     apply_weights,
     events,
     information,
     measured_terms,
     remember,
+    weights_of,
 )
 from mecp_env.slam.messages import Belief, SemanticGrid
 from tests.env.helpers import drive, make
@@ -163,15 +164,17 @@ def test_the_information_of_a_pose_is_finite_and_right():
 
 def test_events():
     memory = RewardMemory(area_m2=150.0)
-    assert events(memory, False, False, False) == {"contact": 0.0, "time": 1.0, "completion": 0.0, "divergence": 0.0}
-    assert events(memory, True, False, True) == {"contact": 1.0, "time": 1.0, "completion": 0.0, "divergence": 1.0}
+    calm = {"contact": 0.0, "time": 1.0, "completion": 0.0, "divergence": 0.0, "lost": 0.0}
+    assert events(memory, False, False, False) == calm
+    assert events(memory, True, False, True) == calm | {"contact": 1.0, "divergence": 1.0}
+    assert events(memory, False, False, False, lost_m2=250.0) == calm | {"lost": 3.5}
     assert events(memory, False, True, False)["completion"] == 1.5  # of 100 m^2
 
 
 def test_weights():
     config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
     measured = dict.fromkeys(TERMS, 1.0)
-    assert apply_weights(config, measured) == {
+    assert apply_weights(weights_of(config), measured) == {
         "area": 2.0,
         "pose_information": 0.0,
         "landmark_information": 0.0,
@@ -179,7 +182,7 @@ def test_weights():
         "time": -1.0,
         "completion": 10.0,
         "divergence": -20.0,
-    }
+    } | dict.fromkeys(("lost", "expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality"), 0.0)
 
 
 def test_to_diverge_costs_more_than_the_time_of_a_whole_episode():

@@ -8,7 +8,7 @@ import pytest
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.planning.goals import GoalKind
 
-OPEN, CANDIDATE, FRONTIER, DOOR = GoalKind
+OPEN, CANDIDATE, FRONTIER, DOOR, *_ = GoalKind
 
 
 def table(*goals: tuple[GoalKind, int, int, float]) -> dict[str, np.ndarray]:

@@ -1,0 +1,120 @@
+"""What a belief is worth: potentials of the reward beyond the area, and custom ones by name (docs/rewards.md).
+
+Each takes the belief and the map and gives a number; the reward term is its change in a step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.spatial
+
+from mecp_env.config import REWARDS
+from mecp_env.core.array_types import Array
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import shown
+from mecp_env.slam.messages import Belief, SemanticGrid
+
+TAU_M = 0.15  # tolerance of the map: a wall drawn farther off is in a wrong place
+BLOCK_CELLS = 8  # width of the blocks of cells that have their nearest landmark in common
+LEAST_VARIANCE, MOST_VARIANCE = 1e-8, 1e4  # m^2 and rad^2: keep the information finite
+
+
+class RewardInputs(NamedTuple):
+    """The inputs of the measured terms in one step."""
+
+    belief: Belief
+    grid: SemanticGrid
+    diverged: bool = False
+    true_area_m2: float | None = None  # the true free area seen; None if the estimated area counts
+
+
+Potential = Callable[[RewardInputs], float]
+
+
+def expected_area(inputs: RewardInputs) -> float:
+    """Expected correct area, m^2: the mapped area, each cell times the probability that it is in its place.
+
+    The sum over the mapped cells of 1 - exp(-tau^2 / (2 s^2)), tau 0.15 m, s^2 half the trace of the covariance of the
+    nearest landmark: the probability that an error of that sigma in two dimensions is below tau.
+    """
+    area_m2, reliability = mapped_blocks(inputs)
+    return float(area_m2 @ reliability)
+
+
+def entropy(inputs: RewardInputs) -> float:
+    """Entropy that the grid has lost, nat m^2: ln 2 - H(p) per cell that is mapped, which is right with probability p.
+
+    p = (1 + r) / 2 with the reliability r of `expected_area`; a cell that is not mapped has ln 2.
+    """
+    area_m2, reliability = mapped_blocks(inputs)
+    p, q = 0.5 * (1.0 + reliability), 0.5 * (1.0 - reliability)
+    uncertain = -(p * np.log(p) + q * np.log(np.maximum(q, 1e-12)))
+    return float(area_m2 @ (math.log(2.0) - uncertain))
+
+
+def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
+    """(b,) m^2 of mapped cells in each block that has some, and (b,) how reliable its nearest landmark is."""
+    grid, belief = inputs.grid, inputs.belief
+    if inputs.diverged or not len(belief.ids) or not grid.label.size:
+        return np.empty(0), np.empty(0)
+    rows, columns = (np.arange(0, size, BLOCK_CELLS) for size in grid.label.shape)
+    known = (grid.label > 0).astype(np.int64)  # UNKNOWN is 0
+    cells = np.add.reduceat(np.add.reduceat(known, rows, axis=0), columns, axis=1)
+    row, column = np.nonzero(cells)
+    middles = grid.origin + (np.stack([column, row], axis=1) + 0.5) * BLOCK_CELLS * grid.resolution_m
+    _, nearest = scipy.spatial.cKDTree(belief.p_map).query(middles)
+    s2 = 0.5 * np.trace(belief.covs, axis1=1, axis2=2)[nearest]
+    reliability = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
+    return cells[row, column] * grid.resolution_m**2, reliability
+
+
+def d_optimality(inputs: RewardInputs) -> float:
+    """-1/2 of the mean logarithm of the eigenvalues of pose and landmarks, nat: the volume of the uncertainty."""
+    return -0.5 * float(np.mean(np.log(eigenvalues(inputs))))
+
+
+def a_optimality(inputs: RewardInputs) -> float:
+    """-1/2 of the logarithm of their mean, nat: the mean variance."""
+    return -0.5 * math.log(float(np.mean(eigenvalues(inputs))))
+
+
+def t_optimality(inputs: RewardInputs) -> float:
+    """1/2 of the logarithm of the mean of their reciprocals, nat: the mean information."""
+    return 0.5 * math.log(float(np.mean(1.0 / eigenvalues(inputs))))
+
+
+def eigenvalues(inputs: RewardInputs) -> Array:
+    """(3 + 2N,) the eigenvalues of the covariances of the pose (m^2, rad^2) and of each landmark (m^2), kept finite."""
+    of_pose = np.linalg.eigvalsh(inputs.belief.pose_cov)
+    xx, xy, yy = inputs.belief.covs[:, 0, 0], inputs.belief.covs[:, 0, 1], inputs.belief.covs[:, 1, 1]
+    middle, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    found = np.concatenate([of_pose, middle + apart, middle - apart])
+    if inputs.diverged:
+        found = np.full_like(found, MOST_VARIANCE)
+    clipped: Array = np.clip(found, LEAST_VARIANCE, MOST_VARIANCE)
+    return clipped
+
+
+POTENTIALS: dict[str, Potential] = {
+    "expected_area": expected_area,
+    "entropy": entropy,
+    "d_optimality": d_optimality,
+    "a_optimality": a_optimality,
+    "t_optimality": t_optimality,
+}
+
+
+def register_reward(name: str, potential: Potential) -> None:
+    """Let `reward={"custom": {name: weight}}` add the change of a potential to the reward; `info` has `reward_<name>`.
+
+    `potential` maps the `RewardInputs` of a step to a number. A name that was registered before is replaced. Raises
+    `ConfigError` for a name of ours and for what is no name.
+    """
+    if not callable(potential):
+        raise ConfigError(f"potential: {shown(potential)}, a function of RewardInputs expected")
+    REWARDS.add(name)
+    POTENTIALS[name] = potential

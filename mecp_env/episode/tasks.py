@@ -1,0 +1,62 @@
+"""The tasks of active SLAM: buildings and robots in which greedy exploration loses its map (docs/tasks.md).
+
+Plain fields of the buildings and of `EnvConfig`; settings were chosen on the validation split.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+ACTIVE: dict[str, Any] = {  # of every task
+    "actions": "goal",
+    "start": "random",
+    "max_steps": 1500,
+    "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
+    "observation": {"uncertainty": True},
+    "reward": {
+        "area": 0.0,
+        "pose_information": 0.0,
+        "landmark_information": 0.0,
+        "completion": 0.0,
+        "expected_area": 0.1,
+        "lost": -20.0,
+    },
+}
+PLAIN: dict[str, Any] = {"shaped_rooms": 0, "furniture": 0.0, "corridors": 0}
+TASKS: dict[str, dict[str, Any]] = {
+    # large rooms in loops with a few pillars and boxes, a scanner that sees 3.5 m, wheels that sometimes slip
+    "ActiveHalls-v0": {
+        **ACTIVE,
+        **PLAIN,
+        "rooms": 6,
+        "room_side_m": (5.5, 7.5),
+        "loops": 2,
+        "furniture": 0.5,
+        "pieces": ("square_pillar", "box"),
+        "laser": {"max_range_m": 3.5},
+        "odometry": {"preset": "pioneer", "slip_share": 0.01},
+    },
+    # rooms that look alike along corridors, a scanner that looks ahead only, wheels that slip
+    "ActiveCorridors-v0": {
+        **ACTIVE,
+        **PLAIN,
+        "rooms": 12,
+        "room_side_m": (3.6, 3.6),
+        "corridors": 3,
+        "loops": 2,
+        "laser": {"preset": "lms200", "max_range_m": 4.0},
+        "odometry": {"preset": "skid_steer"},
+    },
+    # a cheap robot in furnished rooms: noisy beams up to 4 m, wheels that slip
+    "ActiveCheapRobot-v0": {
+        **ACTIVE,
+        "rooms": 8,
+        "room_side_m": (3.2, 5.5),
+        "corridors": 1,
+        "loops": 1,
+        "shaped_rooms": 1,
+        "furniture": 1.0,
+        "laser": {"preset": "rplidar_a1", "max_range_m": 4.0},
+        "odometry": {"preset": "skid_steer"},
+    },
+}

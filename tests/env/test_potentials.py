@@ -1,0 +1,131 @@
+"""Potentials of the reward: formulas, more for better beliefs, nothing for detours, custom ones by name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.potentials import (
+    TAU_M,
+    RewardInputs,
+    a_optimality,
+    d_optimality,
+    entropy,
+    expected_area,
+    register_reward,
+    t_optimality,
+)
+from mecp_env.slam.messages import Belief, SemanticGrid
+from tests.env.helpers import make
+
+
+def inputs(
+    sigmas: tuple[float, ...] = (0.1, 0.1), known: int = 40, pose: float = 1e-2, diverged: bool = False
+) -> RewardInputs:
+    """Columns of a grid of 8 m by 4 m that are known, from the left, and landmarks at 1 m, 5 m, ... of these sigmas."""
+    label = np.zeros((40, 80), np.uint8)
+    label[:, :known] = 1
+    grid = SemanticGrid(label, label > 0, np.zeros((40, 80), np.int16), np.zeros(2), 0.1, 1)
+    n = len(sigmas)
+    p_map = np.stack([1.0 + 4.0 * np.arange(n), np.full(n, 2.0)], axis=1)
+    covs = np.array([np.eye(2) * sigma**2 for sigma in sigmas]).reshape(-1, 2, 2)
+    return RewardInputs(Belief(np.zeros(3), np.eye(3) * pose**2, np.arange(n), p_map, covs), grid, diverged)
+
+
+def reliability(sigma: float) -> float:
+    return 1.0 - math.exp(-(TAU_M**2) / (2.0 * sigma**2))
+
+
+def test_expected_area_is_the_mapped_area_times_the_reliability_of_the_nearest_landmark() -> None:
+    assert expected_area(inputs((0.1,))) == pytest.approx(16.0 * reliability(0.1))
+    near, far = 0.05, 0.5  # the second landmark, 5 m from the left, is nearer from 3 m on
+    split = 4.0 * (3.2 * reliability(near) + 0.8 * reliability(far))
+    assert expected_area(inputs((near, far))) == pytest.approx(split, rel=0.05)
+
+
+def test_entropy_is_that_of_cells_that_are_right_with_a_probability() -> None:
+    r = reliability(0.1)
+    p = 0.5 * (1.0 + r)
+    uncertain = -(p * math.log(p) + (1.0 - p) * math.log(1.0 - p))
+    assert entropy(inputs((0.1,))) == pytest.approx(16.0 * (math.log(2.0) - uncertain))
+
+
+def test_optimality_criteria_of_eigenvalues() -> None:
+    now = inputs((0.1, 0.4), pose=0.2)
+    turned = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+    now.belief.covs[1] = turned @ np.diag([0.04, 0.25]) @ turned.T
+    values = np.array([0.04, 0.04, 0.04, 0.01, 0.01, 0.04, 0.25])
+    assert d_optimality(now) == pytest.approx(-0.5 * np.log(values).mean())
+    assert a_optimality(now) == pytest.approx(-0.5 * math.log(values.mean()))
+    assert t_optimality(now) == pytest.approx(0.5 * math.log((1.0 / values).mean()))
+
+
+@pytest.mark.parametrize("potential", [expected_area, entropy, d_optimality, a_optimality, t_optimality])
+def test_a_better_belief_is_worth_more_and_a_diverged_one_least(potential) -> None:
+    poor, good = potential(inputs((0.3, 0.3))), potential(inputs((0.1, 0.1)))
+    assert good > poor > potential(inputs((0.1, 0.1), diverged=True))
+
+
+@pytest.mark.parametrize("potential", [expected_area, entropy])
+def test_more_floor_is_worth_more_only_where_the_map_is_reliable(potential) -> None:
+    assert potential(inputs(known=60)) > potential(inputs(known=40))
+    gain_far_off = potential(inputs((2.0, 2.0), known=60)) - potential(inputs((2.0, 2.0), known=40))
+    assert gain_far_off < 0.01 * (potential(inputs(known=60)) - potential(inputs(known=40)))
+
+
+def test_without_landmarks_or_map_nothing_is_expected() -> None:
+    assert expected_area(inputs(())) == 0.0
+    empty = inputs()
+    assert expected_area(empty._replace(grid=replace(empty.grid, label=np.zeros((0, 0), np.uint8)))) == 0.0
+
+
+def test_there_and_back_earns_nothing() -> None:
+    """The term is the change of the potential: uncertainty that grows and shrinks again cancels out."""
+    env = make(layout="two_rooms", reward={"d_optimality": 1.0, "expected_area": 1.0})
+    env.reset(seed=0)
+    before = {f: f(env.unwrapped._reward_inputs(env.unwrapped._started())) for f in (d_optimality, expected_area)}
+    sums = np.zeros(2)
+    for k in range(20):
+        *_, info = env.step(np.array([0.5 * (-1) ** (k // 5), 0.0], np.float32))
+        sums += info["reward_d_optimality"], info["reward_expected_area"]
+    after = [f(env.unwrapped._reward_inputs(env.unwrapped._started())) - before[f] for f in before]
+    assert sums.tolist() == pytest.approx(after)
+    assert info["reward_entropy"] == 0.0  # without a weight it is not measured
+
+
+def landmarks_seen(inputs: RewardInputs) -> float:
+    return float(len(inputs.belief.ids))
+
+
+def test_a_custom_reward_by_name() -> None:
+    register_reward("landmarks_seen", landmarks_seen)
+    env = make(layout="two_rooms", reward={"custom": {"landmarks_seen": 2.0}})
+    _, info = env.reset(seed=0)
+    begin, total = info["landmarks"], 0.0
+    for _ in range(15):
+        *_, info = env.step(np.array([0.5, 0.3], np.float32))
+        total += info["reward_landmarks_seen"]
+    assert total == 2.0 * (info["landmarks"] - begin)
+
+
+@pytest.mark.parametrize(
+    ("custom", "message"),
+    [
+        ({"landmark_seen": 1.0}, "landmark_seen: not registered.*did you mean 'landmarks_seen'"),
+        ({"area": 1.0}, "area: one of ours"),
+        ({"x": "much"}, "x"),
+    ],
+)
+def test_a_wrong_custom_reward_is_named(custom, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make(layout="two_rooms", reward={"custom": custom})
+
+
+@pytest.mark.parametrize(("name", "potential"), [("area", landmarks_seen), ("two words", landmarks_seen), ("seen", 3)])
+def test_what_cannot_be_registered(name, potential) -> None:
+    with pytest.raises(ConfigError):
+        register_reward(name, potential)

@@ -1,0 +1,146 @@
+"""The tasks of active SLAM: rows of known ground and waiting, the columns of uncertainty, and lost episodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
+
+HALLS = "mecp_env/ActiveHalls-v0"
+
+
+def make(task: str = HALLS, **keywords: Any) -> gymnasium.Env:
+    return gymnasium.make(task, disable_env_checker=True, **keywords)
+
+
+def explored(env: gymnasium.Env, decisions: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Observation and info after that many drives to the nearest goal."""
+    observation, info = env.reset(seed=0, options={"building": 0})
+    for _ in range(decisions):
+        rows = choices(observation)
+        row = rows[observation["goals"][rows, PATH].argmin()]
+        observation, *_, info = env.step(int(row))
+    return observation, info
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_task_is_an_environment_with_goals_and_uncertainty(name: str) -> None:
+    env = make(f"mecp_env/{name}")
+    observation, _ = env.reset(seed=3)
+    assert env.observation_space.contains(observation)
+    assert observation["goals"].shape == (32, 12)
+    assert observation["localisation"].tolist() == pytest.approx([1.0, 1.0, 0.0], abs=0.05)
+    assert env.unwrapped.config.max_steps == 1500
+    for _ in range(3):
+        observation, *_ = env.step(int(np.flatnonzero(env.get_wrapper_attr("action_masks")())[0]))
+        assert env.observation_space.contains(observation)
+    assert observation["localisation"][2] > 0.0
+
+
+def test_fields_of_a_task_are_overridden_one_by_one() -> None:
+    config = make(laser={"beams": 360}, reward={"lost": -5.0}, rooms=4).unwrapped.config
+    assert (config.laser.beams, config.laser.max_range_m) == (360, 3.5)
+    assert (config.reward.lost, config.reward.expected_area) == (-5.0, 0.1)
+    assert config.layout["generate"]["rooms"] == 4
+    assert config.layout["generate"]["loops"] == 2
+    with pytest.raises(ConfigError, match="romms"):
+        make(romms=4)
+
+
+def test_old_ids_have_neither_rows_nor_columns() -> None:
+    env = make("mecp_env/Rooms-v0", actions="goal")
+    observation, _ = env.reset(seed=0)
+    assert observation["goals"].shape == (32, 9)
+    assert "localisation" not in observation
+    assert observation["goals"][:, KIND].max() < PLACE
+
+
+def test_places_can_be_driven_to_and_are_masked_like_goals() -> None:
+    env = make()
+    observation, _ = explored(env, 12)
+    masks = env.get_wrapper_attr("action_masks")()
+    assert np.array_equal(masks, observation["goals"][:, VALID] > 0.5)
+    place = of_kind(PLACE, observation)[0]
+    there = env.unwrapped.goals.p_map[place]
+    _, _, _, _, info = env.step(int(place))
+    assert info["event"] == "reached"
+    assert np.hypot(*(env.unwrapped.slam_output.belief.T_map_robot[:2] - there)) < 1.0
+
+
+def test_waiting_takes_its_steps_and_keeps_the_robot_where_it_is() -> None:
+    env = make()
+    observation, info = explored(env, 4)
+    wait = of_kind(WAIT, observation)
+    before, metres = info["period"], info["metres"]
+    observation, reward, _, _, info = env.step(int(wait[0]))
+    assert (info["event"], info["periods"], info["period"]) == ("waited", 5, before + 5)
+    assert info["metres"] == pytest.approx(metres, abs=0.5)  # until it stands
+    assert reward == pytest.approx(-0.025, abs=0.3)
+    assert len(of_kind(WAIT, observation)) == 1
+
+
+def test_predictions_are_finite_and_grow_with_the_way_into_the_unknown() -> None:
+    observation, _ = explored(make(), 10)
+    rows = observation["goals"][observation["goals"][:, VALID] > 0.5]
+    assert (rows[:, [SIGMA, SIGMA_RAD]] > 0.0).all()
+    assert (rows[:, [SIGMA, SIGMA_RAD]] < 1.0).all()
+    assert (rows[:, GAIN] >= 0.0).all()
+
+
+def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
+    env, other = make(), make()
+    explored(env, 6)
+    other.reset(seed=9)
+    other.unwrapped.set_state(env.unwrapped.get_state())
+    rows = [env.step(0), env.step(1)], [other.step(0), other.step(1)]
+    for one, two in zip(*rows, strict=True):
+        assert all(np.array_equal(one[0][name], two[0][name]) for name in one[0])
+        assert one[1] == two[1]
+
+
+def test_a_lost_robot_pays_at_the_end_for_all_that_it_mapped() -> None:
+    env = make(max_steps=3)
+    env.reset(seed=0, options={"building": 0})
+    env.unwrapped._started().pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
+    over = False
+    while not over:
+        *_, terminated, truncated, info = env.step(int(env.unwrapped.goals.kind.tolist().index(WAIT)))
+        over = terminated or truncated
+    mapped = env.unwrapped.slam_output.grid
+    area = np.count_nonzero(mapped.label) * mapped.resolution_m**2
+    assert info["lost"] is True
+    assert info["reward_lost"] == pytest.approx(-20.0 * (1.0 + area / 100.0))
+
+
+def unlocalised(env: gymnasium.Env) -> dict[str, Any]:
+    """The observation after a drive during which the filter lost the pose."""
+    explored(env, 8)
+    state, shifted = env.unwrapped._started(), False
+    for _ in range(40):
+        if not shifted and state.pipeline.guard.localised:
+            state.pipeline.filter.shift_pose(np.array([0.9, -0.7, 0.5]))
+            shifted = True
+        observation, *_, info = env.step(int(np.flatnonzero(env.get_wrapper_attr("action_masks")())[0]))
+        if info["event"] == "unlocalised":
+            return observation
+        shifted = False
+    raise AssertionError("the pose was never searched for")
+
+
+def test_a_drive_ends_when_the_pose_is_searched_for_and_open_floor_is_offered() -> None:
+    env = make("mecp_env/ActiveCheapRobot-v0")
+    observation = unlocalised(env)
+    assert observation["localisation"][1] == 0.0
+    assert not len(of_kind(PLACE, observation))
+    look = of_kind(LOOK, observation)
+    before = env.unwrapped._true_world.T_world_robot[:2].copy()
+    *_, info = env.step(int(look[0]))
+    assert info["event"] in ("reached", "refused")
+    moved = np.hypot(*(env.unwrapped._true_world.T_world_robot[:2] - before))
+    assert moved > 0.3 or info["localised"]

@@ -1,0 +1,146 @@
+"""Goals on known ground: which places are offered, and what becomes of a drive there."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.planning.config import KnownGroundConfig, PlanningConfig
+from mecp_env.planning.goal_list import PLACE, WAIT, Goal, GoalKind, Goals, Outcome, PlaceKind
+from mecp_env.planning.goals import GoalHistory
+from mecp_env.planning.known_ground import Surroundings, landmark_information, offered_goals
+from mecp_env.slam.messages import Belief, Cell, RoomGraph, SemanticGrid
+
+
+class Report:
+    """Only the fields of a SLAM output that the functions under test read."""
+
+    def __init__(self, **parts: object) -> None:
+        self.__dict__.update(parts)
+
+
+CONFIG = PlanningConfig(known_ground=KnownGroundConfig(places=8, wait_steps=5))
+ROWS = 32
+
+
+def hall(x: float = 10.0, sigma_m: float = 0.1) -> Report:
+    """A robot at (x, 5) in an empty hall of 20 m by 10 m, with two well-known landmarks in a corner."""
+    label = np.full((100, 200), int(Cell.FREE), np.uint8)
+    label[0] = label[-1] = label[:, 0] = label[:, -1] = int(Cell.OCCUPIED)
+    grid = SemanticGrid(label, label == 1, np.zeros_like(label, np.int16), np.zeros(2), 0.1, 1)
+    covs = np.tile(np.eye(2) * 1e-4, (2, 1, 1))
+    belief = Belief(
+        np.array([x, 5.0, 0.0]), np.eye(3) * sigma_m**2, np.arange(2), np.array([[1.0, 1.0], [1.0, 2.0]]), covs
+    )
+    return Report(grid=grid, belief=belief, graph=RoomGraph(0, False, (0,), (), (), {}), localised=True)
+
+
+def path(*corners: tuple[float, float]) -> np.ndarray:
+    """The points of a path, 0.1 m apart."""
+    parts = []
+    for (ax, ay), (bx, by) in itertools.pairwise(corners):
+        n = max(1, round(10 * math.hypot(bx - ax, by - ay)))
+        parts.append(np.linspace((ax, ay), (bx, by), n, endpoint=False))
+    return np.concatenate([*parts, [corners[-1]]])
+
+
+THERE = path((2.0, 2.0), (2.0, 8.0), (10.0, 8.0), (10.0, 5.0))
+
+
+def offered(travelled: np.ndarray = THERE, history: GoalHistory | None = None, goals: Goals | None = None, **changes):
+    config = CONFIG.model_copy(update={"known_ground": CONFIG.known_ground.model_copy(update=changes)})
+    around = Surroundings(hall(), history or GoalHistory(), travelled)
+    return offered_goals(goals or Goals(), around, config, ROWS)
+
+
+def kinds(goals: Goals) -> list[int]:
+    return goals.kind.tolist()
+
+
+def test_without_known_ground_the_goals_stay_as_they_are() -> None:
+    goals = Goals.of([Goal(GoalKind.FRONTIER, 1.0, 1.0, 1.0, 0)])
+    assert offered(goals=goals, places=0, wait_steps=0) is None
+
+
+def test_exploration_comes_first_then_places_then_waiting() -> None:
+    exploration = [Goal(GoalKind.FRONTIER, 3.0 + 0.3 * k, 3.0, 1.0, 0, visits=k, path_m=float(k)) for k in range(40)]
+    rows = offered(goals=Goals.of(exploration))
+    places = kinds(rows).count(PLACE)
+    assert kinds(rows) == [GoalKind.FRONTIER] * (ROWS - places - 1) + [PLACE] * places + [WAIT]
+    assert 0 < places <= 8
+    kept = ROWS - places - 1
+    assert rows.visits[:kept].tolist() == list(range(kept))
+    assert rows.path_m[:kept].tolist() == [float(k) for k in range(kept)]
+
+
+def test_places_are_apart_within_reach_and_not_where_the_robot_is() -> None:
+    rows = offered()
+    places = rows.p_map[rows.kind == PLACE]
+    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 10.0 * np.eye(len(places))
+    assert len(places) >= 2
+    assert apart.min() >= 2.0
+    assert np.hypot(*(places - (10.0, 5.0)).T).min() >= 1.0
+    assert (rows.path_m[rows.kind == PLACE] >= 1.0).all()
+
+
+def test_well_known_landmarks_make_a_place() -> None:
+    rows = offered(loop_m=1000.0)
+    place = rows.p_map[(rows.kind == PLACE) & (rows.level == PlaceKind.LANDMARKS)][0]
+    assert math.dist(place, (1.0, 1.5)) < 4.0
+    worth = landmark_information(np.array([[1.0, 1.0], [9.0, 9.0]]), hall().belief)
+    assert worth.tolist() == pytest.approx([2e4, 0.0])
+
+
+def test_a_place_left_long_ago_and_near_closes_a_loop() -> None:
+    around = path((10.0, 6.5), (2.0, 6.5), (2.0, 2.0), (10.0, 2.0), (10.0, 5.0))
+    rows = offered(around)
+    loops = rows.p_map[(rows.kind == PLACE) & (rows.level == PlaceKind.LOOP)]
+    assert math.dist(loops[0], (10.0, 6.5)) < 1.5
+    assert offered(around, loop_m=100.0).level[kinds(rows).index(PLACE)] != PlaceKind.LOOP
+
+
+def test_the_last_good_place_is_remembered() -> None:
+    history = GoalHistory()
+    sure, unsure = hall(3.0, 0.01), hall(10.0, 0.3)
+    history.remember_good_place(sure.belief, 0.05)
+    history.remember_good_place(unsure.belief, 0.05)
+    assert history.good_place.tolist() == [3.0, 5.0]
+    rows = offered(history=history)
+    assert rows.level[kinds(rows).index(PLACE)] == PlaceKind.GOOD
+
+
+def test_a_place_that_was_refused_is_not_offered_again_but_one_that_was_visited_is() -> None:
+    rows, history = offered(), GoalHistory()
+    row = kinds(rows).index(PLACE)
+    for _ in range(10):
+        history.record(rows, row, Outcome.REACHED, CONFIG.goals)
+    assert np.isclose(offered(history=history).p_map[row], rows.p_map[row]).all()
+    for _ in range(CONFIG.goals.refusals):
+        history.record(rows, row, Outcome.REFUSED, CONFIG.goals)
+    again = offered(history=history)
+    assert not any(math.dist(p, rows.p_map[row]) < 0.1 for p in again.p_map[again.kind == PLACE])
+
+
+def test_waiting_costs_no_way() -> None:
+    rows = offered(places=0)
+    assert kinds(rows) == [WAIT]
+    assert rows.path_m.tolist() == [0.0]
+    assert rows.p_map[0].tolist() == [10.0, 5.0]
+
+
+def test_before_anything_is_mapped_nothing_is_offered() -> None:
+    empty = hall()
+    grid = replace(empty.grid, label=np.zeros((0, 0), np.uint8), room=np.zeros((0, 0), np.int16))
+    around = Surroundings(Report(grid=grid, belief=empty.belief), GoalHistory(), THERE[:1])
+    assert offered_goals(Goals(), around, CONFIG, ROWS) is None
+
+
+def test_one_by_one_and_back_the_list_is_the_same() -> None:
+    rows = offered()
+    again = Goals.of(rows.rows(ROWS))
+    for name in ("p_map", "kind", "room", "level", "path_m", "sigma_m", "gain_nat"):
+        assert np.array_equal(getattr(again, name), getattr(rows, name))
