@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
+from mecp_env.episode.tasks import TASKS
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from mecp_env.policies.evaluation import Evaluation
     from mecp_env.policies.rollout import EpisodeResult
 
+STEPS, TASK_STEPS = 3000, 1500  # of an episode
 Estimator = Literal["slam", "known", "truth"]
 
 
@@ -40,6 +43,8 @@ class Evaluate(Command):
         "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
         "mecp-env evaluate nearest runs/my-training --split validation --no-truth",
         "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
+        "mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20",
+        "mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8",
         "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
     )
     choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator)}
@@ -47,15 +52,18 @@ class Evaluate(Command):
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
     split: str = "test"  # of the buildings: train, validation or test
     difficulty: str = "medium"  # easy, medium, hard or huge
+    task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
+    suite: str = ""  # a frozen benchmark: active-v1 or coverage-v1; fixes task, split, episodes and limits
     episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100  # buildings, one episode in each
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     shard: str = "1/1"  # run every n-th building only, from the i-th, given as i/n; the results are written without it
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     truth: bool = True  # run each policy once more with the ground-truth pose
+    known: bool = False  # and once more with known correspondences
     record: bool = False  # a film of all policies side by side, in the first building
     reference: str = "nearest"  # the policy to which the others are compared
     trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run arbitrary code
-    max_steps: Steps = 3000  # of an episode (control steps of 0.4 s)
+    max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
 
@@ -64,9 +72,13 @@ class Evaluate(Command):
         from mecp_env.policies.evaluation import Evaluation
         from mecp_env.policies.rollout import Setting
 
-        setting, shard = Setting(self.difficulty, self.split, self.estimator, self.max_steps), Shard.parse(self.shard)
-        fields = (self.policies, setting, self.episodes, self.truth, self.reference, self.trust, shard)
-        evaluation = Evaluation(*fields)
+        if self.suite:
+            return self._run_suite(line)
+        limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
+        setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task)
+        fields = (self.policies, setting, self.episodes, self.truth, self.known, self.reference, self.trust)
+        shard = Shard.parse(self.shard)
+        evaluation = Evaluation(*fields, shard)
         self._check(evaluation)
         kept = evaluation.kept(self.out / "episodes")
         collect(evaluation, kept, self.jobs)
@@ -76,6 +88,28 @@ class Evaluate(Command):
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
+    def _run_suite(self, line: Sequence[str]) -> int:
+        """Evaluate the policies in every setting of the suite, and write one file."""
+        from mecp_env.core.paths import write_atomic
+        from mecp_env.policies.evaluation import Evaluation
+        from mecp_env.policies.suites import find_suite, leaderboard, submission
+
+        suite, shard, done = find_suite(self.suite), Shard.parse(self.shard), []
+        for setting in suite.settings:
+            fields = (self.policies, setting, suite.episodes, self.truth, self.known, self.reference, self.trust)
+            evaluation = Evaluation(*fields, shard)
+            self._check(evaluation)
+            collect(evaluation, evaluation.kept(self.out / (setting.task or setting.difficulty)), self.jobs)
+            if evaluation.interrupted or evaluation.failures:
+                return INTERRUPTED if evaluation.interrupted else FAILED
+            done.append((setting, evaluation.rows()))
+        if shard.count == 1:
+            result = submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
+            path = self.json or self.out / f"{self.suite}.json"
+            write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
+            echo(*leaderboard([result]).split("\n"), f"written to {path}")
+        return 0
+
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `ConfigError` for wrong options, before anything is written."""
         from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
@@ -84,6 +118,8 @@ class Evaluate(Command):
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("split", self.split, SPLITS)
         check_word("difficulty", self.difficulty, DIFFICULTIES)
+        if self.task:
+            check_word("task", self.task, TASKS)
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
         policies = [make_policy(name, self.trust) for name in self.policies]
         if self.reference not in self.policies:
@@ -114,7 +150,7 @@ class Evaluate(Command):
         """Draw the curves, and the film; matplotlib and pygame are loaded only here."""
         from mecp_env.policies.plots import draw_curves
 
-        where = f"{result['buildings']} buildings, {self.difficulty}, {self.split} split"
+        where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
         if self.record:
             from mecp_env.policies.side_by_side import write_film

@@ -24,6 +24,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "slam": ("slam", "Slam", "map a recorded log: CARMEN, a ROS bag or an .npz; keep pictures and figures"),
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
+    "leaderboard": ("leaderboard", "Leaderboard", "one table of several results of a frozen benchmark"),
     "train": ("train", "Train", "train a policy, or resume a run"),
     "play": ("play", "Play", "drive by keyboard: ground truth on the left, the estimate on the right"),
     "warmup": ("warmup", "WarmUp", "compile ahead, on all cores; once per installation"),

@@ -25,6 +25,7 @@ COMPARED = (
     *("correct_over_steps", "correct_over_metres", "correct_coverage", "lost"),
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete"),
 )
+KNOWN = {"truth": "with_the_pose_known", "known": "with_known_correspondences"}  # what is known: key of the difference
 SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 
@@ -77,7 +78,8 @@ def compare(rows: Sequence[Row], reference: str) -> list[Figures]:
     """Each row as JSON data: its metrics, its difference to the reference, and the cost of uncertainty.
 
     The reference is the row of that policy with the same estimator; the cost of uncertainty, in rows with
-    `estimator="truth"`, is that row minus the row of the same policy without the ground-truth pose.
+    `estimator="truth"`, is that row minus the row of the same policy without the ground-truth pose; the cost of wrong
+    correspondences, in rows with `estimator="known"`, likewise.
     """
     return [with_differences(row, rows, reference) for row in rows]
 
@@ -88,9 +90,9 @@ def with_differences(row: Row, rows: Sequence[Row], reference: str) -> Figures:
     first = next((other for other in rows if (other.policy, other.estimator) == (reference, row.estimator)), row)
     if first is not row:
         page["against_reference"] = difference(row, first)
-    estimated = next((other for other in rows if other.policy == row.policy and other.estimator != "truth"), row)
-    if estimated is not row and row.estimator == "truth":
-        page["with_the_pose_known"] = difference(row, estimated)
+    estimated = next((other for other in rows if other.policy == row.policy), row)
+    if estimated is not row and row.estimator in KNOWN:
+        page[KNOWN[row.estimator]] = difference(row, estimated)
     return page | {"curve": [estimate(column) for column in row.curves().T]}
 
 

@@ -34,6 +34,7 @@ class Evaluation:
     setting: Setting
     episodes: int  # buildings, one episode in each
     known_pose: bool = True  # each policy once more with the ground-truth pose
+    known_correspondences: bool = False  # and once more with known correspondences
     reference: str = "nearest"  # the policy to which the others are compared
     trust: bool = False  # load model files that may run arbitrary code
     shard: Shard = WHOLE  # of the buildings
@@ -43,8 +44,10 @@ class Evaluation:
 
     @property
     def settings(self) -> list[Setting]:
-        known = self.known_pose and self.setting.estimator != "truth"
-        return [self.setting, *([replace(self.setting, estimator="truth")] if known else [])]
+        """One per estimator."""
+        wanted = {"known": self.known_correspondences, "truth": self.known_pose}
+        others = [name for name, on in wanted.items() if on and name != self.setting.estimator]
+        return [self.setting, *(replace(self.setting, estimator=name) for name in others)]
 
     def tasks(self) -> list[EpisodeTask]:
         """All episodes, building by building: after an interruption, the finished ones can be compared."""

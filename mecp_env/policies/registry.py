@@ -16,9 +16,13 @@ EXPLORERS = {  # name -> "module:Class", constructed without arguments
     "bfs": "mecp_env.policies.explorers:BreadthFirstPolicy",
     "nearest": "mecp_env.policies.explorers:Nearest",
     "gain": "mecp_env.policies.gain:Gain",
+    "pause": "mecp_env.policies.active:Pause",
+    "returning": "mecp_env.policies.active:Returning",
+    "stachniss": "mecp_env.policies.active:Stachniss",
     "random_goal": "mecp_env.policies.explorers:RandomGoal",
     "random_walk": "mecp_env.policies.explorers:RandomWalk",
 }
+OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
@@ -38,6 +42,18 @@ def make_policy(name: str, trust: bool = False) -> Policy:
         return load_learned(name, trust)
     known = policy_names()
     raise ConfigError(f"policy: {name!r:.80}, expected one of {', '.join(known)}, or a run folder{guess(name, known)}")
+
+
+def register_policy(name: str, path: str) -> None:
+    """Let `name` stand for a policy, a class given as "module:Class", here and in worker processes that import it.
+
+    Raises `ConfigError` for a name of ours, for what is no name, and for what is no path of a class.
+    """
+    if not name.isidentifier() or name in (*OURS, *LEARNED):
+        raise ConfigError(f"name: {name!r:.80}, a new name of letters, digits and _ expected (ours: {', '.join(OURS)})")
+    if not CLASS_PATH.fullmatch(path):
+        raise ConfigError(f"path: {path!r:.80}, expected module:Class")
+    EXPLORERS[name] = path
 
 
 def policy_checksum(name: str) -> str:

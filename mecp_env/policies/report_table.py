@@ -56,7 +56,8 @@ DIFFERENCES: tuple[Column, ...] = (
 def page(result: Figures) -> str:
     """The whole page of a result of `mecp-env evaluate`."""
     rows, setting = result["rows"], result["setting"]
-    where = f"{result['buildings']} buildings of the {setting['split']} split of `{setting['difficulty']}`"
+    name = setting["task"] or setting["difficulty"]
+    where = f"{result['buildings']} buildings of the {setting['split']} split of `{name}`"
     where += "" if setting["estimator"] == "slam" else f", estimator `{setting['estimator']}`"
     head = f"{result['date']}, `{result['command']}`; {where}. Means with 95 % intervals"
     parts = [
@@ -69,6 +70,9 @@ def page(result: Figures) -> str:
             table(DIFFERENCES, labelled(rows, "against_reference")),
         ),
         section("The effect of a known pose", table(DIFFERENCES, labelled(rows, "with_the_pose_known"))),
+        section(
+            "The effect of known correspondences", table(DIFFERENCES, labelled(rows, "with_known_correspondences"))
+        ),
         section("Decisions per second of CPU time", rates(result["timing"])),
         section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
     ]

@@ -44,10 +44,16 @@ Env = gym.Env[Any, Any]
 class Setting:
     """Where policies are compared; the same for all of them."""
 
-    difficulty: str = "medium"
+    difficulty: str = "medium"  # of the generated buildings; without a meaning for a task
     split: str = "test"
     estimator: str = "slam"
     max_steps: int = 3000
+    task: str = ""  # a task of active SLAM, such as ActiveHalls-v0, in place of a difficulty
+
+    @property
+    def where(self) -> str:
+        """The buildings in words."""
+        return f"{self.task or self.difficulty}, split {self.split}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +72,7 @@ class EpisodeTask:
         return f"{self.policy} {self.checksum} {self.setting.estimator} {self.building:06}"
 
     def __str__(self) -> str:
-        where = f"{self.setting.difficulty}, split {self.setting.split}, building and seed {self.building}"
+        where = f"{self.setting.where}, building and seed {self.building}"
         return f"policy {self.policy}, {where}, estimator {self.setting.estimator}"
 
 
@@ -119,11 +125,12 @@ def run_episode(task: EpisodeTask) -> EpisodeResult:
 
 def make_rooms(setting: Setting, policy: Policy, render_mode: str | None = None) -> Env:
     """The generated buildings of a setting, with random start poses. Raises `ConfigError`."""
+    buildings: dict[str, Any] = {} if setting.task else {"difficulty": setting.difficulty}
     return gym.make(
-        "mecp_env/Rooms-v0",
+        f"mecp_env/{setting.task or 'Rooms-v0'}",
         render_mode=render_mode,
         disable_env_checker=True,
-        difficulty=setting.difficulty,
+        **buildings,
         split=setting.split,
         estimator=setting.estimator,
         max_steps=setting.max_steps,

@@ -14,7 +14,7 @@ FREE, OCCUPIED, UNKNOWN = 0, 2, 3
 
 def observation(*goals: dict[int, float]) -> dict[str, Any]:
     """An observation on floor that is known all over, with some goals (column -> value), all valid."""
-    table = np.zeros((32, 9), np.float32)
+    table = np.zeros((32, 12), np.float32)
     for row, columns in enumerate(goals):
         table[row, VALID] = 1.0
         for column, value in columns.items():
@@ -22,7 +22,8 @@ def observation(*goals: dict[int, float]) -> dict[str, Any]:
     grid = np.zeros((8, CELLS, CELLS), np.uint8)
     grid[FREE] = 255
     cov = np.array([1e-6, 0, 0, 1e-6, 0, 1e-8], np.float32)
-    return {"goals": table, "grid": grid, "landmarks": np.zeros((128, 8), np.float32), "pose_cov": cov}
+    trust, marks = np.ones(3, np.float32), np.zeros((128, 8), np.float32)
+    return {"goals": table, "grid": grid, "landmarks": marks, "pose_cov": cov, "localisation": trust}
 
 
 def goal(x: float, y: float, path_m: float, kind: int = 2) -> dict[int, float]:

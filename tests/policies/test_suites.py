@@ -1,0 +1,102 @@
+"""Frozen benchmarks: one file per result, refused where it cannot be compared."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mecp_env.cli import main as cli
+from mecp_env.core.errors import ConfigError
+from mecp_env.policies import suites
+from mecp_env.policies.rollout import Setting
+from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite, leaderboard, read_submission
+
+SMALL = (Setting("easy", "validation", "slam", 40), Setting("", "validation", "slam", 40, "ActiveCheapRobot-v0"))
+
+
+@pytest.fixture
+def toy(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A suite of two settings with two short episodes each."""
+    monkeypatch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, ""))
+    definition_hash.cache_clear()
+    frozen = definition_hash("toy-v1")
+    monkeypatch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, frozen))
+    return "toy-v1"
+
+
+@pytest.fixture
+def result(toy: str, tmp_path: Path) -> Path:
+    """The file of a result of two policies."""
+    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(tmp_path / "out")]
+    assert cli.main(line) == 0
+    return tmp_path / "out" / f"{toy}.json"
+
+
+@pytest.mark.parametrize("name", SUITES)
+def test_a_published_suite_is_what_it_was(name: str) -> None:
+    """A change of buildings, robots, starts, limits or metrics makes a new suite: `name-v2`."""
+    assert definition_hash(name) == SUITES[name].frozen
+    assert find_suite(name) is SUITES[name]
+
+
+def test_one_file_has_every_episode_of_every_setting(capsys: pytest.CaptureFixture[str], result: Path) -> None:
+    content = read_submission(result)
+    rows = [(row["task"], row["policy"], len(row["episodes"])) for row in content["results"]]
+    assert rows == [(task, name, 2) for task in ("easy", "ActiveCheapRobot-v0") for name in ("nearest", "returning")]
+    assert set(content["results"][0]["episodes"][0]) == {"building", *suites.METRICS}
+    assert "| returning |" in capsys.readouterr().out
+
+
+def test_the_leaderboard_merges_files_and_puts_the_best_first(result: Path, tmp_path: Path) -> None:
+    content = read_submission(result)
+    better = json.loads(json.dumps(content))
+    for row in better["results"]:
+        row["policy"] += "+"
+        row["figures"]["correct_over_steps"] = {"value": 0.9, "low": 0.8, "high": 1.0, "n": 2}
+    lines = leaderboard([content, better]).split("\n")
+    assert lines[0] == "| | easy | ActiveCheapRobot-v0 |"
+    assert lines[2].endswith("| 0.900 [0.800, 1.000] | 0.900 [0.800, 1.000] |")
+    assert len(lines) == 6
+
+
+def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = json.loads(result.read_text())
+    for change, message in (
+        ({"hash": "0123"}, "suite toy-v1 with the hash 0123, here"),
+        ({"version": 7}, "version 7, this mecp_env reads mecp_env/suite version 1"),
+        ({"suite": "toy-v9"}, "suite 'toy-v9', this mecp_env has"),
+        ({"results": []}, "it was changed by hand"),
+    ):
+        result.write_text(json.dumps(content | change))
+        assert cli.main(["leaderboard", str(result)]) == 2
+        assert message in capsys.readouterr().err
+    result.write_text("[1]")
+    with pytest.raises(ConfigError, match="no result of a suite"):
+        read_submission(result)
+    with pytest.raises(ConfigError, match=r"gone\.json: No such file"):
+        read_submission(result.with_name("gone.json"))
+
+
+def test_a_suite_that_this_version_would_change_is_refused(toy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    frozen = SUITES[toy].frozen
+    monkeypatch.setitem(SUITES, toy, Suite(SMALL, 3, frozen))
+    definition_hash.cache_clear()
+    with pytest.raises(ConfigError, match=f"published with the hash {frozen}, this mecp_env has"):
+        find_suite(toy)
+
+
+def test_an_unknown_suite_is_refused_with_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["evaluate", "nearest", "--suite", "active-v2"]) == 2
+    assert "did you mean 'active-v1'" in capsys.readouterr().err
+
+
+def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = "evaluate nearest --task ActiveCheapRobot-v0 --known --split validation --episodes 1 --max-steps 30 --out"
+    assert cli.main([*line.split(), str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "The effect of known correspondences" in said
+    assert "split of `ActiveCheapRobot-v0`" in said
+    assert cli.main(["evaluate", "nearest", "--task", "ActiveHall-v0"]) == 2
+    assert "did you mean 'ActiveHalls-v0'" in capsys.readouterr().err
