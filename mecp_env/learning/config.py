@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import tyro
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
-from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.learning.building_fields import OPTION, Value, check_fields
@@ -21,7 +20,6 @@ from mecp_env.learning.building_fields import OPTION, Value, check_fields
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 ALGORITHMS = get_args(Algorithm)
 MOST_CONFIG_BYTES = 1_000_000
-MOST_THREADS = 4  # the networks are too small for more
 RENAMED = {  # field of an older run folder -> its name of today
     f"{name}_periods": f"{name}_steps"
     for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
@@ -128,13 +126,13 @@ class LogConfig(Settings):
 class TrainConfig(Settings):
     """The complete configuration of a training run."""
 
+    GONE: ClassVar = frozenset({"threads"})
+
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
-    # that learn, while the environments wait; by default one per core, at most 4
-    threads: int = Field(default_factory=lambda: min(cores(), MOST_THREADS), ge=1, le=256)
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
     network: NetworkConfig = NetworkConfig()
@@ -227,7 +225,7 @@ def read_config(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
-    return fields
+    return TrainConfig.without_gone(fields)
 
 
 def migrated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -11,12 +11,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mecp_env.learning import tables
-from mecp_env.learning.parts import in_parts
 from mecp_env.learning.priors import PRIORS
 
 LAYERS = 8  # of the grid
 SCALES = 3
-PART = 32  # observations that are worth a thread
 NEVER = -1e9  # a logit of what may not be chosen
 
 
@@ -79,11 +77,8 @@ class ObservationEncoder(BaseFeaturesExtractor):
     """Features (B,F) of an observation: its context, and with a prior a code of each goal for a head that points.
 
     With a `prior` (rows) the observation has a `promise`, and the features are, one after the other: context (width),
-    codes (32 x width), valid (32), the prior's score (32). With `threads` above 1, large batches with gradients are
-    computed in as many parts.
+    codes (32 x width), valid (32), the prior's score (32).
     """
-
-    threads = 1
 
     def __init__(
         self, observation_space: spaces.Dict, width: int, channels: int, attention: bool, prior: str | None = None
@@ -101,13 +96,6 @@ class ObservationEncoder(BaseFeaturesExtractor):
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         """Features (B,F); a compact observation, its grids in 0..1, the tables as they are."""
-        large = len(observations["goals"]) >= PART * self.threads
-        if self.threads > 1 and large and torch.is_grad_enabled():
-            return in_parts(self, self.encode, observations, self.threads)
-        return self.encode(observations)
-
-    def encode(self, observations: dict[str, Tensor]) -> Tensor:
-        """The features, in one part."""
         goals = observations["goals"]
         grid, maps = self.grid(observations["coarse"], observations["near"])
         rows, valid = tables.goal_rows(goals)

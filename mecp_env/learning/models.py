@@ -92,7 +92,7 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
     ppo = config.ppo
     policy, keywords = policy_arguments(config)
     buffer = {"rollout_buffer_class": OptionBuffer} if config.algorithm == "maskable_ppo" else {}
-    model = CLASSES[config.algorithm](
+    return CLASSES[config.algorithm](
         policy,
         venv,
         learning_rate=(lambda left: ppo.learning_rate * max(0.0, left)) if ppo.anneal else ppo.learning_rate,
@@ -111,8 +111,6 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
         device="cpu",
         **buffer,
     )
-    model.policy.features_extractor.threads = config.threads
-    return model
 
 
 def make_network(config: TrainConfig) -> BasePolicy:

@@ -54,7 +54,7 @@ class TrainingRun:
 
     def __enter__(self) -> Self:
         config = self.config
-        torch.set_num_threads(1)  # `learning.parts` has threads of its own
+        torch.set_num_threads(1)  # several meet at the end of every operation: slower where a core is shared
         timed = make_many(config, config.seed)
         gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
         self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)

@@ -131,35 +131,6 @@ def test_all_inputs_of_the_network_are_of_size_one(seen):
         assert valid.sum() == observation["goals"][:, 8].sum()
 
 
-@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
-def test_a_batch_in_parts_has_the_features_and_gradients_of_the_whole(algorithm, seen):
-    policy, goals = shaken(algorithm), algorithm == "maskable_ppo"
-    encoder = policy.features_extractor
-    rows = [batch(seen[i % len(seen)], goals) for i in range(67)]
-    inputs = {name: torch.cat([row[name] for row in rows]).float() for name in rows[0]}
-    found = []
-    for encoder.threads in (1, 2, 2):
-        policy.zero_grad()
-        features = encoder(inputs)
-        features.square().mean().backward()
-        found.append((features, [parameter.grad.clone() for parameter in encoder.parameters()]))
-    (whole, of_whole), (parts, of_parts), (_, again) = found
-    assert torch.allclose(whole, parts, rtol=1e-4, atol=1e-5)
-    assert all(torch.allclose(a, b, rtol=1e-3, atol=1e-5) for a, b in zip(of_whole, of_parts, strict=True))
-    assert all(torch.equal(a, b) for a, b in zip(of_parts, again, strict=True))  # whichever thread is faster
-    few = {name: value[:3] for name, value in inputs.items()}
-    with torch.no_grad():
-        assert torch.equal(encoder(few), encoder.encode(few))
-
-
-def test_an_error_in_a_part_is_raised(seen):
-    encoder = shaken("ppo").features_extractor
-    encoder.threads = 2
-    rows = {name: value.expand(64, *value.shape[1:]).float() for name, value in batch(seen[0], False).items()}
-    with pytest.raises((RuntimeError, ValueError, IndexError), match=r"unpack|shape|size"):
-        encoder(rows | {"goals": rows["goals"][:, :, :3]})
-
-
 def test_surroundings_are_the_means_of_the_cells_inside():
     coarse = torch.rand(2, 8, 24, 24, generator=torch.Generator().manual_seed(0))
     half, wide = tables.surroundings(coarse)

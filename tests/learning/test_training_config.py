@@ -69,6 +69,12 @@ def test_numbers_that_now_follow_from_others_are_left_out_of_an_older_run_folder
     assert SlamConfig(**fields["env"]["slam"]) == SlamConfig(segments=SegmentConfig(min_beams=6))
 
 
+def test_the_threads_of_an_older_run_folder_are_left_out(tmp_path):
+    file = tmp_path / "config.json"
+    file.write_text(json.dumps(TrainConfig.build({"seed": 3}).to_dict() | {"threads": 2}))
+    assert TrainConfig.build(read_config(file)) == TrainConfig.build({"seed": 3})
+
+
 def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
     assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
     assert parse(["ppo", "--env.max-steps", "90"]).config.env.max_steps == 90
