@@ -26,6 +26,20 @@ def layers(*sizes: int) -> nn.Sequential:
     return nn.Sequential(*parts)
 
 
+def of_rows(network: nn.Module, rows: Tensor, valid: Tensor) -> Tensor:
+    """(B,n,w) what a network makes of the valid rows (B,n,c), one by one; 0 in the others, which cost nothing."""
+    places = valid.flatten().nonzero().squeeze(1)
+    codes: Tensor = network(rows.flatten(0, 1).index_select(0, places))
+    spread = codes.new_zeros(valid.numel(), codes.shape[-1]).index_copy(0, places, codes)
+    return spread.unflatten(0, valid.shape)
+
+
+def used_rows(table: Tensor) -> int:
+    """How many rows of tables (B,n,c) there are up to the last one that is valid in any of them, at least 1."""
+    used = (table[..., -1] > 0.5).any(0).nonzero()
+    return int(used[-1]) + 1 if len(used) else 1
+
+
 def pooled(codes: Tensor, valid: Tensor) -> Tensor:
     """(B,2w) mean and maximum of codes (B,n,w) >= 0 over the valid rows; 0 where there is none."""
     kept = codes * valid.unsqueeze(-1)
@@ -96,24 +110,26 @@ class ObservationEncoder(BaseFeaturesExtractor):
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         """Features (B,F); a compact observation, its grids in 0..1, the tables as they are."""
-        goals = observations["goals"]
+        table, landmarks = observations["goals"], observations["landmarks"]
+        goals = table[:, : used_rows(table)]
         grid, maps = self.grid(observations["coarse"], observations["near"])
         rows, valid = tables.goal_rows(goals)
         around = [tables.at_goals(layer, goals) for layer in (observations["coarse"], maps)]
-        score = self._score(observations, goals, valid)
-        if score is not None:
-            around.append(tables.promise_rows(observations["promise"], score, goals))
-        codes = self.goal(torch.cat([rows, *around], -1))
+        score = None
+        if self.prior is not None:
+            promise = observations["promise"][:, : goals.shape[1]]
+            score = self.prior(goals, valid, promise)
+            around.append(tables.promise_rows(promise, score, goals))
+        codes = of_rows(self.goal, torch.cat([rows, *around], -1), valid)
         if self.attention is not None:
             codes = self.attention(codes, valid, tables.apart(goals))
-        landmarks, known = tables.landmark_rows(observations["landmarks"])
+        known_rows, known = tables.landmark_rows(landmarks[:, : used_rows(landmarks)])
         pose = tables.pose_row(observations["pose"], observations["pose_cov"])
-        parts = [grid, pooled(codes, valid), pooled(self.landmark(landmarks), known), pose]
+        parts = [grid, pooled(codes, valid), pooled(of_rows(self.landmark, known_rows, known), known), pose]
         context = self.context(torch.cat(parts, -1))
         if score is None:
             return context
-        return torch.cat([context, (codes * valid.unsqueeze(-1)).flatten(1), valid.float(), score], -1)
-
-    def _score(self, observations: dict[str, Tensor], goals: Tensor, valid: Tensor) -> Tensor | None:
-        """The prior's score of the goals (B,32), if there is one."""
-        return None if self.prior is None else self.prior(goals, valid, observations["promise"])
+        columns = torch.cat([codes * valid.unsqueeze(-1), valid.unsqueeze(-1), score.unsqueeze(-1)], -1)
+        width, empty = codes.shape[-1], table.shape[1] - goals.shape[1]
+        found, marks, scores = functional.pad(columns, (0, 0, 0, empty)).split([width, 1, 1], -1)
+        return torch.cat([context, found.flatten(1), marks.flatten(1), scores.flatten(1)], -1)

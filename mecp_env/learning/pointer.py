@@ -9,7 +9,7 @@ from sb3_contrib.common.maskable.policies import MaskableMultiInputActorCriticPo
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
-from mecp_env.learning.encoder import layers
+from mecp_env.learning.encoder import layers, of_rows
 
 
 class PointerHeads(nn.Module):
@@ -37,7 +37,7 @@ class PointerHeads(nn.Module):
         context, codes, valid, prior = torch.split(features, [self.width, n * self.width, n, n], -1)
         codes = codes.unflatten(-1, (n, self.width))
         beside = context.unsqueeze(1).expand(-1, n, -1)
-        learned: Tensor = self.score(torch.cat([codes, beside], -1)).squeeze(-1)
+        learned = of_rows(self.score, torch.cat([codes, beside], -1), valid > 0.5).squeeze(-1)
         return (learned + self.sharpness * prior) * valid
 
     def forward_critic(self, features: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
 from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
+from mecp_env.learning.encoder import of_rows, used_rows  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.policies.explorers import Nearest  # noqa: E402
 from mecp_env.policies.gain import Gain  # noqa: E402
@@ -129,6 +130,33 @@ def test_all_inputs_of_the_network_are_of_size_one(seen):
         assert max(float(part.abs().max()) for part in (landmarks, pose)) < 5.0
         assert rows.abs().max() <= 5.0  # a goal counts as 10 m wide at most, which is exactly 5
         assert valid.sum() == observation["goals"][:, 8].sum()
+
+
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
+def test_a_batch_gives_each_observation_the_features_that_it_has_alone(algorithm, seen):
+    """Rows that are empty in all observations of a batch are left out; their number differs here."""
+    encoder, goals = shaken(algorithm).features_extractor, algorithm == "maskable_ppo"
+    rows = [{name: part.float() for name, part in batch(each, goals).items()} for each in seen]
+    rows = [row | {name: row[name] / 255.0 for name in ("coarse", "near")} for row in rows]
+    rows.append({name: torch.zeros_like(part) for name, part in rows[0].items()})
+    assert len({used_rows(row["goals"]) for row in rows}) > 1
+    with torch.no_grad():
+        together = encoder({name: torch.cat([row[name] for row in rows]) for name in rows[0]})
+        alone = torch.cat([encoder(row) for row in rows])
+    assert torch.allclose(together, alone, rtol=1e-4, atol=1e-4)
+
+
+def test_a_network_of_rows_has_its_values_and_gradients_in_the_valid_ones():
+    torch.manual_seed(0)
+    network, rows, valid = torch.nn.Linear(3, 5), torch.randn(4, 6, 3), torch.rand(4, 6) > 0.5
+    found = []
+    for codes in (network(rows) * valid.unsqueeze(-1), of_rows(network, rows, valid)):
+        network.zero_grad()
+        codes.square().sum().backward()
+        found.append((codes, network.weight.grad.clone()))
+    assert torch.allclose(found[0][0], found[1][0], atol=1e-6)
+    assert torch.allclose(found[0][1], found[1][1], atol=1e-4)
+    assert not of_rows(network, rows, valid & False).any()
 
 
 def test_surroundings_are_the_means_of_the_cells_inside():
