@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from mecp_env.learning import files
 from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_validation_env, vectorise
-from mecp_env.learning.models import OptionBuffer, bootstrap_truncated
+from mecp_env.learning.rollouts import OptionBuffer, bootstrap_truncated
 from mecp_env.learning.run_folder import RunFolder
 from mecp_env.learning.run_log import CLOCK, RunLog
 
@@ -27,7 +27,10 @@ MOST_WORKERS = 8
 
 
 class OptionCallback(BaseCallback):
-    """Passes the discount of every option to the `OptionBuffer`, and adds the value after a step limit."""
+    """Passes the discount of every option to the `OptionBuffer`, and adds the value after a step limit.
+
+    For the algorithms of Stable-Baselines3 as they are; those of `rollouts` do both themselves.
+    """
 
     model: OnPolicyAlgorithm
 

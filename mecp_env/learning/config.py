@@ -132,6 +132,7 @@ class TrainConfig(Settings):
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
+    groups: int = Field(2, ge=1, le=1024)  # of environments; while the policy acts for one, the others drive
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()

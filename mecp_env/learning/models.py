@@ -7,13 +7,10 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from sb3_contrib import MaskablePPO, RecurrentPPO
-from sb3_contrib.common.maskable.buffers import MaskableDictRolloutBuffer
-from stable_baselines3 import PPO
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
-from torch import Tensor
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.observation_arrays import GOALS
@@ -23,53 +20,14 @@ from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import downsampled_space
 from mecp_env.learning.encoder import ObservationEncoder
 from mecp_env.learning.pointer import GoalPointerPolicy
+from mecp_env.learning.rollouts import GroupedMaskablePPO, GroupedPPO, OptionBuffer
 
-CLASSES: dict[str, type[OnPolicyAlgorithm]] = {"ppo": PPO, "maskable_ppo": MaskablePPO, "recurrent_ppo": RecurrentPPO}
+CLASSES: dict[str, type[OnPolicyAlgorithm]] = {
+    "ppo": GroupedPPO,
+    "maskable_ppo": GroupedMaskablePPO,
+    "recurrent_ppo": RecurrentPPO,
+}
 FIRST_LOG_STD = -0.7  # of velocities: half of the largest
-
-
-class OptionBuffer(MaskableDictRolloutBuffer):
-    """Advantages of options (macro-actions) of different durations: each is followed by its own discount.
-
-    GAE (Schulman et al. 2016) with gamma replaced by the discount of the option; set `next_discounts` before `add`.
-    """
-
-    discounts: np.ndarray
-    next_discounts: np.ndarray  # (n_envs,) of the options that are added next
-
-    def reset(self) -> None:
-        self.discounts = np.ones((self.buffer_size, self.n_envs), np.float32)
-        self.next_discounts = np.full(self.n_envs, self.gamma, np.float32)
-        super().reset()
-
-    def add(self, *args: Any, **kwargs: Any) -> None:
-        """As of the base class."""
-        self.discounts[self.pos] = self.next_discounts
-        super().add(*args, **kwargs)
-
-    def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
-        """Write `advantages` and `returns` (steps, n_envs)."""
-        values = np.concatenate([self.values, last_values.cpu().numpy().reshape(1, -1)])
-        ended = np.concatenate([self.episode_starts[1:], dones.astype(np.float32).reshape(1, -1)])
-        discounts = self.discounts * (1.0 - ended)
-        advantage = np.zeros(self.n_envs, np.float32)
-        for step in reversed(range(self.buffer_size)):
-            error = self.rewards[step] + discounts[step] * values[step + 1] - values[step]
-            advantage = error + discounts[step] * self.gae_lambda * advantage
-            self.advantages[step] = advantage
-        self.returns = self.advantages + self.values
-
-
-def bootstrap_truncated(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str, Any]]) -> None:
-    """Add to `rewards` (n_envs,) the value after options that a step limit truncated, by their own discount.
-
-    sb3-contrib would use the constant discount, that of an option without metres.
-    """
-    for row, info in [(row, info) for row, info in enumerate(infos) if info["TimeLimit.truncated"]]:
-        info["TimeLimit.truncated"] = False  # it is added here
-        with torch.no_grad():
-            value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
-        rewards[row] += info["discount"] * float(value)
 
 
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
@@ -92,7 +50,7 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
     ppo = config.ppo
     policy, keywords = policy_arguments(config)
     buffer = {"rollout_buffer_class": OptionBuffer} if config.algorithm == "maskable_ppo" else {}
-    return CLASSES[config.algorithm](
+    model = CLASSES[config.algorithm](
         policy,
         venv,
         learning_rate=(lambda left: ppo.learning_rate * max(0.0, left)) if ppo.anneal else ppo.learning_rate,
@@ -111,6 +69,8 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
         device="cpu",
         **buffer,
     )
+    model.groups = config.groups
+    return model
 
 
 def make_network(config: TrainConfig) -> BasePolicy:

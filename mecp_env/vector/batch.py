@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,13 @@ from mecp_env.vector.checks import (
     check_seeds,
 )
 from mecp_env.vector.hosted import HostedEnvs
-from mecp_env.vector.infos import batched_infos
+from mecp_env.vector.infos import batched_infos, single_infos
 from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT
-from mecp_env.vector.worker import Infos, Makers
+from mecp_env.vector.worker import Info, Infos, Makers
 
 Bools = NDArray[np.bool_]
 Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
+GroupStep = tuple[Any, NDArray[np.float64], Bools, Bools, list[Info]]
 
 
 class BatchEnv(HostedEnvs):
@@ -134,13 +136,24 @@ class BatchEnv(HostedEnvs):
         self._assert_open("recv")
         if not len(self._flights):
             raise NoAsyncCallError("recv() without send() or async_reset()", "recv")
-        landed = self._land(min(self.batch_size, len(self._flights)))
-        envs = np.array(list(landed))
-        records = self._records[envs]
-        reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
-        self._fresh[envs], self._stale[envs] = False, self._must_reset(terminated | truncated)
-        infos = batched_infos(records, np.ones(len(envs), np.bool_), dict(enumerate(landed.values())), self._add_info)
-        return self._observations(envs), reward, terminated, truncated, infos | {"env_id": envs}
+        with self._closed_by(Exception):
+            landed = self._flights.take(min(self.batch_size, len(self._flights)))
+        envs, records, rest = self._landed(landed)
+        infos = batched_infos(records, np.ones(len(envs), np.bool_), rest, self._add_info)
+        return *self._results(envs, records), infos | {"env_id": envs}
+
+    def recv_group(self, groups: Sequence[Sequence[int]]) -> tuple[int, GroupStep]:
+        """The first of some groups of environments that is finished as a whole: its place in `groups`, and its step.
+
+        Rows are in the order of the group, and infos are a list of one plain dict per environment. Exceptions as from
+        `recv`; `NoAsyncCallError` where no group is under way as a whole.
+        """
+        self._assert_open("recv_group")
+        self._flights.check_sent(groups)
+        with self._closed_by(Exception):
+            place, landed = self._flights.take_group(groups)
+        envs, records, rest = self._landed(landed)
+        return place, (*self._results(envs, records), single_infos(records, rest))
 
     def action_masks(self, env_ids: Any = None) -> Bools:
         """(n,32) which rows of each observation hold a goal, of `env_ids` or all environments; no worker is asked.
@@ -169,18 +182,23 @@ class BatchEnv(HostedEnvs):
         with self._closed_by(WorkerDied):
             self._flights.send(name, items)
 
-    def _land(self, count: int) -> Infos:
-        """The rests of the infos of the environments that were finished first. Raises the exception of one of them."""
-        with self._closed_by(Exception):
-            landed = self._flights.take(count)
-        rests: Infos = {}
-        for env, answer in landed.items():
+    def _landed(self, landed: dict[int, Info | Failure]) -> tuple[NDArray[np.intp], NDArray[Any], Infos]:
+        """Numbers, records and, by row, the rests of the infos of environments. Raises the exception of one of them."""
+        rest: Infos = {}
+        for row, (env, answer) in enumerate(landed.items()):
             if isinstance(answer, Failure):
                 self._stale[env] = True
                 answer.error.add_note(answer.note)
                 raise answer.error
-            rests[env] = answer
-        return rests
+            rest[row] = answer
+        envs = np.array(list(landed))
+        return envs, self._records[envs], rest
+
+    def _results(self, envs: NDArray[np.intp], records: NDArray[Any]) -> tuple[Any, NDArray[np.float64], Bools, Bools]:
+        """Observations, rewards, terminated and truncated of environments that have come back."""
+        reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
+        self._fresh[envs], self._stale[envs] = False, self._must_reset(terminated | truncated)
+        return self._observations(envs), reward, terminated, truncated
 
     def _observations(self, envs: Any = None) -> Any:
         """Of the environments `envs`, or of all; of all, views unless the batch copies."""

@@ -17,12 +17,12 @@ pytest.importorskip("safetensors")
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.learning import files, learned  # noqa: E402
-from mecp_env.learning.callbacks import OptionCallback  # noqa: E402
 from mecp_env.learning.checkpoints import MOST_BYTES, Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.models import OptionBuffer, check_size, make_model  # noqa: E402
+from mecp_env.learning.models import check_size, make_model  # noqa: E402
+from mecp_env.learning.rollouts import OptionBuffer  # noqa: E402
 from mecp_env.learning.run_log import RunLog  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.learning.training import QUICK, quick, run, start, write_config  # noqa: E402
@@ -261,35 +261,6 @@ def onward(venv):
     """An action for each environment: the first goal, or full speed ahead."""
     many = [0, 0] if isinstance(venv.action_space, gym.spaces.Discrete) else [[1.0, 0.0]] * 2
     return np.array(many, venv.action_space.dtype)
-
-
-def test_what_comes_after_a_time_limit_is_discounted_by_the_drive_and_added_once(tmp_path, monkeypatch):
-    """The reward that the buffer gets is that of the environment and the value there, by the discount of the drive."""
-    steps, added = [], []
-    plain, add = OptionCallback._on_step, OptionBuffer.add
-
-    def on_step(self):
-        rewards, infos = self.locals["rewards"], self.locals["infos"]
-        before, cut = rewards.copy(), [info["TimeLimit.truncated"] for info in infos]
-        onward = plain(self)
-        for row in np.flatnonzero(cut):
-            there = self.model.policy.obs_to_tensor(infos[row]["terminal_observation"])[0]
-            value = float(self.model.policy.predict_values(there).detach())
-            assert value != 0.0
-            assert infos[row]["discount"] < 1.0
-            before[row] += infos[row]["discount"] * value
-        steps.append((before, any(cut)))
-        return onward
-
-    def keep(self, *args, **kwargs):
-        added.append(args[2].copy())
-        add(self, *args, **kwargs)
-
-    monkeypatch.setattr(OptionCallback, "_on_step", on_step)
-    monkeypatch.setattr(OptionBuffer, "add", keep)
-    run(tmp_path, env=QUICK["env"] | {"max_steps": 40}, log=QUICK["log"] | {"evaluate_buildings": 0})
-    assert any(cut for _, cut in steps)
-    np.testing.assert_allclose(added, [rewards for rewards, _ in steps], rtol=1e-6)
 
 
 def test_advantages_of_drives_are_those_of_the_definition():
