@@ -14,7 +14,7 @@ from mecp_env.core.se2 import inverse
 from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import SemanticGrid
 
-SPACING_M = 0.05  # between the points of a wall
+SPACING_M = 0.1  # between the points of a wall
 
 
 class FloorAndWalls(NamedTuple):

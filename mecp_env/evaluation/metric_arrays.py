@@ -249,8 +249,11 @@ def count_correct(p_world: Array, wall: Ints, p_walls: Array, T_map_world: Array
         x, y = (walls[k, 0] - place[0]) / place[2], (walls[k, 1] - place[1]) / place[2]
         for i in range(max(math.floor(y - reach), 0), min(math.floor(y + reach) + 1, label.shape[0])):
             for j in range(max(math.floor(x - reach), 0), min(math.floor(x + reach) + 1, label.shape[1])):
-                near = (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= reach * reach
-                known[k] |= near and label[i, j] == OCCUPIED
+                if label[i, j] == OCCUPIED and (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= reach * reach:
+                    known[k] = True
+                    break
+            if known[k]:
+                break
     for k in range(cells.shape[0]):
         i, j = math.floor((cells[k, 1] - place[1]) / place[2]), math.floor((cells[k, 0] - place[0]) / place[2])
         if i >= 0 and j >= 0 and i < label.shape[0] and j < label.shape[1] and known[wall[k]]:
