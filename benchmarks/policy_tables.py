@@ -1,4 +1,6 @@
-"""The tables of README.md and docs/policies.md, from results/policies.json: `python -m benchmarks.policy_tables`.
+"""The tables of README.md and of docs/policies.md and tasks.md, from results: `python -m benchmarks.policy_tables`.
+
+results/policies.json has the coverage of generated buildings, results/task_*.json the tasks of active SLAM.
 
 They are between `<!-- policies: NAME -->` and `<!-- end -->`; no figure is copied by hand.
 """
@@ -11,11 +13,26 @@ import sys
 
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
-from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, labelled, table
+from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, labelled, table
 
 ROOT = RESULTS.parents[1]
 RESULT = RESULTS / "policies.json"
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "policies.md")
+TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in ("halls", "corridors", "cheap_robot"))
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "policies.md", ROOT / "docs" / "tasks.md")
+HEADLINE_METRIC = "correct_over_steps"
+ACTING: tuple[Column, ...] = (
+    ("correct coverage over steps", HEADLINE_METRIC, ".3f", 1.0),
+    ("at the end, %", "correct_coverage", ".1f", 100.0),
+    ("coverage, %", "coverage", ".1f", 100.0),
+    ("lost, %", "lost", ".0f", 100.0),
+    ("pose error, cm", "pose_error_mean_m", ".0f", 100.0),
+    ("return", "reward", ".1f", 1.0),
+)
+AGAINST: tuple[Column, ...] = (
+    ("correct coverage over steps", HEADLINE_METRIC, "+.3f", 1.0),
+    ("at the end, %", "correct_coverage", "+.1f", 100.0),
+    ("lost, %", "lost", "+.0f", 100.0),
+)
 PLACE = re.compile(r"(<!-- policies: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -23,13 +40,38 @@ def tables(result: Figures) -> dict[str, str]:
     """The text of each place by its name."""
     rows, setting = result["rows"], result["setting"]
     estimated = [row for row in rows if row["estimator"] == setting["estimator"]]
-    return {
+    return task_tables() | {
         "where": f"{result['buildings']} buildings, `{setting['difficulty']}`, split `{setting['split']}`:",
         "short": table(HEADLINE, labelled(estimated)),
         "headline": table(HEADLINE, labelled(rows)),
         "differences": table(DIFFERENCES, labelled(estimated, "against_reference")),
         "known": table(DIFFERENCES, labelled(rows, "with_the_pose_known")),
     }
+
+
+def task_tables() -> dict[str, str]:
+    """The places of the tasks: the price of uncertainty in all, and the policies in each."""
+    results = [json.loads(path.read_text()) for path in TASK_RESULTS if path.exists()]
+    lines = ["| task, policy | estimator | known correspondences | true pose | price |", "|---|---|---|---|---|"]
+    places = {}
+    for result in results:
+        name, rows = result["setting"]["task"], result["rows"]
+        lines += [price(name, policy, rows) for policy in ("nearest", "gain")]
+        estimated = [row for row in rows if row["estimator"] == "slam"]
+        against = table(AGAINST, labelled(estimated, "against_reference"))
+        where = f"{result['buildings']} buildings, split `{result['setting']['split']}`:"
+        difference = f"Difference to `{result['reference']}`, in the same buildings:"
+        places[name.removesuffix("-v0")] = "\n\n".join([where, table(ACTING, labelled(estimated)), difference, against])
+    return places | {"price": "\n".join(lines)}
+
+
+def price(task: str, policy: str, rows: list[Figures]) -> str:
+    """A line of the price of uncertainty: correct coverage over steps, and truth minus estimator, paired."""
+    of_policy = {row["estimator"]: row for row in rows if row["policy"] == policy}
+    figures = [of_policy[name]["figures"][HEADLINE_METRIC] for name in ("slam", "known", "truth")]
+    cells = [cell(figure, ".3f", 1.0) for figure in figures]
+    cost = cell(of_policy["truth"]["with_the_pose_known"][HEADLINE_METRIC], ".3f", 1.0)
+    return f"| `{task}`, {policy} | {' | '.join(cells)} | {cost} |"
 
 
 def updated(text: str, result: Figures) -> str:

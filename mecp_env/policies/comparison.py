@@ -17,7 +17,7 @@ Figures = dict[str, Any]
 MEANS = (
     *("correct_over_steps", "correct_over_metres", "correct_coverage"),
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "periods_to_99%", "coverage", "metres", "periods"),
-    *("decisions", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "map_rmse_m"),
+    *("decisions", "reward", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "map_rmse_m"),
     *("landmarks", "landmarks_false", "duplicates", "contacts"),
 )
 SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "lost", "diverged")

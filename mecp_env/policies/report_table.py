@@ -31,6 +31,7 @@ EXPLORATION: tuple[Column, ...] = (
     ("coverage, %", "coverage", PLAIN, 100.0),
     ("m in all", "metres", PERCENT, 1.0),
     ("decisions", "decisions", PERCENT, 1.0),
+    ("return", "reward", PLAIN, 1.0),
 )
 LOCALISATION: tuple[Column, ...] = (
     ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),

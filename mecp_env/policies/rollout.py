@@ -94,6 +94,7 @@ class StepLog:
     correct: CoverageCurve = field(default_factory=lambda: CoverageCurve(falls=True))
     pose_errors_m: list[float] = field(default_factory=list)
     log_dets: list[float] = field(default_factory=list)
+    reward: float = 0.0  # of all steps
 
     def add(self, observation: dict[str, Any], info: Info) -> None:
         """Record one control step."""
@@ -101,6 +102,7 @@ class StepLog:
         self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
         self.log_dets.append(log_det(observation["pose_cov"]))
+        self.reward += sum(value for name, value in info.items() if name.startswith("reward_"))
 
 
 @dataclass(slots=True)
@@ -204,6 +206,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
         "terminated": float(end.terminated),
         "diverged": float(end.diverged),
         "decisions": float(end.decisions),
+        "reward": log.reward,
         "pose_error_mean_m": float(np.mean(log.pose_errors_m)),
         "log_det_mean": float(np.mean(log.log_dets)),
         **{name: float(summary[name]) for name in KEPT},
