@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Bytes
 from mecp_env.policies.gain import Gain, Weights
-from mecp_env.policies.policy import VALID
+from mecp_env.policies.policy import KIND, PLACE, VALID
 
 Observation = dict[str, NDArray[Any]]
 
 POOL = 4  # cells of the grid along a side of a coarse one
 NEAR = 32  # cells of the grid along a side of the near view: 3.2 m to each side of the robot
+COLUMNS = 9  # of `goals` without the predicted ones
 TABLES = ("pose", "pose_cov", "landmarks", "goals")
 GAIN = Gain(Weights(sight_m=6.0, beyond_m2=12.0))  # fixed here, because trained policies depend on it
 MOST_M2 = np.float32(np.pi * GAIN.weights.sight_m**2)
@@ -33,6 +34,16 @@ def downsample(observation: Observation, goals: bool) -> Observation:
     parts = {name: observation[name] for name in TABLES}
     parts |= {"coarse": pooled(grid), "near": grid[:, low : low + NEAR, low : low + NEAR].copy()}
     return parts | {"promise": promises(observation)} if goals else parts
+
+
+def without_known_ground(observation: Observation) -> Observation:
+    """The observation as of an environment without `uncertainty`: nine columns, no rows of places or waiting."""
+    goals = observation["goals"]
+    if goals.shape[-1] == COLUMNS:
+        return observation
+    table = goals[:, :COLUMNS].copy()
+    table[table[:, KIND] >= PLACE] = 0.0
+    return observation | {"goals": table}
 
 
 def promises(observation: Observation) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.learning.downsampled import downsample, goal_masks
+from mecp_env.learning.downsampled import downsample, goal_masks, without_known_ground
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.models import CLASSES, make_network
 from mecp_env.learning.run_folder import CONFIG, POLICY
@@ -47,10 +47,17 @@ class PredictingPolicy:
         self.episode_start = np.ones(1, np.bool_)
 
     def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
-        """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows."""
+        """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows.
+
+        Policies are trained without goals on known ground: they never choose one, unless there is no other.
+        """
         goals, masks = self.actions == "goal", dict[str, Any]()
         if goals:
-            masks["action_masks"] = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)[None]
+            allowed = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)
+            observation = without_known_ground(observation)
+            if not (allowed & goal_masks(observation)).any() and allowed.any():
+                return int(allowed.argmax())
+            masks["action_masks"] = (allowed & goal_masks(observation))[None]
         inputs = observation if self.config is None else downsample(observation, goals)
         batch = {name: np.asarray(values)[None] for name, values in inputs.items()}
         actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)

@@ -5,6 +5,8 @@ import pickle
 import struct
 import zipfile
 
+import gymnasium
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -18,6 +20,7 @@ from mecp_env.learning.files import WeightError, write_json  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.learning.run_folder import save_policy  # noqa: E402
+from mecp_env.policies.policy import KIND, PLACE, VALID, WAIT, choices  # noqa: E402
 from mecp_env.policies.registry import WEIGHTS, shipped  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
@@ -221,3 +224,22 @@ def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
 def test_a_trained_policy_that_there_is_not_gets_a_guess():
     with pytest.raises(ConfigError, match=r"maskable_pp, expected one of maskable_ppo.*did you mean 'maskable_ppo'\?"):
         load("maskable_pp")
+
+
+def test_a_policy_without_known_ground_explores_a_task_and_never_drives_back(folder):
+    """It was trained with nine columns; the rows of places are not for it, unless there is nothing else."""
+    policy, env = load(folder), gymnasium.make("mecp_env/ActiveCheapRobot-v0", max_steps=80)
+    observation, _ = env.reset(seed=1)
+    over, chosen = False, []
+    while not over:
+        masks = env.get_wrapper_attr("action_masks")()
+        row = policy.act(observation, masks)
+        if len(choices(observation)):
+            chosen.append(observation["goals"][row, KIND])
+        observation, _, terminated, truncated, _ = env.step(row)
+        over = terminated or truncated
+    assert chosen
+    assert max(chosen) < PLACE
+    only_waiting = observation | {"goals": np.zeros_like(observation["goals"])}
+    only_waiting["goals"][3, [KIND, VALID]] = WAIT, 1.0
+    assert policy.act(only_waiting, only_waiting["goals"][:, VALID] > 0.5) == 3
