@@ -22,7 +22,7 @@ from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_
 from mecp_env.policies.comparison import Row, compare, rows_of, timing
 from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
-from mecp_env.policies.registry import policy_checksum
+from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Setting, make_rooms, run_episode
 
 
@@ -53,7 +53,7 @@ class Evaluation:
         """All episodes, building by building: after an interruption, the finished ones can be compared."""
         checksums = {name: policy_checksum(name) for name in self.policies}
         return [
-            EpisodeTask(name, building, setting, self.trust, checksum)
+            EpisodeTask(name, building, setting, self.trust, checksum, source_of(name))
             for building in self.shard.part(range(self.episodes))
             for setting in self.settings
             for name, checksum in checksums.items()

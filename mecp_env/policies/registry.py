@@ -45,7 +45,7 @@ def make_policy(name: str, trust: bool = False) -> Policy:
 
 
 def register_policy(name: str, path: str) -> None:
-    """Let `name` stand for a policy, a class given as "module:Class", here and in worker processes that import it.
+    """Let `name` stand for a policy, a class given as "module:Class", which worker processes can import, too.
 
     Raises `ConfigError` for a name of ours, for what is no name, and for what is no path of a class.
     """
@@ -56,9 +56,14 @@ def register_policy(name: str, path: str) -> None:
     EXPLORERS[name] = path
 
 
+def source_of(name: str) -> str:
+    """What `make_policy` makes a policy from in any process: the class of a registered name, else the name itself."""
+    return name if name in OURS else EXPLORERS.get(name, name)
+
+
 def policy_checksum(name: str) -> str:
     """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
-    found, path = CLASS_PATH.fullmatch(name), Path(name)
+    found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
     if found:
         path = Path(str(importlib.import_module(found[1]).__file__))
     elif path.is_dir():

@@ -65,6 +65,7 @@ class EpisodeTask:
     setting: Setting
     trust: bool = False  # load a model file that may run arbitrary code
     checksum: str = ""  # of a policy that is not part of the package
+    source: str = ""  # what the policy is made from, where that is not its name
 
     @property
     def name(self) -> str:
@@ -117,7 +118,7 @@ class EpisodeEnd:
 
 def run_episode(task: EpisodeTask) -> EpisodeResult:
     """Run one episode; the same task gives the same metrics bit for bit."""
-    policy, log = make_policy(task.policy, task.trust), StepLog()
+    policy, log = make_policy(task.source or task.policy, task.trust), StepLog()
     env = for_policy(make_rooms(task.setting, policy), policy, log.add)
     end = run_policy(env, policy, log.add, task.building)
     summary: dict[str, float] = env.get_wrapper_attr("summary")()

@@ -87,3 +87,15 @@ def test_a_model_file_must_be_trusted(tmp_path: Path) -> None:
         make_policy(str(tmp_path / "model.zip"))
     with pytest.raises(ConfigError, match=r"model\.zip"):
         make_policy(str(tmp_path / "model.zip"), trust=True)
+
+
+def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "EXPLORERS", dict(registry.EXPLORERS))
+    registry.register_policy("closest", "mecp_env.policies.explorers:Nearest")
+    assert type(make_policy("closest")).__name__ == "Nearest"
+    assert registry.source_of("closest") == "mecp_env.policies.explorers:Nearest"
+    assert registry.source_of("nearest") == "nearest"
+    assert registry.policy_checksum("closest")
+    for name, path in (("nearest", "a:B"), ("two words", "a:B"), ("new", "no class"), ("ppo", "a:B")):
+        with pytest.raises(ConfigError):
+            registry.register_policy(name, path)
