@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Sequence
 
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
@@ -42,11 +43,19 @@ def tables(result: Figures) -> dict[str, str]:
     estimated = [row for row in rows if row["estimator"] == setting["estimator"]]
     return task_tables() | {
         "where": f"{result['buildings']} buildings, `{setting['difficulty']}`, split `{setting['split']}`:",
-        "short": table(HEADLINE, labelled(estimated)),
-        "headline": table(HEADLINE, labelled(rows)),
-        "differences": table(DIFFERENCES, labelled(estimated, "against_reference")),
-        "known": table(DIFFERENCES, labelled(rows, "with_the_pose_known")),
+        "short": table(measured(HEADLINE, rows, "figures"), labelled(estimated)),
+        "headline": table(measured(HEADLINE, rows, "figures"), labelled(rows)),
+        "differences": table(
+            measured(DIFFERENCES, rows, "against_reference"), labelled(estimated, "against_reference")
+        ),
+        "known": table(measured(DIFFERENCES, rows, "with_the_pose_known"), labelled(rows, "with_the_pose_known")),
     }
+
+
+def measured(columns: Sequence[Column], rows: list[Figures], part: str) -> list[Column]:
+    """The columns whose figures a result has; one of an older version has no correct coverage."""
+    some = next((row[part] for row in rows if part in row), {})
+    return [column for column in columns if column[1] in some]
 
 
 def task_tables() -> dict[str, str]:
@@ -77,7 +86,7 @@ def price(task: str, policy: str, rows: list[Figures]) -> str:
 def updated(text: str, result: Figures) -> str:
     """A document with the tables of a result."""
     parts = tables(result)
-    return PLACE.sub(lambda place: f"{place[1]}{parts[place[2]]}\n{place[3]}", text)
+    return PLACE.sub(lambda place: f"{place[1]}{parts.get(place[2], '')}\n{place[3]}", text)
 
 
 def main() -> int:
