@@ -135,7 +135,11 @@ def test_an_unknown_preset_is_refused_with_all_names(section: str, known: dict[s
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_presets_work_in_every_environment(env_id: str) -> None:
-    keywords = NEEDED.get(env_id, {}) | {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "turtlebot"}}
+    keywords = (
+        NEEDED.get(env_id, {})
+        | {"actions": "velocity"}
+        | {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "turtlebot"}}
+    )
     env = gymnasium.make(env_id, **keywords)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
