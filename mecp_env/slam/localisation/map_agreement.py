@@ -36,6 +36,8 @@ class Evidence(NamedTuple):
     said: Agreement
     recognised: float  # share of the corners that are landmarks; nan where too few are seen to tell
     sharp: bool  # they were recognised at a sharp prediction
+    familiar: bool = False  # two corners are landmarks
+    sudden: bool = False  # none is, while the scan before was of a familiar place: odometry may have failed
     tracked: bool = False  # the scan agrees with those of a moment ago: the pose is right where it was then
 
     @property
@@ -59,14 +61,16 @@ class Evidence(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """True when nothing is odd: beams agree well, and in a place that is mapped the corners are recognised."""
+        """True when nothing is odd: beams agree well, and corners are recognised where all is mapped, or just was."""
         odd = self.recognised < self.said.least and self.said.explained >= 0.5 * (1.0 + self.said.least)
         new = math.isnan(self.said.share) and self.recognised != 0.0
-        return self.said.least == 0.0 or self._is_recognised or new or (self.said.is_strong and not odd)
+        good = self._is_recognised or new or (self.said.is_strong and not odd and not self.sudden)
+        return self.said.least == 0.0 or good
 
     def beats(self, other: Evidence) -> bool:
         """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree."""
-        return self.is_strong and self.recognised > other.recognised and self.said.share >= other.said.share
+        fewer = self.said.share < other.said.share
+        return self.is_strong and self.recognised > other.recognised and not fewer
 
     def doubted(self) -> Evidence:
         """The evidence of a place that looks like another one: none."""

@@ -40,6 +40,7 @@ class PoseGuard:
     turned: float = 0.0  # rad
     correction: Array = field(default_factory=lambda: np.zeros(3))  # (3,) moves the filter's pose to the one found
     agreed: int = 0  # scans that speak for it; 0: none was found
+    familiar: bool = False  # the last trusted scan was of a familiar place
 
     def __post_init__(self) -> None:
         self.log_odds = self.sure
@@ -66,8 +67,10 @@ class PoseGuard:
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
-        tells = len(match.ids) >= self.config.least_corners and len(view.belief.ids) > 0
-        return Evidence(said, len(match.recognised()) / len(match.ids) if tells else math.nan, sharp)
+        seen, found = len(match.ids), len(match.recognised())
+        tells = seen >= self.config.least_corners - self.familiar and len(view.belief.ids) > 0
+        share = found / seen if tells else math.nan
+        return Evidence(said, share, sharp, found >= 2, sudden=self.familiar and share == 0.0)
 
     def trusts(self, evidence: Evidence) -> bool:
         """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
@@ -76,7 +79,7 @@ class PoseGuard:
         self._weigh(evidence.share)
         self._count_doubts(evidence)
         if not self.doubts:
-            self.travelled = self.turned = 0.0
+            self.travelled, self.turned, self.familiar = 0.0, 0.0, evidence.familiar
         if self.astray >= self.config.scans or self.doubts >= self.patience:
             self.lose()
         return self.localised and (not self.doubts or evidence.tracked)

@@ -247,7 +247,15 @@ def way_back(drive, error):
         yield replace(taken, increments=increments), drive.scans[k], in_map(drive, drive.T_world_robot[k])
 
 
-@pytest.mark.parametrize("error", [(0.3, 0.2), (1.0, math.radians(20.0)), (-1.0, math.radians(20.0))])
+@pytest.mark.parametrize(
+    "error",
+    [
+        (0.1, math.radians(7.0)),  # most beams still end near walls
+        (0.3, 0.2),
+        (1.0, math.radians(20.0)),
+        (-1.0, math.radians(20.0)),
+    ],
+)
 def test_a_wrong_odometry_reading_is_undone_without_a_trace_in_the_map(mapped, error):
     before, _, drive = mapped
     pipeline = copy.deepcopy(before)
@@ -301,6 +309,13 @@ def test_corners_that_are_missing_where_all_is_mapped_do_not_fit():
     assert seen(math.nan, 0.2).fits  # new
     assert seen(math.nan, math.nan).fits
     assert not seen(math.nan, 0.0).fits
+
+
+def test_corners_that_are_all_gone_in_one_step_do_not_fit():
+    new = seen(0.9, 0.0)._replace(said=Agreement(0.9, 0.5, CONFIG.explained_share))
+    assert new.fits  # a new room, as the scan before showed little of the map, too
+    assert not new._replace(sudden=True).fits
+    assert seen(1.0, 0.8, sharp=False).beats(seen(math.nan, 0.0))  # nothing is mapped at the prediction
 
 
 def test_a_robot_in_a_saved_map_finds_its_pose(mapped, tmp_path):
