@@ -7,28 +7,45 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import Command, OutFolder, Steps, check_writable
+from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
+from mecp_env.cli.fields import EnvironmentFields, named_fields, named_options
+from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.paths import exists, is_folder
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
 from mecp_env.episode.tasks import TASKS
+from mecp_env.world.config import CrowdConfig
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+from mecp_env.world.layout import shipped_layouts
 
 if TYPE_CHECKING:
     from mecp_env.core.intervals import Figures
     from mecp_env.policies.evaluation import Evaluation
     from mecp_env.policies.rollout import EpisodeResult
+    from mecp_env.policies.setting import Setting
 
 STEPS, TASK_STEPS = 3000, 1500  # of an episode
 Estimator = Literal["slam", "known", "truth"]
+FIXES = {  # option -> those that have no meaning beside it
+    "suite": (
+        *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
+        *("max_steps", "estimator", "record"),
+    ),
+    "plans": ("layout", "difficulty", "split"),
+    "layout": ("difficulty", "split"),
+    "task": ("difficulty",),
+}
+READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.name}")}
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,9 @@ class Evaluate(Command):
         "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
         "mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20",
         "mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8",
+        "mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8",
+        "mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2",
+        "mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20",
         "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
     )
     choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator)}
@@ -54,7 +74,10 @@ class Evaluate(Command):
     difficulty: str = "medium"  # easy, medium, hard or huge
     task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
     suite: str = ""  # a frozen benchmark: active-v1 or coverage-v1; fixes task, split, episodes and limits
-    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100  # buildings, one episode in each
+    plans: Path | None = None  # a folder of real floor plans, or one; with --task, the robot is that of the task
+    layout: str = ""  # one building: a shipped name (paper, office, ...), or the file of a plan
+    # buildings, one episode in each; episode i starts by the seed i, with --plans in plan i mod the number of plans
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     shard: str = "1/1"  # run every n-th building only, from the i-th, given as i/n; the results are written without it
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
@@ -66,19 +89,22 @@ class Evaluate(Command):
     max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
+    reading: ReadingOptions = field(default_factory=Reading)  # of --plans and --layout
+    crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
+    env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
     def run(self, line: Sequence[str]) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
         from mecp_env.policies.evaluation import Evaluation
-        from mecp_env.policies.rollout import Setting
 
+        self._refuse_contradictions(named_options(line))
         if self.suite:
             return self._run_suite(line)
-        limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
-        setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task)
-        fields = (self.policies, setting, self.episodes, self.truth, self.known, self.reference, self.trust)
+        self._check_words()
+        setting = self._setting(line)
+        parts = (self.policies, setting, self.episodes, self.truth, self.known, self.reference, self.trust)
         shard = Shard.parse(self.shard)
-        evaluation = Evaluation(*fields, shard)
+        evaluation = Evaluation(*parts, shard)
         self._check(evaluation)
         kept = evaluation.kept(self.out / "episodes")
         collect(evaluation, kept, self.jobs)
@@ -88,6 +114,41 @@ class Evaluate(Command):
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
+    def _setting(self, line: Sequence[str]) -> Setting:
+        """The setting of the options. Raises `MecpError` for plans that are not there."""
+        from mecp_env.policies.setting import Setting, plan_fields
+
+        limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
+        setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
+        if self.plans is None and not self.layout:
+            return setting
+        if self.layout in shipped_layouts():
+            place: dict[str, Any] = {"layout": self.layout, "plans": 1, "content": self.layout}
+        else:
+            place = plan_fields(self._plan_path(), self.reading.options())
+        return replace(setting, difficulty="", split="", **place)
+
+    def _plan_path(self) -> Path:
+        """The folder or file of the plans. Raises `ConfigError` for a layout that is neither a name nor a file."""
+        if self.plans is not None:
+            return self.plans
+        if is_folder(self.layout):
+            raise ConfigError(f"layout: {self.layout} is a folder; --plans takes one")
+        if not exists(self.layout):
+            known = shipped_layouts()
+            raise ConfigError(
+                f"layout: {self.layout!r:.80}, expected a file, or one of {', '.join(known)}"
+                f"{guess(self.layout, known)}; --difficulty selects generated buildings"
+            )
+        return Path(self.layout)
+
+    def _changes(self, line: Sequence[str]) -> dict[str, Any]:
+        """The fields of the environment that the line names. Raises `ConfigError` for one that it names twice."""
+        changes, crowd = named_fields(self.env, line, "--env."), named_fields(self.crowd, line, "--crowd.")
+        for name in crowd.keys() & changes.get("crowd", {}).keys():
+            raise ConfigError(f"--crowd.{name}: {crowd[name]}, --env.crowd.{name} is the same field; give one of them")
+        return merge(changes, {"crowd": crowd}) if crowd else changes
+
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
         from mecp_env.core.paths import write_atomic
@@ -96,8 +157,8 @@ class Evaluate(Command):
 
         suite, shard, done = find_suite(self.suite), Shard.parse(self.shard), []
         for setting in suite.settings:
-            fields = (self.policies, setting, suite.episodes, self.truth, self.known, self.reference, self.trust)
-            evaluation = Evaluation(*fields, shard)
+            parts = (self.policies, setting, suite.episodes, self.truth, self.known, self.reference, self.trust)
+            evaluation = Evaluation(*parts, shard)
             self._check(evaluation)
             collect(evaluation, evaluation.kept(self.out / (setting.task or setting.difficulty)), self.jobs)
             if evaluation.interrupted or evaluation.failures:
@@ -111,15 +172,11 @@ class Evaluate(Command):
         return 0
 
     def _check(self, evaluation: Evaluation) -> None:
-        """Raise `ConfigError` for wrong options, before anything is written."""
+        """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
         from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
 
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
-        check_word("split", self.split, SPLITS)
-        check_word("difficulty", self.difficulty, DIFFICULTIES)
-        if self.task:
-            check_word("task", self.task, TASKS)
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
         policies = [make_policy(name, self.trust) for name in self.policies]
         if self.reference not in self.policies:
@@ -127,6 +184,25 @@ class Evaluate(Command):
         evaluation.check_buildings(policies[0])
         if self.json is not None and check_writable(self.json, "--json").suffix != ".json":
             raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
+
+    def _refuse_contradictions(self, named: set[str]) -> None:
+        """Raise `ConfigError` for two options of which one fixes what the other selects."""
+        fixed = ((option, other) for option, others in FIXES.items() if option in named for other in others)
+        for option, other in [(option, other) for option, other in fixed if other in named]:
+            value = getattr(self, other)
+            given = f" {value}" if isinstance(value, str | int | Path) else ""
+            name = other.replace("_", "-")
+            raise ConfigError(f"--{name}{given}: --{option} {getattr(self, option)} fixes it; leave out one of the two")
+        if named & READING and not named & {"plans", "layout"}:
+            name = min(named & READING).replace("_", "-")
+            raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
+
+    def _check_words(self) -> None:
+        """Raise `ConfigError` for a word that is not one of the known ones."""
+        check_word("split", self.split, SPLITS)
+        check_word("difficulty", self.difficulty, DIFFICULTIES)
+        if self.task:
+            check_word("task", self.task, TASKS)
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print the page."""
@@ -151,6 +227,8 @@ class Evaluate(Command):
         from mecp_env.policies.plots import draw_curves
 
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
+        if evaluation.setting.layout:
+            where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
         draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
         if self.record:
             from mecp_env.policies.side_by_side import write_film

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from mecp_env.config import EnvConfig, merge
+from mecp_env.config import EnvConfig, Number, merge
 from mecp_env.core.settings import Settings
 from mecp_env.world.schema import Layout
 
@@ -20,6 +20,23 @@ class Fields(EnvConfig):
 
 
 Fields.__name__ = "--config"  # errors then name the option
+
+
+class EnvironmentFields(Fields):
+    """Any field of the environment, where estimator and steps are options of their own."""
+
+    estimator: Annotated[Literal["slam", "known", "truth"], tyro.conf.Suppress] = "slam"
+    start: Literal["layout", "random"] | tuple[Number, Number, Number] = "random"
+    max_steps: Annotated[int, tyro.conf.Suppress] = 3000
+
+
+EnvironmentFields.__name__ = "--env"
+
+
+def named_options(line: Sequence[str]) -> set[str]:
+    """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
+    words = [word for word in line if word.startswith("--")]
+    return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
 
 
 def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:

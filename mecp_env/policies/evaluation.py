@@ -10,7 +10,7 @@ import json
 import platform
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,7 +23,8 @@ from mecp_env.policies.comparison import Row, compare, rows_of, timing
 from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Setting, make_rooms, run_episode
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
+from mecp_env.policies.setting import Setting, plan_names
 
 
 @dataclass(slots=True, eq=False)
@@ -61,8 +62,7 @@ class Evaluation:
 
     def kept(self, folder: Path) -> KeptResults:
         """The finished episodes in a folder. Raises `ConfigError` for those of other code or another setting."""
-        where = {name: value for name, value in asdict(self.setting).items() if name != "estimator"}
-        return KeptResults(folder, EpisodeResult, {**where, **dependencies()})
+        return KeptResults(folder, EpisodeResult, {**self.setting.run_key(), **dependencies()})
 
     def run(self, kept: KeptResults, jobs: int) -> Generator[EpisodeResult | FailedUnit]:
         """Each episode: first those that are kept already, then the others as `jobs` processes finish them."""
@@ -78,8 +78,11 @@ class Evaluation:
         return rows_of(self.results, [(name, setting.estimator) for setting in self.settings for name in names])
 
     def check_buildings(self, policy: Policy) -> None:
-        """Raise `ConfigError` for an unknown split or difficulty, or more episodes than the split has buildings."""
+        """Raise `MecpError` for a wrong setting, a first plan that cannot be read, or too many generated buildings."""
         env = make_rooms(self.setting, policy)
+        if self.setting.layout:
+            env.close()
+            return
         try:
             env.reset(seed=0, options={"building": self.episodes - 1})
         except ConfigError as error:
@@ -94,7 +97,8 @@ class Evaluation:
             "date": datetime.now(UTC).date().isoformat(),
             "command": command,
             "system": f"{platform.system()} {platform.machine()}, python {platform.python_version()}",
-            "setting": asdict(self.setting),
+            "setting": self.setting.named(),
+            "plans": plan_names(self.setting)[: self.episodes],
             "budget_m_per_m2": BUDGET_M_PER_M2,
             "reference": self.reference,
             "buildings": len(rows[0].episodes),

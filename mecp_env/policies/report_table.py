@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from mecp_env.policies.setting import Setting, words_of
+
 Figures = dict[str, Any]
 Column = tuple[str, str, str, float]  # heading, name of the figure, format, factor
 
@@ -56,11 +58,8 @@ DIFFERENCES: tuple[Column, ...] = (
 
 def page(result: Figures) -> str:
     """The whole page of a result of `mecp-env evaluate`."""
-    rows, setting = result["rows"], result["setting"]
-    name = setting["task"] or setting["difficulty"]
-    where = f"{result['buildings']} buildings of the {setting['split']} split of `{name}`"
-    where += "" if setting["estimator"] == "slam" else f", estimator `{setting['estimator']}`"
-    head = f"{result['date']}, `{result['command']}`; {where}. Means with 95 % intervals"
+    rows = result["rows"]
+    head = f"{result['date']}, `{result['command']}`; {where_of(result)}. Means with 95 % intervals"
     parts = [
         f"# Policies\n\n{head}; docs/policies.md defines each column.",
         table(HEADLINE, labelled(rows)),
@@ -78,6 +77,18 @@ def page(result: Figures) -> str:
         section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def where_of(result: Figures) -> str:
+    """The buildings, and what differs from the default, in words."""
+    setting, count = Setting(**result["setting"]), result["buildings"]
+    words = [f"{count} buildings of the {setting.split} split of `{setting.task or setting.difficulty}`"]
+    if setting.layout:
+        words = [f"{count} episodes in {setting.plans} building{'s' * (setting.plans > 1)} of `{setting.place}`"]
+        words += [f"robot of `{setting.task}`"] if setting.task else []
+    words += [f"`{word}`" for word in words_of(setting.env)]
+    words += [] if setting.estimator == "slam" else [f"estimator `{setting.estimator}`"]
+    return ", ".join(words)
 
 
 def section(title: str, body: str) -> str:

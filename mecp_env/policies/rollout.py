@@ -14,6 +14,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import make_policy
+from mecp_env.policies.setting import Setting
 from mecp_env.wrappers import GoalActions
 
 LEVELS = (0.90, 0.99)
@@ -41,27 +42,11 @@ Env = gym.Env[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """Where policies are compared; the same for all of them."""
-
-    difficulty: str = "medium"  # of the generated buildings; without a meaning for a task
-    split: str = "test"
-    estimator: str = "slam"
-    max_steps: int = 3000
-    task: str = ""  # a task of active SLAM, such as ActiveHalls-v0, in place of a difficulty
-
-    @property
-    def where(self) -> str:
-        """The buildings in words."""
-        return f"{self.task or self.difficulty}, split {self.split}"
-
-
-@dataclass(frozen=True, slots=True)
 class EpisodeTask:
-    """An episode to run; the building's number is also the seed of start, noise and policy."""
+    """An episode to run; its number is the seed of start, noise and policy."""
 
     policy: str
-    building: int
+    building: int  # number of the episode, and of its building unless the setting has fewer
     setting: Setting
     trust: bool = False  # load a model file that may run arbitrary code
     checksum: str = ""  # of a policy that is not part of the package
@@ -120,26 +105,16 @@ def run_episode(task: EpisodeTask) -> EpisodeResult:
     """Run one episode; the same task gives the same metrics bit for bit."""
     policy, log = make_policy(task.source or task.policy, task.trust), StepLog()
     env = for_policy(make_rooms(task.setting, policy), policy, log.add)
-    end = run_policy(env, policy, log.add, task.building)
+    end = run_policy(env, policy, log.add, (task.setting.building(task.building), task.building))
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
     return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
 
 
 def make_rooms(setting: Setting, policy: Policy, render_mode: str | None = None) -> Env:
-    """The generated buildings of a setting, with random start poses. Raises `ConfigError`."""
-    buildings: dict[str, Any] = {} if setting.task else {"difficulty": setting.difficulty}
-    return gym.make(
-        f"mecp_env/{setting.task or 'Rooms-v0'}",
-        render_mode=render_mode,
-        disable_env_checker=True,
-        **buildings,
-        split=setting.split,
-        estimator=setting.estimator,
-        max_steps=setting.max_steps,
-        start="random",
-        **options_of(policy),
-    )
+    """The buildings of a setting, with random start poses unless it says otherwise. Raises `MecpError`."""
+    keywords = {**setting.buildings, **setting.fields(options_of(policy))}
+    return gym.make(render_mode=render_mode, disable_env_checker=True, **keywords)
 
 
 def options_of(policy: Policy) -> dict[str, Any]:
@@ -174,11 +149,11 @@ def masks(env: Env) -> Any:
     return env.action_masks() if isinstance(env, GoalActions) else None
 
 
-def run_policy(env: Env, policy: Policy, on_step: OnStep, building: int) -> EpisodeEnd:
+def run_policy(env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int]) -> EpisodeEnd:
     """Explore a building until the episode ends; `on_step` receives the first observation, too."""
-    end = EpisodeEnd()
-    observation, info = env.reset(seed=building, options={"building": building})
-    policy.reset(building)
+    end, (building, seed) = EpisodeEnd(), building_seed
+    observation, info = env.reset(seed=seed, options={"building": building})
+    policy.reset(seed)
     on_step(observation, info)
     ended = False
     while not ended:

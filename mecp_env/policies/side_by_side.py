@@ -11,7 +11,8 @@ import numpy as np
 
 from mecp_env.core.array_types import Bytes
 from mecp_env.policies.registry import make_policy
-from mecp_env.policies.rollout import Env, Info, Setting, for_policy, make_rooms, run_policy
+from mecp_env.policies.rollout import Env, Info, for_policy, make_rooms, run_policy
+from mecp_env.policies.setting import Setting
 from mecp_env.render.film import Film
 from mecp_env.render.screen import thumbnail
 
@@ -19,8 +20,7 @@ PANEL = (320, 290)  # px
 ACROSS = 3  # panels in a row
 MOST_FRAMES, EVERY = 64, 4  # of a policy, and steps between the first of them
 LONGEST = 900  # steps: longer episodes are cut
-PERIOD_S = 0.4
-BUILDING = 0
+FIRST = 0, 0  # building and seed
 
 
 class Recorder:
@@ -38,7 +38,8 @@ class Recorder:
 
     def picture(self, ended: str = "") -> Bytes:
         """The belief, time, path length and coverage."""
-        info, time_s = self.info, PERIOD_S * self.info["period"]
+        info = self.info
+        time_s = self.env.get_wrapper_attr("config").robot.period_s * info["period"]
         words = f"{time_s:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
         return thumbnail(self.env.get_wrapper_attr("view")(), PANEL, self.policy, words)
 
@@ -59,7 +60,7 @@ def record(policy: str, setting: Setting, trust: bool = False) -> Film:
     made = make_policy(policy, trust)
     env = make_rooms(setting, made)
     recorder = Recorder(policy, env)
-    run_policy(for_policy(env, made, recorder.add), made, recorder.add, BUILDING)
+    run_policy(for_policy(env, made, recorder.add), made, recorder.add, FIRST)
     recorder.film.frames.append(recorder.picture("    ..." if recorder.info["goals"] else "    done"))
     env.close()
     return recorder.film

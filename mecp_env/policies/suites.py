@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from mecp_env.core.provenance import checksum, commit
 from mecp_env.core.settings import guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.rollout import Setting, make_rooms
+from mecp_env.policies.rollout import make_rooms
+from mecp_env.policies.setting import Setting
 
 FORMAT, VERSION = "mecp_env/suite", 1
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
@@ -79,7 +80,7 @@ def describe(setting: Setting) -> dict[str, Any]:
         view = env.unwrapped.view()  # type: ignore[attr-defined]
         begins.append([view.segments.round(6).tolist(), view.T_world_robot.round(6).tolist()])
     env.close()
-    return {"setting": asdict(setting), "config": fixed, "buildings": checksum(json.dumps(begins).encode())}
+    return {"setting": setting.named(), "config": fixed, "buildings": checksum(json.dumps(begins).encode())}
 
 
 def submission(name: str, rows: Iterable[tuple[Setting, Sequence[Row]]], command: str) -> dict[str, Any]:

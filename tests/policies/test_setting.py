@@ -1,0 +1,227 @@
+"""`mecp-env evaluate` in real floor plans, in one building, and in a changed environment."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mecp_env.cli import main as cli
+from mecp_env.policies.evaluation import Evaluation
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.gain import Gain
+from mecp_env.policies.rollout import EpisodeTask, make_rooms, run_episode
+from mecp_env.policies.setting import Setting, checksum_of, plan_fields, plan_names, words_of
+from mecp_env.world.layout import LIBRARY
+
+NAMES = ("office", "paper", "two_rooms")
+
+
+@pytest.fixture
+def plans(tmp_path: Path) -> Path:
+    """A folder of three plans."""
+    folder = tmp_path / "plans"
+    folder.mkdir()
+    for name in NAMES:
+        shutil.copy(LIBRARY / f"{name}.json", folder)
+    return folder
+
+
+def evaluate(tmp_path: Path, *words: Any, out: str = "out") -> int:
+    """The exit code of a short evaluation without ground-truth poses."""
+    line = ["nearest", "--no-truth", "--episodes", "4", "--max-steps", "12", "--out", tmp_path / out, *words]
+    return cli.main(["evaluate", *map(str, line)])
+
+
+def result_of(tmp_path: Path, out: str = "out") -> dict[str, Any]:
+    """The file of results."""
+    return dict(json.loads((tmp_path / out / "results.json").read_text()))
+
+
+def config_of(setting: Setting) -> Any:
+    """The configuration of the environment of a setting."""
+    env = make_rooms(setting, Gain())
+    env.close()
+    return env.get_wrapper_attr("config")
+
+
+def starts(setting: Setting, episodes: int) -> Iterator[tuple[int, tuple[float, ...]]]:
+    """The number of the building and the start pose of each episode."""
+    env = make_rooms(setting, Nearest())
+    for episode in range(episodes):
+        env.reset(seed=episode, options={"building": setting.building(episode)})
+        yield setting.building(episode), tuple(env.get_wrapper_attr("view")().T_world_robot)
+    env.close()
+
+
+def test_episode_i_is_in_plan_i_mod_n_from_the_start_i(plans: Path) -> None:
+    setting = Setting(max_steps=12, **plan_fields(plans, {}))
+    found = list(starts(setting, 5))
+    assert [building for building, _ in found] == [0, 1, 2, 0, 1]
+    assert found[0][1] != found[3][1]
+    areas = [run_episode(EpisodeTask("nearest", i, setting)).figures["free_area_m2"] for i in (0, 1, 3)]
+    assert areas[0] == areas[2] != areas[1]
+
+
+def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--plans", plans, "--env.laser.max_range_m", "4", "--env.odometry.scale=3", "--crowd.people", "2")
+    assert evaluate(tmp_path, *words) == 0
+    result, page = result_of(tmp_path), capsys.readouterr().out
+    changes = {"laser": {"max_range_m": 4.0}, "odometry": {"scale": 3.0}, "crowd": {"people": 2}}
+    assert result["setting"]["env"] == changes
+    assert result["setting"]["layout"] == {"plan": {"path": str(plans)}}
+    assert result["plans"] == [f"{name}.json" for name in NAMES]
+    assert result["buildings"] == 4
+    assert f"4 episodes in 3 buildings of `{plans}`, `laser.max_range_m 4.0`, `odometry.scale 3.0`" in page
+    assert {name: result["setting"][name] for name in ("difficulty", "split")} == {"difficulty": "", "split": ""}
+
+
+def test_episodes_of_another_setting_are_never_mixed_in(
+    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, "--plans", plans) == 0
+    for words, said in (
+        (("--env.laser.max_range_m", "4"), "this one has env {'laser': {'max_range_m': 4.0}}"),
+        (("--crowd.people", "1"), "this one has env {'crowd': {'people': 1}}"),
+        (("--no-straighten",), "this one has layout {'straighten': False}"),
+        (("--task", "ActiveHalls-v0"), "this one has task 'ActiveHalls-v0'"),
+    ):
+        assert evaluate(tmp_path, "--plans", plans, *words) == 2
+        assert said in capsys.readouterr().err
+    moved = shutil.move(plans, tmp_path / "moved")
+    assert evaluate(tmp_path, "--plans", moved) == 0  # the same files elsewhere
+    with (moved / "paper.json").open("a") as file:
+        file.write("\n")
+    assert evaluate(tmp_path, "--plans", moved) == 2
+    assert "has results of another run: content" in capsys.readouterr().err
+
+
+def test_shards_in_plans_give_the_result_of_a_single_run(
+    plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("--plans", plans, "--env.odometry.scale", "2")
+    assert evaluate(tmp_path, *words, out="whole") == 0
+    for shard in ("1/2", "2/2"):
+        assert evaluate(tmp_path, *words, "--shard", shard) == 0
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
+    assert evaluate(tmp_path, *words) == 0
+    assert result_of(tmp_path)["rows"] == result_of(tmp_path, "whole")["rows"]
+
+
+def test_one_building_by_name_or_file(tmp_path: Path) -> None:
+    assert evaluate(tmp_path, "--layout", "two_rooms", out="name") == 0
+    assert evaluate(tmp_path, "--layout", LIBRARY / "two_rooms.json", out="file") == 0
+    name, file = result_of(tmp_path, "name"), result_of(tmp_path, "file")
+    assert name["rows"] == file["rows"]
+    assert (name["setting"]["layout"], name["setting"]["content"], name["plans"]) == ("two_rooms", "two_rooms", [])
+    assert file["plans"] == ["two_rooms.json"]
+    episodes = (tmp_path / "name" / "episodes.csv").read_text().splitlines()[1:]
+    assert len({line.split(",", 3)[3] for line in episodes}) == 4
+
+
+def test_a_task_gives_its_robot_to_plans_below_what_policies_and_options_say(plans: Path) -> None:
+    changes = {"laser": {"beams": 360}, "planning": {"known_ground": {"wait_steps": 7}}}
+    setting = Setting("", "", "known", 90, "ActiveHalls-v0", env=changes, **plan_fields(plans, {}))
+    config = config_of(setting)
+    assert (config.laser.max_range_m, config.laser.beams) == (3.5, 360)
+    assert (config.odometry.preset, config.observation.uncertainty) == ("pioneer", True)
+    assert (config.planning.known_ground.places, config.planning.known_ground.wait_steps) == (8, 7)
+    assert (config.estimator, config.max_steps, config.start, config.actions) == ("known", 90, "random", "velocity")
+    assert setting.where.startswith(f"{plans}, robot of ActiveHalls-v0, laser.beams 360")
+
+
+def test_a_changed_task_keeps_its_buildings() -> None:
+    setting = Setting("", "validation", max_steps=20, task="ActiveHalls-v0", env={"odometry": {"scale": 4.0}})
+    config = config_of(setting)
+    assert (config.odometry.scale, config.odometry.slip_share) == (4.0, 0.01)
+    assert config.layout["generate"]["rooms"] == 6
+
+
+def test_the_default_setting_has_the_fields_of_older_versions() -> None:
+    old = {"difficulty": "medium", "split": "test", "estimator": "slam", "max_steps": 3000, "task": ""}
+    assert Setting().named() == old
+    assert Setting().run_key() == {name: value for name, value in old.items() if name != "estimator"}
+
+
+def test_names_and_content_of_plans(plans: Path) -> None:
+    fields = plan_fields(plans, {})
+    setting = Setting(**fields)
+    assert plan_names(setting) == [f"{name}.json" for name in NAMES]
+    assert plan_names(Setting(**plan_fields(plans / "paper.json", {}))) == ["paper.json"]
+    files = tuple(sorted(plans.iterdir()))
+    assert checksum_of(files, plans) == fields["content"] != checksum_of(files[:2], plans)
+    (plans / "paper.json").rename(plans / "paper2.json")
+    assert plan_fields(plans, {})["content"] != fields["content"]
+
+
+def test_the_image_of_a_plan_is_a_part_of_its_content(tmp_path: Path) -> None:
+    sheet = tmp_path / "a.yaml"
+    sheet.write_text("image: a.png\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\n")
+    found = set()
+    for data in (b"1", b"2"):
+        (tmp_path / "a.png").write_bytes(data)
+        found.add(checksum_of((sheet,), tmp_path))
+    assert len(found) == 2
+
+
+def test_changes_in_words() -> None:
+    assert words_of({"laser": {"max_range_m": 4.0}, "start": "layout"}) == ["laser.max_range_m 4.0", "start layout"]
+
+
+def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
+    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (plans / "paper.json").write_text("{}")
+    assert evaluate(tmp_path, "--plans", plans) == 1
+    said = capsys.readouterr()
+    assert "paper.json" in said.err
+    assert "3 episodes in 3 buildings" in said.out
+    (plans / "office.json").write_text("{}")  # the first one
+    evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
+    with pytest.raises(ValueError, match=r"office\.json"):
+        evaluation.check_buildings(Nearest())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--plans nowhere", "plans: nowhere: no such file or folder"),
+        ("--plans .", r"plan: \., no file in it ends in"),
+        ("--layout offic", "layout: 'offic', expected a file, or one of .*; did you mean 'office'"),
+        ("--layout .", r"layout: \. is a folder; --plans takes one"),
+        ("--layout hard:7", "--difficulty selects generated buildings"),
+        ("--layout office --difficulty easy", "--difficulty easy: --layout office fixes it; leave out one"),
+        ("--plans x --layout office", "--layout office: --plans x fixes it"),
+        ("--plans x --split=test", "--split test: --plans x fixes it"),
+        ("--suite active-v1 --plans x", "--plans x: --suite active-v1 fixes it"),
+        ("--suite active-v1 --env.laser.beams 90", "--env: --suite active-v1 fixes it"),
+        ("--suite active-v1 --crowd.people 3", "--crowd: --suite active-v1 fixes it"),
+        ("--suite active-v1 --max-steps 3", "--max-steps 3: --suite active-v1 fixes it"),
+        ("--task ActiveHalls-v0 --difficulty hard", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
+        ("--layout office --task ActiveHall-v0", "task: 'ActiveHall-v0'.*did you mean 'ActiveHalls-v0'"),
+        ("--resolution-m 0.05", "--resolution-m: how a plan is read; name one with --plans or --layout"),
+        ("--crowd.people 3 --env.crowd.people 4", "--crowd.people: 3, --env.crowd.people is the same field"),
+        ("--layout office --start-x 1", "Unrecognized options: --start-x"),
+        ("--env.laser.max_rang_m 4", "Perhaps you meant"),
+        ("--env.laser.max_range_m -4", "max_range_m: Input should be greater"),
+        ("--env.estimator truth", "Unrecognized options: --env.estimator"),
+        ("--env.slam.grid.resolution_m 0.9", "slam.grid.resolution_m: 0.9 m, at most 0.44 m"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_is_written(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = cli.main(["evaluate", "nearest", "--out", "out", *words.split()])
+    except SystemExit as end:  # of the parser
+        code = int(str(end.code))
+    assert code == 2
+    message = " ".join(capsys.readouterr().err.split())
+    assert re.search(said, message), message
+    assert not list(tmp_path.iterdir())
