@@ -27,6 +27,7 @@ class Train(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env train maskable_ppo",
         "mecp-env train maskable_ppo --steps 50000 --seed 1 --env.estimator truth --out runs/truth-1",
+        "mecp-env train maskable_ppo --task ActiveHalls-v0",
         "mecp-env train ppo --buildings.difficulty easy --environments 4",
         "mecp-env train maskable_ppo --config runs/truth-1/config.json --seed 2",
         "mecp-env train --resume runs/truth-1",

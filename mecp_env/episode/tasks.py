@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import guess
+
 ACTIVE: dict[str, Any] = {  # of every task
     "actions": "goal",
     "start": "random",
@@ -60,3 +63,10 @@ TASKS: dict[str, dict[str, Any]] = {
         "odometry": {"preset": "skid_steer"},
     },
 }
+
+
+def task_fields(name: Any) -> dict[str, Any]:
+    """The fields of a task. Raises `ConfigError` for an unknown one, with those there are."""
+    if name not in TASKS:
+        raise ConfigError(f"task: {name!r:.80}, expected one of {', '.join(TASKS)}{guess(name, TASKS)}")
+    return TASKS[name]

@@ -160,10 +160,11 @@ class EvaluationCallback(BaseCallback):
             return
         with self.statistics.paused():
             figures = self.figures()
-            best = figures["auc"] > state.best_score
+            score = figures[self.folder.config.score]
+            best = score > state.best_score
             self.log.add_evaluation(self.statistics.clock(), figures, best)
             if best:
-                state.best_score = figures["auc"]
+                state.best_score = score
                 self.folder.keep_policy(self.model, state, validation=figures)
 
     def figures(self) -> dict[str, float]:

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
+from mecp_env.episode.tasks import task_fields
 from mecp_env.learning.building_fields import OPTION, Value, check_fields
 
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
@@ -83,6 +84,7 @@ class NetworkConfig(Settings):
     prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy imitates
     sharpness: float = Field(5.0, ge=0.0, le=100.0)  # of the logits of that explorer
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
+    uncertainty: bool = True  # no: it sees no covariance, prediction or confidence, to measure what they are worth
 
 
 class PpoConfig(Settings):
@@ -129,6 +131,7 @@ class TrainConfig(Settings):
     GONE: ClassVar = frozenset({"threads"})
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
+    task: str = ""  # of active SLAM, as ActiveHalls-v0: its buildings, robot, observation and reward, if not overridden
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
@@ -150,7 +153,8 @@ class TrainConfig(Settings):
         """
         refuse_derived(fields.get("env"))
         algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
-        merged = merge(merge(COMMON, DEFAULTS[algorithm]), dict(fields))
+        task = of_task(fields.get("task", ""))
+        merged = merge(merge(merge(COMMON, DEFAULTS[algorithm]), task), dict(fields))
         refuse_unknown(cls, merged, cls.__name__)
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
@@ -160,6 +164,11 @@ class TrainConfig(Settings):
     def actions(self) -> str:
         """The action mode that the algorithm needs."""
         return "goal" if self.algorithm == "maskable_ppo" else "velocity"
+
+    @property
+    def score(self) -> str:
+        """The metric by which the best policy of a run is chosen."""
+        return "correct_over_steps" if self.task else "auc"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON data from which `build` makes an equal configuration."""
@@ -181,6 +190,15 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "ppo": VELOCITY,
     "recurrent_ppo": merge(VELOCITY, {"ppo": {"epochs": 2}}),
 }
+
+
+def of_task(name: Any) -> dict[str, Any]:
+    """The fields of a training in a task; none for "". Raises `ConfigError` for an unknown task."""
+    if name == "":
+        return {}
+    fields = {key: value for key, value in task_fields(name).items() if key not in DERIVED}
+    env = {key: fields.pop(key) for key in EnvConfig.model_fields if key in fields}
+    return {"env": env, "buildings": {"spec": fields}}
 
 
 def check_algorithm(name: Any) -> str:

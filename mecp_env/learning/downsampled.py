@@ -19,6 +19,7 @@ POOL = 4  # cells of the grid along a side of a coarse one
 NEAR = 32  # cells of the grid along a side of the near view: 3.2 m to each side of the robot
 COLUMNS = 9  # of `goals` without the predicted ones
 TABLES = ("pose", "pose_cov", "landmarks", "goals")
+TRUST = "localisation"  # the fifth table, with `uncertainty`
 GAIN = Gain(Weights(sight_m=6.0, beyond_m2=12.0))  # fixed here, because trained policies depend on it
 MOST_M2 = np.float32(np.pi * GAIN.weights.sight_m**2)
 
@@ -27,11 +28,11 @@ def downsample(observation: Observation, goals: bool) -> Observation:
     """The tables unchanged; `coarse` (8,24,24) and `near` (8,32,32) uint8 instead of `grid` (8,96,96).
 
     A coarse cell of 0.8 m is the mean of its 16 cells. With `goals` also `promise` (32,) m^2: the unknown floor that a
-    scan from each goal would see according to this map, as the policy `gain` computes it.
+    scan from each goal would see according to this map, as the policy `gain` computes it; 0 on known ground.
     """
     grid = observation["grid"]
     low = (grid.shape[-1] - NEAR) // 2
-    parts = {name: observation[name] for name in TABLES}
+    parts = {name: observation[name] for name in tables_in(observation)}
     parts |= {"coarse": pooled(grid), "near": grid[:, low : low + NEAR, low : low + NEAR].copy()}
     return parts | {"promise": promises(observation)} if goals else parts
 
@@ -43,13 +44,13 @@ def without_known_ground(observation: Observation) -> Observation:
         return observation
     table = goals[:, :COLUMNS].copy()
     table[table[:, KIND] >= PLACE] = 0.0
-    return observation | {"goals": table}
+    return {name: values for name, values in observation.items() if name != TRUST} | {"goals": table}
 
 
 def promises(observation: Observation) -> NDArray[np.float32]:
     """(32,) m^2 of unknown floor visible from each goal; 0 in empty rows."""
     table = observation["goals"]
-    valid = goal_masks(observation)
+    valid = goal_masks(observation) & (table[:, KIND] < PLACE)
     area = np.zeros(len(table), np.float32)
     if valid.any():
         expected = GAIN.expected_area(observation["grid"], table[valid].astype(np.float64))
@@ -60,6 +61,11 @@ def promises(observation: Observation) -> NDArray[np.float32]:
 def goal_masks(observation: Any) -> Any:
     """(...,32) which rows of `goals` hold one, of NumPy arrays or tensors, of one observation or a batch."""
     return observation["goals"][..., VALID] > 0.5
+
+
+def tables_in(parts: Any) -> tuple[str, ...]:
+    """The tables among the parts of an observation, or of its space."""
+    return (*TABLES, TRUST) if TRUST in parts else TABLES
 
 
 def pooled(grid: Bytes) -> Bytes:
@@ -76,7 +82,7 @@ def pooled(grid: Bytes) -> Bytes:
 def downsampled_space(space: Any, goals: bool) -> spaces.Dict:
     """The space of downsampled observations, of those in a `Dict`; the grid has 4 n cells per side."""
     grid = space["grid"].shape
-    parts: dict[str, spaces.Space[Any]] = {name: space[name] for name in TABLES}
+    parts: dict[str, spaces.Space[Any]] = {name: space[name] for name in tables_in(space.spaces)}
     for name, side in (("coarse", grid[-1] // POOL), ("near", NEAR)):
         parts[name] = spaces.Box(0, 255, (grid[0], side, side), np.uint8)
     if goals:

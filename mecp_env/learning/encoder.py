@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mecp_env.learning import tables
-from mecp_env.learning.priors import PRIORS
+from mecp_env.learning.priors import PRIORS, with_known_ground
+from mecp_env.policies.gain import LANDMARK_VALID
+from mecp_env.policies.policy import VALID
 
 LAYERS = 8  # of the grid
 SCALES = 3
@@ -34,9 +36,9 @@ def of_rows(network: nn.Module, rows: Tensor, valid: Tensor) -> Tensor:
     return spread.unflatten(0, valid.shape)
 
 
-def used_rows(table: Tensor) -> int:
-    """How many rows of tables (B,n,c) there are up to the last one that is valid in any of them, at least 1."""
-    used = (table[..., -1] > 0.5).any(0).nonzero()
+def used_rows(valid: Tensor) -> int:
+    """How many rows there are up to the last one that is valid (B,n) in any observation, at least 1."""
+    used = (valid > 0.5).any(0).nonzero()
     return int(used[-1]) + 1 if len(used) else 1
 
 
@@ -95,23 +97,35 @@ class ObservationEncoder(BaseFeaturesExtractor):
     """
 
     def __init__(
-        self, observation_space: spaces.Dict, width: int, channels: int, attention: bool, prior: str | None = None
+        self,
+        observation_space: spaces.Dict,
+        width: int,
+        channels: int,
+        attention: bool,
+        prior: str | None = None,
+        uncertainty: bool = True,
     ) -> None:
         goals = observation_space["goals"].shape
         assert goals is not None
+        predicted = "localisation" in observation_space.spaces
         super().__init__(observation_space, width + (goals[0] * (width + 2) if prior else 0))
-        self.prior = PRIORS[prior] if prior else None
+        self.prior = with_known_ground(PRIORS[prior]) if prior else None
+        self.uncertainty = uncertainty
         self.grid = GridEncoder(channels, width)
         promises = tables.PROMISE_COLUMNS if prior else 0
-        self.goal = layers(tables.GOAL_COLUMNS + SCALES * LAYERS + channels + 2 + promises, width, width)
+        columns = tables.GOAL_COLUMNS + tables.PREDICTED_COLUMNS * predicted
+        self.goal = layers(columns + SCALES * LAYERS + channels + 2 + promises, width, width)
         self.attention = Attention(width) if attention else None
         self.landmark = layers(tables.LANDMARK_COLUMNS, width // 2, width // 2)
-        self.context = layers(width + 2 * width + width + tables.POSE_COLUMNS, width)
+        pose = tables.POSE_COLUMNS + tables.TRUST_COLUMNS * predicted
+        self.context = layers(width + 2 * width + width + pose, width)
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
         """Features (B,F); a compact observation, its grids in 0..1, the tables as they are."""
+        if not self.uncertainty:
+            observations = tables.without_uncertainty(observations)
         table, landmarks = observations["goals"], observations["landmarks"]
-        goals = table[:, : used_rows(table)]
+        goals = table[:, : used_rows(table[..., VALID])]
         grid, maps = self.grid(observations["coarse"], observations["near"])
         rows, valid = tables.goal_rows(goals)
         around = [tables.at_goals(layer, goals) for layer in (observations["coarse"], maps)]
@@ -123,9 +137,10 @@ class ObservationEncoder(BaseFeaturesExtractor):
         codes = of_rows(self.goal, torch.cat([rows, *around], -1), valid)
         if self.attention is not None:
             codes = self.attention(codes, valid, tables.apart(goals))
-        known_rows, known = tables.landmark_rows(landmarks[:, : used_rows(landmarks)])
-        pose = tables.pose_row(observations["pose"], observations["pose_cov"])
-        parts = [grid, pooled(codes, valid), pooled(of_rows(self.landmark, known_rows, known), known), pose]
+        known_rows, known = tables.landmark_rows(landmarks[:, : used_rows(landmarks[..., LANDMARK_VALID])])
+        pose = [tables.pose_row(observations["pose"], observations["pose_cov"])]
+        pose += [observations["localisation"]] if "localisation" in observations else []
+        parts = [grid, pooled(codes, valid), pooled(of_rows(self.landmark, known_rows, known), known), *pose]
         context = self.context(torch.cat(parts, -1))
         if score is None:
             return context

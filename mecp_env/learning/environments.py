@@ -27,30 +27,35 @@ from mecp_env.vector import BatchEnv
 
 Env = gym.Env[Any, Any]
 Step = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
-KEPT = ("coverage", "metres", "contacts", "pose_error_final_m", "pose_rmse_m", "nees_mean", "landmarks")
+KEPT = (
+    *("coverage", "correct_coverage", "lost", "metres", "contacts", "landmarks"),
+    *("pose_error_final_m", "pose_rmse_m", "nees_mean"),
+)
 LENGTHS = ("episode_periods", "episode_decisions")
-FIGURES = ("auc", *KEPT, *LENGTHS, "reward", *(f"reward_{term}" for term in TERMS), "terminated")
+FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *(f"reward_{term}" for term in TERMS), "terminated")
 
 
 class EpisodeStatistics:
     """What is summed over an episode."""
 
     def __init__(self) -> None:
-        self.curve = CoverageCurve()
+        self.curve, self.correct = CoverageCurve(), CoverageCurve(falls=True)
         self.rewards = {f"reward_{term}": 0.0 for term in TERMS}
         self.decisions = 0
 
     def add(self, info: dict[str, Any]) -> None:
         """Add one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
+        self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         for name in self.rewards:
             self.rewards[name] += info[name]
 
-    def figures(self, summary: dict[str, float], terminated: bool) -> dict[str, float]:
-        """The metrics of the episode, in the order of `FIGURES`."""
+    def figures(self, summary: dict[str, float], terminated: bool, max_steps: int) -> dict[str, float]:
+        """The metrics of an episode of at most `max_steps`, in the order of `FIGURES`."""
         found = {name: summary[name] for name in KEPT} | self.rewards
         found |= {"auc": self.curve.area_under(budget_m(summary["free_area_m2"])), "terminated": terminated}
         found |= {"reward": sum(self.rewards.values())}
+        found |= {"correct_over_steps": self.correct.area_under_steps(max_steps)}
         found |= dict(zip(LENGTHS, (summary["periods"], self.decisions), strict=True))
         return {name: float(found[name]) for name in FIGURES}
 
@@ -98,7 +103,8 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         self.statistics.decisions += 1
         info: dict[str, Any] = {"periods": len(self.steps), "discount": discount}
         if terminated or truncated:
-            info["figures"] = self.statistics.figures(self.env.get_wrapper_attr("summary")(), terminated)
+            limit = self.env.get_wrapper_attr("config").max_steps
+            info["figures"] = self.statistics.figures(self.env.get_wrapper_attr("summary")(), terminated, limit)
         diverged = bool(self.steps[-1][4]["diverged"])
         return observation, float(reward), terminated or diverged, truncated and not diverged, info
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from mecp_env.learning.downsampled import downsample, goal_masks, without_known_
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.models import CLASSES, make_network
 from mecp_env.learning.run_folder import CONFIG, POLICY
+from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
@@ -39,6 +41,8 @@ class PredictingPolicy:
 
     def __init__(self, network: Any, actions: str, config: TrainConfig | None, name: str) -> None:
         self.network, self.actions, self.config, self.name = network, actions, config, name
+        self.uncertainty = config is not None and config.env.observation.uncertainty
+        self.settings: Mapping[str, Any] = active.SETTINGS if self.uncertainty else {}
         self.reset()
 
     def reset(self, seed: int = 0) -> None:
@@ -49,20 +53,26 @@ class PredictingPolicy:
     def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
         """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows.
 
-        Policies are trained without goals on known ground: they never choose one, unless there is no other.
+        One that was trained without goals on known ground never chooses one, unless there is no other. Raises
+        `ConfigError` without the columns that it was trained with.
         """
-        goals, masks = self.actions == "goal", dict[str, Any]()
-        if goals:
-            allowed = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)
-            observation = without_known_ground(observation)
-            if not (allowed & goal_masks(observation)).any() and allowed.any():
-                return int(allowed.argmax())
-            masks["action_masks"] = (allowed & goal_masks(observation))[None]
-        inputs = observation if self.config is None else downsample(observation, goals)
+        if self.uncertainty:
+            active.check_columns(observation, self.name)
+        if self.actions != "goal":
+            return np.asarray(self._predict(observation), np.float32)
+        allowed = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)
+        observation = observation if self.uncertainty else without_known_ground(observation)
+        mine = allowed & goal_masks(observation)
+        if not mine.any() and allowed.any():
+            return int(allowed.argmax())
+        return int(self._predict(observation, action_masks=mine[None]))
+
+    def _predict(self, observation: dict[str, Any], **masks: Any) -> Any:
+        inputs = observation if self.config is None else downsample(observation, self.actions == "goal")
         batch = {name: np.asarray(values)[None] for name, values in inputs.items()}
         actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)
         self.episode_start = np.zeros(1, np.bool_)
-        return int(actions[0]) if goals else np.asarray(actions[0], np.float32)
+        return actions[0]
 
 
 def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy:

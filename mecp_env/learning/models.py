@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.episode.observations import Observer
+from mecp_env.episode.observations import make_space
 from mecp_env.learning import files
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import downsampled_space
@@ -34,6 +34,7 @@ def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
     """The class of the policy (or its name for Stable-Baselines3) and its keywords."""
     network = config.network
     encoder = {"width": network.width, "channels": network.grid_channels, "attention": network.attention}
+    encoder |= {"uncertainty": network.uncertainty}
     common: dict[str, Any] = {"features_extractor_class": ObservationEncoder}
     if config.algorithm == "maskable_ppo":
         mine = {"width": network.width, "sharpness": network.sharpness}
@@ -80,7 +81,8 @@ def make_network(config: TrainConfig) -> BasePolicy:
         policy = CLASSES[config.algorithm].policy_aliases[policy]
     goals = config.actions == "goal"
     actions = spaces.Discrete(GOALS) if goals else spaces.Box(-1.0, 1.0, (2,), np.float32)
-    made: BasePolicy = policy(downsampled_space(Observer().space, goals), actions, lambda _: 0.0, **keywords)
+    seen = downsampled_space(make_space(False, 0, 1.0, config.env.observation.uncertainty), goals)
+    made: BasePolicy = policy(seen, actions, lambda _: 0.0, **keywords)
     made.set_training_mode(False)
     return made
 

@@ -15,6 +15,9 @@ WINDING = 1.3  # the way from one goal to the next, times the straight line
 LEAST_M2 = 0.3  # where no goal promises as much, the nearest is next
 LEAST_SCORE = -4.0  # below the best goal's: nothing is ruled out
 NOTHING = 1e-6
+NEW_KINDS = 4  # goals of these kinds have something left to see
+SELDOM = -1.0  # score of a goal on known ground
+LOOK = 6  # kind of a look elsewhere, while the pose is searched for
 
 Prior = Callable[[Tensor, Tensor, Tensor], Tensor]
 
@@ -48,6 +51,23 @@ def below_best(score: Tensor, valid: Tensor) -> Tensor:
     """(B,G) how far each score lies below the best valid one: -4 to 0; 0 in rows that hold no goal."""
     best = torch.where(valid, score, -torch.inf).amax(-1, keepdim=True)
     return torch.where(valid, (score - best).clamp(min=LEAST_SCORE), 0.0)
+
+
+def with_known_ground(prior: Prior) -> Prior:
+    """An explorer's score where goals on known ground are among the others: it seldom drives there.
+
+    While the pose is searched for, it looks elsewhere, as the explorers that act on their uncertainty do.
+    """
+
+    def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
+        kind = torch.round(goals[..., 4])
+        known, look = valid & (kind >= NEW_KINDS), valid & (kind == LOOK)
+        scores = prior(goals, valid & ~known, promise)
+        scores = torch.where(known, torch.full_like(scores, SELDOM), scores)
+        first = torch.where(look, torch.zeros_like(scores), torch.full_like(scores, LEAST_SCORE))
+        return torch.where(look.any(-1, keepdim=True), first * valid, scores)
+
+    return score
 
 
 PRIORS: dict[str, Prior] = {"nearest": like_nearest, "gain": like_gain, "none": like_none}

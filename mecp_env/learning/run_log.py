@@ -105,6 +105,7 @@ class RunLog:
         error = f" +- {figures['auc_error']:.4f}" if figures["n"] > 1 else ""  # one building has no deviation
         found = f"area under the curve {figures['auc']:.4f}{error}"
         pose = f"pose error {100.0 * figures['pose_error_final_m']:.1f} cm, coverage {figures['coverage']:.1%}"
+        pose += f", correct coverage over steps {figures['correct_over_steps']:.4f}"
         self.echo(f"{decisions:,} decisions: {found}, {pose}{' (best)' if best else ''}")
 
 

@@ -14,31 +14,54 @@ NEAR_M = 10.0  # a length that is large for the network
 WIDE_M = 10.0  # a goal that is wider counts as so wide
 CROWD_M = 3.0  # goals as near to each other are neighbours
 HALF_M = 9.6  # of the grid's window
-KINDS = 4
+KINDS = 4  # of goals with something left to see
+MORE_KINDS = (4, 5, 6)  # a place on known ground, waiting, a look elsewhere
 VARIANCE_FLOOR = 1e-8
 GOAL_COLUMNS, PROMISE_COLUMNS, LANDMARK_COLUMNS, POSE_COLUMNS = 24, 4, 9, 9
+PREDICTED_COLUMNS, TRUST_COLUMNS = 6, 3  # with `uncertainty`
 
 
 def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
     """The goals (B,32,9) as numbers (B,32,24), and which rows hold one (B,32) bool; the others are 0.
 
     Place, way, detour, width, kind, level and visits; whether it lies in the room to be completed now; how many goals
-    share its room or lie near; how many are nearer.
+    share its room or lie near; how many are nearer. Of goals (B,32,12) six numbers more: the kinds of known ground, and
+    what is predicted.
     """
     valid = goals[..., 8] > 0.5
     x, y, path, size, kind, _, level, visits = goals[..., :8].unbind(-1)
     straight = torch.hypot(x, y)
     far = torch.clamp(straight, min=1e-3)
     size = torch.clamp(size, max=WIDE_M)
-    kinds = functional.one_hot(kind.long().clamp(0, KINDS - 1), KINDS).float().unbind(-1)
+    kinds = (
+        (functional.one_hot(kind.long().clamp(0, KINDS - 1), KINDS) * (kind < KINDS).unsqueeze(-1)).float().unbind(-1)
+    )
     columns = [
         *(x / NEAR_M, y / NEAR_M, x / far, y / far, straight / NEAR_M),
         *(path / NEAR_M, torch.log1p(path), torch.exp(-path / 2.0), torch.clamp(path / far, max=5.0) / 5.0),
         *(size / 2.0, torch.log1p(size), *kinds, level / 5.0, visits / 2.0),
         *relations(goals, valid),
+        *predictions(goals),
     ]
     rows = torch.stack(columns, -1)
     return rows * valid.unsqueeze(-1), valid
+
+
+def predictions(goals: Tensor) -> tuple[Tensor, ...]:
+    """The kinds of known ground, and what is predicted of the way to each goal: six columns (B,32), or none."""
+    if goals.shape[-1] <= 9:
+        return ()
+    sigma_m, sigma_rad, gain = goals[..., 9:12].unbind(-1)
+    kinds = (torch.round(goals[..., 4]) == kind for kind in MORE_KINDS)
+    return *(kind.float() for kind in kinds), log_sigma(sigma_m**2), log_sigma(sigma_rad**2), torch.log1p(gain) / 2.0
+
+
+def without_uncertainty(observations: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Downsampled observations with 0 for all covariances, predictions and the confidence."""
+    goals, landmarks = observations["goals"].clone(), observations["landmarks"].clone()
+    goals[..., 9:], landmarks[..., 2:5] = 0.0, 0.0
+    zero = {name: torch.zeros_like(observations[name]) for name in ("pose_cov", "localisation") if name in observations}
+    return observations | zero | {"goals": goals, "landmarks": landmarks}
 
 
 def promise_rows(promise: Tensor, score: Tensor, goals: Tensor) -> Tensor:
@@ -50,7 +73,7 @@ def promise_rows(promise: Tensor, score: Tensor, goals: Tensor) -> Tensor:
 def relations(goals: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
     """How each goal stands to the others: seven columns (B,32)."""
     both = valid.unsqueeze(-1) & valid.unsqueeze(-2)
-    room, path, door = goals[..., 5], goals[..., 2], (goals[..., 4] > 2.5) & valid
+    room, path, door = goals[..., 5], goals[..., 2], (torch.round(goals[..., 4]) == 3) & valid
     same = (room.unsqueeze(-1) == room.unsqueeze(-2)) & both
     near = (apart(goals) < CROWD_M) & both
     nearer = (path.unsqueeze(-1) > path.unsqueeze(-2)) & both

@@ -25,7 +25,8 @@ from mecp_env.learning.environments import make_env
 from mecp_env.learning.run_log import RunLog
 from mecp_env.policies.registry import make_policy
 
-TEACHERS = ("nearest", "gain", "bfs")  # explorers that select goals
+ACTIVE = ("pause", "returning", "stachniss")  # explorers that act on their uncertainty
+TEACHERS = ("nearest", "gain", "bfs", *ACTIVE)  # explorers that select goals
 BATCH = 128
 FIRST_SEED = 1_000_000_000  # of the teacher's episodes: outside those of the training itself
 Lesson = dict[str, np.ndarray]  # downsampled observations (n,...), `action` and `returns` (n,)
@@ -41,6 +42,8 @@ def check_teacher(config: TrainConfig) -> None:
         raise ConfigError(f"warm_start.teacher: {name!r:.80}, expected one of {known}{guess(name, TEACHERS)}")
     if config.actions != "goal":
         raise ConfigError(f"warm_start.teacher: {name} selects goals, {config.algorithm} velocities")
+    if name in ACTIVE and not config.env.observation.uncertainty:
+        raise ConfigError(f"warm_start.teacher: {name} acts on its uncertainty, which a `task` shows")
 
 
 def warm_start(

@@ -45,6 +45,15 @@ def sigma_there(goals: Floats | Array) -> Array:
     return drawing_sigma(table[:, SIGMA], table[:, SIGMA_RAD])
 
 
+def check_columns(observation: Mapping[str, Any], name: str) -> None:
+    """Raise `ConfigError` unless an observation has what a policy of that name reads of its uncertainty."""
+    if "localisation" not in observation:
+        raise ConfigError(
+            f"policy: {name} reads `localisation`, the observation has {', '.join(observation)}; "
+            'make the environment with observation={"uncertainty": True}, or a task such as ActiveHalls-v0'
+        )
+
+
 class Active:
     """What the explorers have in common: they look elsewhere while the pose is searched for, and need the columns."""
 
@@ -60,12 +69,7 @@ class Active:
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
         """Row of the goal to drive to; 0 when there is none. Raises `ConfigError` without the columns."""
-        if "localisation" not in observation:
-            names = ", ".join(observation)
-            raise ConfigError(
-                f"policy: {type(self).__name__} reads `localisation`, the observation has {names}; "
-                'make the environment with observation={"uncertainty": True}, or a task such as ActiveHalls-v0'
-            )
+        check_columns(observation, type(self).__name__)
         look = of_kind(LOOK, observation, mask)
         return int(look[0]) if len(look) else self.choose(observation, mask)
 

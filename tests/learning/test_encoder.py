@@ -139,7 +139,7 @@ def test_a_batch_gives_each_observation_the_features_that_it_has_alone(algorithm
     rows = [{name: part.float() for name, part in batch(each, goals).items()} for each in seen]
     rows = [row | {name: row[name] / 255.0 for name in ("coarse", "near")} for row in rows]
     rows.append({name: torch.zeros_like(part) for name, part in rows[0].items()})
-    assert len({used_rows(row["goals"]) for row in rows}) > 1
+    assert len({used_rows(row["goals"][..., 8]) for row in rows}) > 1
     with torch.no_grad():
         together = encoder({name: torch.cat([row[name] for row in rows]) for name in rows[0]})
         alone = torch.cat([encoder(row) for row in rows])

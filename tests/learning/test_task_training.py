@@ -1,0 +1,139 @@
+"""Training in a task of active SLAM: known ground, predictions and confidence reach the network, or do not."""
+
+from __future__ import annotations
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mecp_env  # noqa: F401
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("sb3_contrib")
+pytest.importorskip("safetensors")
+
+from mecp_env.core.errors import ConfigError  # noqa: E402
+from mecp_env.episode.tasks import TASKS  # noqa: E402
+from mecp_env.learning.config import TrainConfig  # noqa: E402
+from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
+from mecp_env.learning.environments import make_env  # noqa: E402
+from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.learning.models import make_network  # noqa: E402
+from mecp_env.learning.warm_start import check_teacher  # noqa: E402
+from mecp_env.policies.active import Active  # noqa: E402
+from mecp_env.policies.policy import KIND, LOOK, PLACE, SIGMA, VALID  # noqa: E402
+from mecp_env.policies.rollout import options_of  # noqa: E402
+from tests.learning.training import quick, resume, run  # noqa: E402
+
+TASK = "ActiveHalls-v0"
+SMALL = {
+    "task": TASK,
+    "env": {"max_steps": 60},
+    "buildings": {"spec": {"rooms": 3, "loops": 0}},
+}
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Observations of a task in which there is known ground to choose."""
+    env = gym.make(f"mecp_env/{TASK}", split="validation")
+    policy, observation = Active(), env.reset(seed=1, options={"building": 1})[0]
+    found = list[dict[str, np.ndarray]]()
+    while len(found) < 4:
+        observation, *_ = env.step(policy.act(observation, env.get_wrapper_attr("action_masks")()))
+        if (observation["goals"][:, KIND] == PLACE).any():
+            found.append(observation)
+    return found
+
+
+def batch(observation):
+    return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals=True).items()}
+
+
+def logits(network, observation):
+    with torch.no_grad():
+        return network.get_distribution(batch(observation)).distribution.logits[0].numpy()
+
+
+def shaken(**network):
+    """A policy in which every input has an influence."""
+    torch.manual_seed(0)
+    policy = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4} | network))
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return policy
+
+
+def test_a_task_sets_buildings_robot_and_reward_and_can_be_overridden():
+    config = TrainConfig.build({"task": TASK, "env": {"max_steps": 700}, "buildings": {"spec": {"rooms": 4}}})
+    assert config.env.reward.expected_area == TASKS[TASK]["reward"]["expected_area"]
+    assert config.env.reward.completion == 0.0
+    assert (config.env.max_steps, config.buildings.spec["rooms"]) == (700, 4)
+    assert config.buildings.spec["loops"] == TASKS[TASK]["loops"]
+    assert config.score == "correct_over_steps"
+    assert TrainConfig.build(config.to_dict()) == config
+    with pytest.raises(ConfigError, match="task: 'ActiveHall-v0', expected one of ActiveHalls-v0"):
+        TrainConfig.build({"task": "ActiveHall-v0"})
+
+
+def test_environment_and_network_of_a_task_have_the_same_space():
+    config = quick(**SMALL)
+    env = make_env(config)
+    assert env.observation_space == make_network(config).observation_space
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    registered = gym.make(f"mecp_env/{TASK}")
+    assert downsampled_space(registered.observation_space, goals=True) == env.observation_space
+
+
+def test_an_untrained_policy_seldom_drives_to_known_ground_and_looks_elsewhere_when_lost(seen):
+    network = make_network(quick(**SMALL))
+    for observation in seen:
+        scores, kinds = logits(network, observation), observation["goals"][:, KIND]
+        valid = observation["goals"][:, VALID] > 0.5
+        known = scores[valid & (kinds >= PLACE)]
+        np.testing.assert_allclose(known, known[0], rtol=1e-5)
+        assert scores[valid & (kinds < PLACE)].max() - known[0] == pytest.approx(5.0, abs=1e-4)
+    lost = {name: values.copy() for name, values in seen[0].items()}
+    lost["goals"][0, [KIND, VALID]] = LOOK, 1.0
+    assert logits(network, lost).argmax() == 0
+
+
+@pytest.mark.parametrize("name", ["sigma", "trust", "pose_cov", "landmarks"])
+def test_uncertainty_reaches_the_network_unless_it_is_hidden(name, seen):
+    changed = {key: values.copy() for key, values in seen[0].items()}
+    if name == "sigma":
+        changed["goals"][:, SIGMA] *= 3.0
+    elif name == "trust":
+        changed["localisation"][0] = 0.1
+    elif name == "pose_cov":
+        changed["pose_cov"] *= 9.0
+    else:
+        changed["landmarks"][:, 2:5] *= 9.0
+    open_eyed, blind = shaken(), shaken(uncertainty=False)
+    assert np.abs(logits(open_eyed, changed) - logits(open_eyed, seen[0])).max() > 1e-5
+    np.testing.assert_array_equal(logits(blind, changed), logits(blind, seen[0]))
+
+
+def test_a_run_in_a_task_resumes_and_its_policy_fits_that_observation_only(tmp_path, seen):
+    folder, code = run(tmp_path, **SMALL)
+    assert code == 0
+    assert resume(folder, "--steps", "36") == 0
+    figures = json.loads((folder / "policy.json").read_text())["validation"]
+    assert 0.0 < figures["correct_over_steps"] <= 1.0
+    policy = load(folder)
+    allowed = seen[0]["goals"][:, VALID] > 0.5
+    assert allowed[policy.act(seen[0], allowed)]
+    assert options_of(policy)["observation"] == {"uncertainty": True}
+    plain = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal").reset(seed=0)[0]
+    with pytest.raises(ConfigError, match="reads `localisation`, the observation has pose, pose_cov"):
+        policy.act(plain)
+
+
+def test_a_teacher_that_acts_on_its_uncertainty_needs_a_task():
+    check_teacher(quick(**SMALL, warm_start={"teacher": "stachniss"}))
+    with pytest.raises(ConfigError, match="stachniss acts on its uncertainty, which a `task` shows"):
+        check_teacher(quick(warm_start={"teacher": "stachniss"}))
