@@ -42,6 +42,7 @@ IN_UNITS = (
     "real",
     "soak",
     "scale",
+    "uncertainty",
     "worlds",
 )  # of work, kept and divided
 NAMES = (
@@ -60,7 +61,9 @@ NAMES = (
     "soak",
     "scale",
     "learning",
+    "uncertainty",
 )
+OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -108,9 +111,20 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error("--sweeps: only for speed --against")
     if given.shard != WHOLE and given.name not in IN_UNITS:
         parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
-    parts = tuple(given.sets), tuple(given.modules)
+    if (given.task or given.policies or given.buildings) and given.name not in OVER_POLICIES:
+        parser().error(f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}")
     return Options(
-        given.jobs, given.quick, *parts, given.against, given.sweeps or (1, 4), given.shard, UNITS / given.name
+        given.jobs,
+        given.quick,
+        tuple(given.sets),
+        tuple(given.modules),
+        given.against,
+        given.sweeps or (1, 4),
+        given.shard,
+        UNITS / given.name,
+        given.task,
+        tuple(given.policies),
+        given.buildings,
     )
 
 
@@ -127,7 +141,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME[:COUNT]",
-        help="of association, loop, noise, real, soak and worlds: only these; written only with --json",
+        help="of association, loop, noise, real, soak, uncertainty and worlds: only these; written only with --json",
     )
     made.add_argument(
         "--with",
@@ -152,6 +166,15 @@ def parser() -> argparse.ArgumentParser:
         metavar="I/N",
         help="every N-th unit only, from the I-th; then the command without --shard gives the figures",
     )
+    made.add_argument("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
+    made.add_argument(
+        "--policies",
+        nargs="+",
+        default=[],
+        metavar="POLICY",
+        help="of uncertainty: names, run folders or module:Class; default: nearest gain pause returning stachniss",
+    )
+    made.add_argument("--buildings", type=positive, default=0, metavar="N", help="of uncertainty: at each point, 50")
     return made
 
 

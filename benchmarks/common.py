@@ -49,6 +49,9 @@ class Options:
     sweeps: tuple[int, ...] = (1, 4)  # per scan, in that comparison
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
+    task: str = ""  # of active SLAM
+    policies: tuple[str, ...] = ()
+    buildings: int = 0  # at each point; 0: as many as the benchmark has by itself
 
 
 class ShardDone(Exception):

@@ -1,0 +1,176 @@
+"""Uncertainty: quality over odometry noise and over laser range, of policies with three estimators.
+
+The environment is a task of active SLAM, in the first buildings of its split `test`, with one field changed at each
+point: `odometry.scale` multiplies the sigmas of the odometry (the share of steps with slip stays), and
+`laser.max_range_m` is the range. Each policy explores the same buildings from the same starts with the full estimator,
+with known correspondences, and with the true pose. Quality is the area under the correct coverage over the control
+steps. The price of uncertainty is that of the true pose minus that of the estimator, the price of wrong
+correspondences that of known ones minus that of the estimator, paired by building. An episode is lost as in
+docs/policies.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.common import Figures, Gate, OptionError, Options, chosen, estimate, grouped, in_parallel, share, table
+from benchmarks.plots import Panel, band_panels
+from mecp_env.core.settings import guess
+from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.registry import make_policy, policy_checksum, source_of
+from mecp_env.policies.report_table import cell
+from mecp_env.policies.rollout import EpisodeTask, run_episode
+from mecp_env.policies.setting import Setting
+
+TASK = "ActiveHalls-v0"
+POLICIES = ("nearest", "gain", "pause", "returning", "stachniss")
+ESTIMATORS = {"slam": "estimator", "known": "known correspondences", "truth": "true pose"}
+BASE = "base"  # the task as it is
+SCALES, RANGES_M = (2.0, 4.0, 8.0), (2.5, 5.0, 8.0, 30.0)
+CHANGES: dict[str, dict[str, Any]] = {  # point -> what differs from the task
+    BASE: {},
+    **{f"odometry_x{scale:g}": {"odometry": {"scale": scale}} for scale in SCALES},
+    **{f"range_{metres:g}_m": {"laser": {"max_range_m": metres}} for metres in RANGES_M},
+}
+BUILDINGS, QUICK_BUILDINGS, MOST = 50, 1, 1000
+SETS = tuple(CHANGES)
+QUICK = (BASE, "odometry_x8")
+METRIC = "correct_over_steps"
+KEPT = (METRIC, "correct_coverage", "coverage", "lost", "pose_error_mean_m", "map_rmse_m")
+PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
+
+GATES = tuple(
+    Gate(f"points/{point}/{policy}/slam/{METRIC}", "share", 0.03)
+    for point in (BASE, "odometry_x4", "range_8_m")
+    for policy in ("gain", "stachniss")
+)
+Unit = tuple[str, str, str, str, str, int]  # task, point, policy, its checksum, estimator, building
+
+
+def run(options: Options) -> Figures:
+    """Results of every point, policy and estimator."""
+    task, policies = checked(options)
+    counts = buildings(options)
+    units: list[Unit] = [
+        (task, point, policy, policy_checksum(policy), estimator, building)
+        for building in range(max(counts.values()))
+        for point in counts
+        for policy in policies
+        for estimator in ESTIMATORS
+        if building < counts[point]
+    ]
+    points: Figures = {point: {policy: {} for policy in policies} for point in counts}
+    results = grouped(units, in_parallel(episode, dict[str, float], units, options))
+    for (_, point, policy, _, estimator), episodes in results.items():
+        points[point][policy][estimator] = episodes
+    summarised = {
+        point: {policy: summarise(of_policy) for policy, of_policy in of_point.items()}
+        for point, of_point in points.items()
+    }
+    return {"task": task, "range_m": range_of(task), "points": summarised}
+
+
+def checked(options: Options) -> tuple[str, tuple[str, ...]]:
+    """The task and the policies. Raises `OptionError` for an unknown task, `ConfigError` for an unknown policy."""
+    task = options.task or TASK
+    if task not in TASKS:
+        raise OptionError(f"--task {task}: expected one of {', '.join(TASKS)}{guess(task, TASKS)}")
+    policies = tuple(dict.fromkeys(options.policies or POLICIES))
+    for policy in policies:
+        make_policy(policy)
+    return task, policies
+
+
+def buildings(options: Options) -> dict[str, int]:
+    """How many buildings there are at each point. Raises `OptionError`."""
+    if options.buildings > MOST:
+        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
+    count = options.buildings or (QUICK_BUILDINGS if options.quick else BUILDINGS)
+    there_are = dict.fromkeys(CHANGES, count)
+    return chosen(options.sets, there_are, MOST) or dict.fromkeys(QUICK if options.quick else CHANGES, count)
+
+
+def episode(unit: Unit) -> dict[str, float]:
+    """Metrics of one episode."""
+    task, point, policy, policy_sum, estimator, building = unit
+    setting = Setting("", "test", estimator, TASKS[task]["max_steps"], task, env=CHANGES[point])
+    result = run_episode(EpisodeTask(policy, building, setting, checksum=policy_sum, source=source_of(policy)))
+    return {name: result.figures[name] for name in KEPT}
+
+
+def range_of(task: str) -> float:
+    """The range of the laser of a task, m."""
+    return float(TASKS[task]["laser"]["max_range_m"])
+
+
+def summarise(estimators: Mapping[str, list[dict[str, float]]]) -> Figures:
+    """Results of one policy at one point: each estimator, and the prices."""
+    quality = {name: np.array([each[METRIC] for each in episodes]) for name, episodes in estimators.items()}
+    figures: Figures = {name: metrics_of(episodes) for name, episodes in estimators.items()}
+    return figures | {name: estimate(quality[more] - quality[less]) for name, (more, less) in PRICES.items()}
+
+
+def metrics_of(episodes: list[dict[str, float]]) -> Figures:
+    """Each metric with its 95 % interval over buildings."""
+    means = {name: estimate([each[name] for each in episodes]) for name in KEPT if name != "lost"}
+    return means | {"lost": share(each["lost"] > 0.5 for each in episodes)}
+
+
+def report(figures: Figures) -> str:
+    """One table per point with one row per policy."""
+    header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
+    header += ["price of uncertainty", "price of wrong correspondences"]
+    parts = [str(__doc__).partition("\n\n")[2].strip(), f"Task: `{figures['task']}`."]
+    for point, policies in figures["points"].items():
+        rows = [[policy, *row_of(found)] for policy, found in policies.items()]
+        count = next(iter(policies.values()))["price"]["n"]
+        parts.append(f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}\n\n{table(header, rows)}")
+    return "\n\n".join(parts)
+
+
+def row_of(found: Figures) -> list[str]:
+    """The cells of a policy."""
+    qualities = [cell(found[name][METRIC], ".3f", 1.0) for name in ESTIMATORS]
+    lost = [cell(found[name]["lost"], ".0f", 100.0) for name in ESTIMATORS]
+    return [*qualities, *lost, *(cell(found[name], "+.3f", 1.0) for name in PRICES)]
+
+
+def title_of(point: str, figures: Figures) -> str:
+    """What a point changes, in words."""
+    changes = CHANGES[point]
+    scale = changes.get("odometry", {}).get("scale", 1.0)
+    metres = changes.get("laser", {}).get("max_range_m", figures["range_m"])
+    return f"Odometry noise x{scale:g}, range {metres:g} m"
+
+
+def axes_of(figures: Figures) -> dict[str, dict[str, str]]:
+    """Of the figure: the name of each axis with its points and their labels, in order."""
+    ranges = {metres: f"range_{metres:g}_m" for metres in RANGES_M} | {figures["range_m"]: BASE}
+    axes = {
+        "odometry noise": {BASE: "x1"} | {f"odometry_x{scale:g}": f"x{scale:g}" for scale in SCALES},
+        "laser range": {point: f"{metres:g} m" for metres, point in sorted(ranges.items())},
+    }
+    there = figures["points"]
+    axes = {axis: {point: label for point, label in of.items() if point in there} for axis, of in axes.items()}
+    return {axis: labels for axis, labels in axes.items() if labels}
+
+
+def figure(figures: Figures) -> Figure:
+    """A row per axis: all policies with the estimator, then each policy with every estimator."""
+    points = figures["points"]
+    policies = list(next(iter(points.values())))
+    rows: dict[str, dict[str, Panel]] = {}
+    for axis, labels in axes_of(figures).items():
+        ticks = list(labels.values())
+
+        def line(policy: str, estimator: str, labels: Mapping[str, str] = labels) -> list[Figures]:
+            return [points[point][policy][estimator][METRIC] for point in labels]
+
+        rows[axis] = {"all, estimator": Panel(ticks, {policy: line(policy, "slam") for policy in policies})}
+        for policy in policies:
+            rows[axis][policy] = Panel(ticks, {name: line(policy, key) for key, name in ESTIMATORS.items()})
+    return band_panels(rows, "correct coverage over steps")

@@ -1,0 +1,124 @@
+"""The benchmark `uncertainty`: its points, paired prices, tables and figure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks import uncertainty
+from benchmarks.common import OptionError, Options
+from benchmarks.uncertainty import BASE, CHANGES, ESTIMATORS, METRIC, POLICIES
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.rollout import make_rooms
+from mecp_env.policies.setting import Setting
+
+QUALITY = {"slam": 0.5, "known": 0.6, "truth": 0.8}
+
+
+def toy(unit: uncertainty.Unit) -> dict[str, float]:
+    """Metrics that depend on estimator and building."""
+    *_, estimator, building = unit
+    metrics = dict.fromkeys(uncertainty.KEPT, 0.1)
+    return metrics | {METRIC: QUALITY[estimator] + 0.01 * building, "lost": float(estimator == "slam")}
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
+    monkeypatch.setattr(uncertainty, "episode", toy)
+    return uncertainty.run(Options(buildings=4, policies=("nearest", "gain"), folder=tmp_path))
+
+
+def test_prices_are_paired_by_building(figures: dict[str, Any]) -> None:
+    assert set(figures["points"]) == set(CHANGES)
+    found = figures["points"]["odometry_x8"]["gain"]
+    assert found["price"]["value"] == pytest.approx(0.3)
+    assert found["price"]["high"] - found["price"]["low"] < 1e-9
+    assert found["price_known"]["value"] == pytest.approx(0.1)
+    assert found["slam"][METRIC]["n"] == 4
+    assert found["slam"][METRIC]["high"] > found["slam"][METRIC]["low"]
+    assert (found["slam"]["lost"]["value"], found["truth"]["lost"]["value"]) == (1.0, 0.0)
+
+
+def test_tables_and_figure(figures: dict[str, Any]) -> None:
+    page = uncertainty.report(figures)
+    assert "## Odometry noise x8, range 3.5 m, 4 buildings" in page
+    assert "## Odometry noise x1, range 30 m, 4 buildings" in page
+    assert "| gain | 0.515 [0.505, 0.525] | 0.615" in page
+    assert "+0.300 [+0.300, +0.300] | +0.100 [+0.100, +0.100] |" in page
+    axes = uncertainty.axes_of(figures)
+    assert list(axes["odometry noise"].values()) == ["x1", "x2", "x4", "x8"]
+    assert list(axes["laser range"].values()) == ["2.5 m", "3.5 m", "5 m", "8 m", "30 m"]
+    assert axes["laser range"][BASE] == "3.5 m"
+    panels = uncertainty.figure(figures).axes
+    assert [panel.get_title() for panel in panels] == 2 * ["all, estimator", "nearest", "gain"]
+    assert [line.get_label() for line in panels[1].get_lines()] == list(ESTIMATORS.values())
+    assert len({line.get_linestyle() for line in panels[1].get_lines()}) == 3
+    assert len({line.get_color() for line in panels[1].get_lines()}) == 3
+
+
+def test_a_part_of_the_points_has_its_tables_and_its_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(uncertainty, "episode", toy)
+    figures = uncertainty.run(Options(sets=("range_5_m:2", "range_8_m:1"), policies=("gain",), folder=tmp_path))
+    counts = [of_point["gain"]["price"]["n"] for of_point in figures["points"].values()]
+    assert (list(figures["points"]), counts) == (["range_5_m", "range_8_m"], [2, 1])
+    assert len(uncertainty.figure(figures).axes) == 2
+    assert "1 building\n" in uncertainty.report(figures)
+
+
+def test_every_point_changes_its_field_of_every_task() -> None:
+    for task in TASKS:
+        for point, changes in CHANGES.items():
+            env = make_rooms(Setting("", "test", "slam", 20, task, env=changes), Nearest())
+            config = env.get_wrapper_attr("config")
+            env.close()
+            own = uncertainty.range_of(task)
+            assert config.odometry.scale == changes.get("odometry", {}).get("scale", 1.0)
+            assert config.laser.max_range_m == changes.get("laser", {}).get("max_range_m", own)
+            assert config.odometry.preset == TASKS[task]["odometry"]["preset"]
+            assert (point == BASE) == (not changes)
+
+
+def test_an_episode_runs_and_another_run_finds_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(TASKS, "ActiveHalls-v0", TASKS["ActiveHalls-v0"] | {"max_steps": 10})
+    options = Options(quick=True, sets=("odometry_x4",), policies=("nearest",), folder=tmp_path)
+    figures = uncertainty.run(options)
+    assert 0.0 < figures["points"]["odometry_x4"]["nearest"]["slam"][METRIC]["value"] < 0.5
+    assert len(list(tmp_path.glob("*.json"))) == 3
+    monkeypatch.setattr(uncertainty, "episode", None)
+    assert uncertainty.run(replace(options, policies=("nearest", "nearest"))) == figures
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (Options(task="ActiveHall-v0"), "--task ActiveHall-v0: expected one of .*; did you mean 'ActiveHalls-v0'"),
+        (Options(buildings=1001), "--buildings 1001: the split has 1000"),
+        (Options(sets=("odometry_x3",)), "--sets odometry_x3: expected one of base, odometry_x2"),
+    ],
+)
+def test_wrong_options_are_refused(options: Options, said: str) -> None:
+    with pytest.raises(OptionError, match=said):
+        uncertainty.run(options)
+
+
+def test_an_unknown_policy_is_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'nearest'"):
+        uncertainty.run(Options(policies=("nearst",)))
+
+
+def test_options_of_this_benchmark_are_refused_by_others(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command.main(["noise", "--buildings", "3"])
+    assert "--task, --policies, --buildings: only for uncertainty" in capsys.readouterr().err
+
+
+def test_gates_are_points_and_policies() -> None:
+    paths = [gate.path.split("/") for gate in uncertainty.GATES]
+    assert {path[1] for path in paths} <= set(CHANGES)
+    assert {path[2] for path in paths} <= set(POLICIES)
