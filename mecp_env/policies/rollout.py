@@ -104,17 +104,17 @@ class EpisodeEnd:
 def run_episode(task: EpisodeTask) -> EpisodeResult:
     """Run one episode; the same task gives the same metrics bit for bit."""
     policy, log = make_policy(task.source or task.policy, task.trust), StepLog()
-    env = for_policy(make_rooms(task.setting, policy), policy, log.add)
+    env = for_policy(make_rooms(task.setting, policy, task.building), policy, log.add)
     end = run_policy(env, policy, log.add, (task.setting.building(task.building), task.building))
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
     return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
 
 
-def make_rooms(setting: Setting, policy: Policy, render_mode: str | None = None) -> Env:
-    """The buildings of a setting, with random start poses unless it says otherwise. Raises `MecpError`."""
-    keywords = {**setting.buildings, **setting.fields(options_of(policy))}
-    return gym.make(render_mode=render_mode, disable_env_checker=True, **keywords)
+def make_rooms(setting: Setting, policy: Policy, episode: int = 0) -> Env:
+    """The buildings of a setting, of a layout that of an episode, with random starts by default. Raises `MecpError`."""
+    keywords = {**setting.buildings(episode), **setting.fields(options_of(policy))}
+    return gym.make(disable_env_checker=True, **keywords)
 
 
 def options_of(policy: Policy) -> dict[str, Any]:

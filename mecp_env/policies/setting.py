@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +50,11 @@ class Setting:
         """The name of the layout, or the path of the plans."""
         return self.layout if isinstance(self.layout, str) else str(self.layout[PLAN]["path"])
 
-    @property
-    def buildings(self) -> dict[str, Any]:
-        """The keywords of `gymnasium.make` that select the buildings."""
+    def buildings(self, episode: int = 0) -> dict[str, Any]:
+        """The keywords of `gymnasium.make` that select the buildings; with a layout, that of an episode alone."""
+        if isinstance(self.layout, dict):
+            source = source_of_plans(json.dumps(self.layout), self.content)
+            return {"id": "mecp_env/Layout-v0", "layout": source.layout(episode % self.plans)}
         if self.layout:
             return {"id": "mecp_env/Layout-v0", "layout": self.layout}
         generated = {} if self.task else {"difficulty": self.difficulty}
@@ -63,8 +67,8 @@ class Setting:
         return fields | {"estimator": self.estimator, "max_steps": self.max_steps}
 
     def building(self, episode: int) -> int:
-        """The number of the building of an episode."""
-        return episode % self.plans if self.plans else episode
+        """The number of the building of an episode in its environment."""
+        return 0 if self.layout else episode
 
     def named(self) -> dict[str, Any]:
         """The fields as JSON data; those that older versions did not have only where they are set."""
@@ -100,6 +104,17 @@ def plan_fields(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     layout = {PLAN: {"path": str(path), **reading}}
     files = plan_paths(layout)
     return {"layout": layout, "plans": len(files), "content": checksum_of(files, path)}
+
+
+@lru_cache(maxsize=1)
+def source_of_plans(layout: str, content: str) -> PlanFiles:
+    """The plans of a layout (as JSON), which stay read. Raises `ConfigError` where their files are no longer those."""
+    given = json.loads(layout)
+    source = make_source(given)
+    assert isinstance(source, PlanFiles)
+    if content != checksum_of(source.paths, Path(given[PLAN]["path"])):
+        raise ConfigError(f"plans: {given[PLAN]['path']}: files have changed since the evaluation started")
+    return source
 
 
 def plan_paths(layout: Mapping[str, Any]) -> tuple[Path, ...]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mecp_env.cli import main as cli
+from mecp_env.core.errors import ConfigError
 from mecp_env.policies.evaluation import Evaluation
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.gain import Gain
@@ -50,22 +50,15 @@ def config_of(setting: Setting) -> Any:
     return env.get_wrapper_attr("config")
 
 
-def starts(setting: Setting, episodes: int) -> Iterator[tuple[int, tuple[float, ...]]]:
-    """The number of the building and the start pose of each episode."""
-    env = make_rooms(setting, Nearest())
-    for episode in range(episodes):
-        env.reset(seed=episode, options={"building": setting.building(episode)})
-        yield setting.building(episode), tuple(env.get_wrapper_attr("view")().T_world_robot)
-    env.close()
-
-
 def test_episode_i_is_in_plan_i_mod_n_from_the_start_i(plans: Path) -> None:
     setting = Setting(max_steps=12, **plan_fields(plans, {}))
-    found = list(starts(setting, 5))
-    assert [building for building, _ in found] == [0, 1, 2, 0, 1]
-    assert found[0][1] != found[3][1]
-    areas = [run_episode(EpisodeTask("nearest", i, setting)).figures["free_area_m2"] for i in (0, 1, 3)]
-    assert areas[0] == areas[2] != areas[1]
+    episodes = [run_episode(EpisodeTask("nearest", i, setting)) for i in range(5)]
+    areas = [episode.figures["free_area_m2"] for episode in episodes]
+    assert areas[:2] == areas[3:]
+    assert len(set(areas)) == 3
+    assert episodes[0].curve.coverage[0] != episodes[3].curve.coverage[0]
+    alone = Setting(max_steps=12, **plan_fields(plans / "two_rooms.json", {}))
+    assert run_episode(EpisodeTask("nearest", 2, alone)).figures == episodes[2].figures
 
 
 def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,6 +150,8 @@ def test_names_and_content_of_plans(plans: Path) -> None:
     assert checksum_of(files, plans) == fields["content"] != checksum_of(files[:2], plans)
     (plans / "paper.json").rename(plans / "paper2.json")
     assert plan_fields(plans, {})["content"] != fields["content"]
+    with pytest.raises(ConfigError, match=r"plans: .*: files have changed since the evaluation started"):
+        setting.buildings(0)
 
 
 def test_the_image_of_a_plan_is_a_part_of_its_content(tmp_path: Path) -> None:
