@@ -55,7 +55,7 @@ def polygon_hypotheses(
     h; `found` and `which` have room for one more.
     """
     count, k = ids.shape
-    row, h = np.empty(features.shape[0], np.int64), 0
+    row, h = np.full(features.shape[0], -1), 0
     for j in range(landmarks.shape[0]):
         row[landmarks[j]] = j
     for c in range(count):
@@ -66,7 +66,8 @@ def polygon_hypotheses(
             v, passed = 0, True
             while v < k and passed:
                 found[h, v] = ids[c, v + shift - (k if v + shift >= k else 0)]
-                passed = nis[corners[v], row[found[h, v]]] <= gate
+                column = row[found[h, v]]
+                passed = column >= 0 and nis[corners[v], column] <= gate
                 v += 1
             if passed:
                 which[h] = c

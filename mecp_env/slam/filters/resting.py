@@ -35,7 +35,8 @@ class Rest:
     def with_more(self, rows: Ints) -> Rest:
         """The same with more landmarks, rows (m,), in the submap."""
         resting, at_work = self.is_at_rest.copy(), np.concatenate((self.at_work, rows))
-        resting[rows_of(self.belief.ids, self.slot_ids[rows])] = False
+        shown = rows_of(self.belief.ids, self.slot_ids[rows])
+        resting[shown[shown >= 0]] = False  # marks are not in the belief
         numbers, size = numbers_of(rows), len(self.factor)
         factor = np.zeros((size + len(numbers), size + len(numbers)))
         across, block = self.whitened(rows), self.state[1:][np.ix_(numbers, numbers)]

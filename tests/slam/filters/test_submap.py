@@ -172,6 +172,18 @@ def test_marks_of_past_poses_are_always_at_work():
     assert_equal(whole, divided, 2e-9)
 
 
+def test_the_belief_keeps_all_landmarks_when_marks_are_brought_to_work():
+    _, whole, divided = driven(460)
+    for some in (whole, divided):
+        some.augment(np.array([[10.0, 0.0], [10.0, 3.0]]), np.eye(4) * 1e-6, np.array([-2, -3]))
+    divided.synchronise()
+    for first in (0, 40, 80):
+        z, R = np.array([[5.0, 0.1], [6.0, 0.4]]), np.eye(4)
+        divided.update(z, R, whole.belief().ids[first : first + 2])
+        np.testing.assert_array_equal(divided.belief().ids, whole.belief().ids)
+        divided.synchronise()
+
+
 def test_iterated_updates_agree_as_far_as_they_converge():
     _, whole, divided = driven(460, iterate=True)
     divided.synchronise()
