@@ -11,7 +11,7 @@ docs/policies.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,23 +55,28 @@ def run(options: Options) -> Figures:
     """Results of every point, policy and estimator."""
     task, policies = checked(options)
     counts = buildings(options)
-    units: list[Unit] = [
-        (task, point, policy, policy_checksum(policy), estimator, building)
+    units = units_of(task, counts, policies)
+    found: dict[tuple[str, str], dict[str, list[dict[str, float]]]] = {}
+    results = grouped(units, in_parallel(episode, dict[str, float], units, options))
+    for (_, point, policy, _, estimator), episodes in results.items():
+        found.setdefault((point, policy), {})[estimator] = episodes
+    points: Figures = {point: {} for point in counts}
+    for (point, policy), estimators in found.items():
+        points[point][policy] = summarise(estimators)
+    return {"task": task, "range_m": range_of(task), "points": points}
+
+
+def units_of(task: str, counts: Mapping[str, int], policies: Sequence[str]) -> list[Unit]:
+    """All episodes, building by building."""
+    checksums = {policy: policy_checksum(policy) for policy in policies}
+    return [
+        (task, point, policy, checksum, estimator, building)
         for building in range(max(counts.values()))
         for point in counts
-        for policy in policies
+        for policy, checksum in checksums.items()
         for estimator in ESTIMATORS
         if building < counts[point]
     ]
-    points: Figures = {point: {policy: {} for policy in policies} for point in counts}
-    results = grouped(units, in_parallel(episode, dict[str, float], units, options))
-    for (_, point, policy, _, estimator), episodes in results.items():
-        points[point][policy][estimator] = episodes
-    summarised = {
-        point: {policy: summarise(of_policy) for policy, of_policy in of_point.items()}
-        for point, of_point in points.items()
-    }
-    return {"task": task, "range_m": range_of(task), "points": summarised}
 
 
 def checked(options: Options) -> tuple[str, tuple[str, ...]]:
