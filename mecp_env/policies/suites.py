@@ -40,7 +40,7 @@ SUITES = {
             for task in ("ActiveHalls-v0", "ActiveCorridors-v0", "ActiveCheapRobot-v0")
         ),
         200,
-        "13768756ef4545c7",
+        "aae49216386c805c",
     ),
     "coverage-v1": Suite(
         tuple(Setting(name, "test", "slam", 3000) for name in ("medium", "hard")), 100, "d1b7f5ea1ca3abcb"
