@@ -113,6 +113,11 @@ class Brush:
         at = (FINER * place[0], FINER * place[1])
         pygame.draw.circle(self.canvas, colour, at, FINER * radius, round(FINER * width))
 
+    def square(self, place: Place, radius: float, colour: RGB, width: float = 0.0) -> None:
+        """A square of about the size of that disc, or with a width its outline."""
+        left, top, side = FINER * (place[0] - 0.9 * radius), FINER * (place[1] - 0.9 * radius), FINER * 1.8 * radius
+        pygame.draw.rect(self.canvas, colour, (left, top, side, side), round(FINER * width))
+
     def picture(self, pixels: Bytes, box: Box) -> None:
         """A small picture (h,w,3), stretched over `box`."""
         surface = pygame.surfarray.make_surface(pixels.transpose(1, 0, 2))

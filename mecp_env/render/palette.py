@@ -18,6 +18,7 @@ LANDMARK: RGB = (176, 24, 48)
 MOVER: RGB = (120, 70, 160)
 DOOR: RGB = (224, 140, 0)
 GOAL: RGB = (20, 140, 90)
+PLACE: RGB = (120, 100, 190)
 
 ROOMS: tuple[RGB, ...] = (
     (76, 120, 168),

@@ -11,7 +11,7 @@ from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
-from mecp_env.render.view import SceneView, loops, signed_area
+from mecp_env.render.view import KNOWN_GROUND, SceneView, loops, signed_area
 from mecp_env.slam.messages import SemanticGrid
 
 
@@ -105,6 +105,11 @@ def _draw_map(brush: Brush, view: SceneView, camera: Camera) -> None:
 
 
 def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
+    """Circles for what is left to see, squares for known ground; the chosen goal is full."""
     for index, pixel in enumerate(camera.pixels(view.to_world(view.p_goals))):
         chosen = index == view.target
-        brush.dot(pixel, 6.0 if chosen else 4.0, palette.GOAL, width=0.0 if chosen else 1.5)
+        radius, width = (6.0, 0.0) if chosen else (4.0, 1.5)
+        if view.goal_kinds[index] >= KNOWN_GROUND:
+            brush.square(pixel, radius, palette.PLACE, width)
+        else:
+            brush.dot(pixel, radius, palette.GOAL, width)

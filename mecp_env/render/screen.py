@@ -11,7 +11,7 @@ from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush
 from mecp_env.render.panels import draw_belief, draw_nothing, draw_scan, draw_world
 from mecp_env.render.shapes import ELLIPSE_MAGNIFIED
-from mecp_env.render.view import SceneView, summary
+from mecp_env.render.view import KNOWN_GROUND, SceneView, summary
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
 SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail
@@ -25,6 +25,7 @@ LEGEND: Legend = (
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
+PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "dot"),)
 MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "dot"),)
 
 
@@ -52,7 +53,8 @@ class Screen:
         brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.FAINT)
         brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.FAINT)
         self._header(brush, view)
-        self._legend(brush, LEGEND + (MOVER_LEGEND if len(view.moving) else ()))
+        places = PLACE_LEGEND if (view.goal_kinds >= KNOWN_GROUND).any() else ()
+        self._legend(brush, LEGEND + places + (MOVER_LEGEND if len(view.moving) else ()))
         return brush.image()
 
     def _panels(self) -> tuple[Box, Box]:

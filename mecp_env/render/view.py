@@ -20,6 +20,8 @@ ITEMS = (
     ("landmarks", "{:.0f}", ("landmarks",)),
 )
 
+KNOWN_GROUND = 4  # from this `GoalKind` on, goals are on known ground
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneView:
