@@ -27,6 +27,8 @@ from mecp_env.slam.messages import (
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 
+Attempt = tuple[Match, Match, Evidence]  # the match, the part that updated the filter, and what speaks for the pose
+
 
 class SlamPipeline(SlamParts):
     """EKF-SLAM with MECP data association over odometry and laser scans.
@@ -87,38 +89,43 @@ class SlamPipeline(SlamParts):
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
         )
 
-    def _localise(self, around: Surroundings, view: MapView, tracked: bool) -> tuple[Match, Match, Evidence]:
+    def _localise(self, around: Surroundings, view: MapView, tracked: bool) -> Attempt:
         """The match of the associator, the part of it that updated the filter, and what speaks for the pose.
 
         Where the prediction does not fit the map, a copy of the filter is updated; where little speaks for the pose
         even then, another one that assumes that odometry has failed, unless the scan was `tracked` from recent ones.
         """
-        predicted, sharp, grid = self.filter, self.config.association.is_sharp(view.belief), self.grid.canvas.grid
-        beams, corners = around.scan.beams, around.scan.corners
-        said = self.guard.ask(beams, view.belief, grid)
-        associated, sure = self._associate(around, view)
-        expected = self.guard.evidence(said, sure, view, sharp)
+        predicted, sharp = self.filter, self.config.association.is_sharp(view.belief)
+        matches = self._associate(around, view)
+        said = self.guard.ask(around.scan.beams, view.belief, self.grid.canvas.grid)
+        expected = self.guard.evidence(said, matches[1], view, sharp)
         if expected.fits or not self.guard.localised:
-            return associated, self._update(corners, sure, iterate=not sharp), expected
+            return matches[0], self._update(around.scan.corners, matches[1], iterate=not sharp), expected
         self.filter = predicted.copy()
-        updated = self._update(corners, sure, iterate=not sharp)
-        said = self.guard.ask(beams, self.filter.belief(), grid)
-        first = associated, updated, self.guard.evidence(said, sure, view, sharp)
-        if first[2].fits or tracked:
+        first = self._attempt(around, view, matches, sharp)
+        if first[2].settles(tracked):
             return first
         tried, self.filter = self.filter, predicted.copy()
         self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))
-        associated, sure = self._associate(around, view.at(self.filter.belief()))
-        updated = self._update(corners, sure, iterate=True)
-        said = self.guard.ask(beams, self.filter.belief(), grid)
-        again = associated, updated, self.guard.evidence(said, sure, view, sharp=False)
+        again = self._attempt(around, view, self._associate(around, view.at(self.filter.belief())), sharp=False)
         if not again[2].beats(first[2]):
             self.filter = tried
             return first
-        if not self.guard.is_clear(around.corners, around.polygons, view, beams, grid, self.filter.belief()):
-            return associated, updated, again[2].doubted()
+        if not (first[2].nearly_fits or self._is_clear(around, view)):
+            return *again[:2], again[2].doubted()
         self.recent.forget(self.filter)
         return again
+
+    def _attempt(self, around: Surroundings, view: MapView, matches: tuple[Match, Match], sharp: bool) -> Attempt:
+        """Update the filter with the sure match; the match, what updated the filter, and what speaks for the pose."""
+        updated = self._update(around.scan.corners, matches[1], iterate=not sharp)
+        said = self.guard.ask(around.scan.beams, self.filter.belief(), self.grid.canvas.grid)
+        return matches[0], updated, self.guard.evidence(said, matches[1], view, sharp)
+
+    def _is_clear(self, around: Surroundings, view: MapView) -> bool:
+        """True when a search by this scan alone finds the pose of the filter."""
+        beams, grid = around.scan.beams, self.grid.canvas.grid
+        return self.guard.is_clear(around.corners, around.polygons, view, beams, grid, self.filter.belief())
 
     def _associate(self, around: Surroundings, view: MapView) -> tuple[Match, Match]:
         """The match of the associator, and the part of it that is sure; nothing while the pose is searched for."""
@@ -178,8 +185,7 @@ class SlamPipeline(SlamParts):
         self.associator.remember(around.widen(seen.match))
         seen = self.map.initialise(seen, confirmed, self.filter)
         moved = self.rooms.update(seen, self.map.features, self.map.polygons.polygons)
-        known = seen.with_match(around.widen(seen.match))
-        self.map.link(around.polygons, known, self.rooms.graph(), moved)
+        self.map.link(around.polygons, seen.with_match(around.widen(seen.match)), self.rooms.graph(), moved)
         with self.divergence:
             seen, merged = self.map.merge(seen, self.filter)
             self.rooms.rename(merged)

@@ -45,7 +45,7 @@ def test_a_task_is_an_environment_with_goals_and_uncertainty(name: str) -> None:
 
 def test_fields_of_a_task_are_overridden_one_by_one() -> None:
     config = make(laser={"beams": 360}, reward={"lost": -5.0}, rooms=4).unwrapped.config
-    assert (config.laser.beams, config.laser.max_range_m) == (360, 3.5)
+    assert (config.laser.beams, config.laser.max_range_m) == (360, 3.0)
     assert (config.reward.lost, config.reward.expected_area) == (-5.0, 0.1)
     assert config.layout["generate"]["rooms"] == 4
     assert config.layout["generate"]["loops"] == 2

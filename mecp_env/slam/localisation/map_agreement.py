@@ -36,8 +36,8 @@ class Evidence(NamedTuple):
     said: Agreement
     recognised: float  # share of the corners that are landmarks; nan where too few are seen to tell
     sharp: bool  # they were recognised at a sharp prediction
-    familiar: bool = False  # two corners are landmarks
-    sudden: bool = False  # none is, while the scan before was of a familiar place: odometry may have failed
+    familiar: int = 0  # corners that are landmarks
+    sudden: bool = False  # they are less than half as many as in the scan before: odometry may have failed
     tracked: bool = False  # the scan agrees with those of a moment ago: the pose is right where it was then
 
     @property
@@ -62,10 +62,18 @@ class Evidence(NamedTuple):
     @property
     def fits(self) -> bool:
         """True when nothing is odd: beams agree well, and corners are recognised where all is mapped, or just was."""
+        return self.nearly_fits and (self._is_recognised or not self.sudden or self.said.least == 0.0)
+
+    @property
+    def nearly_fits(self) -> bool:
+        """The same, whatever has become of the corners of the scan before: the pose is nearly right."""
         odd = self.recognised < self.said.least and self.said.explained >= 0.5 * (1.0 + self.said.least)
         new = math.isnan(self.said.share) and self.recognised != 0.0
-        good = self._is_recognised or new or (self.said.is_strong and not odd and not self.sudden)
-        return self.said.least == 0.0 or good
+        return self.said.least == 0.0 or self._is_recognised or new or (self.said.is_strong and not odd)
+
+    def settles(self, tracked: bool) -> bool:
+        """True when nothing else need be tried: all fits, or the scan was `tracked` and the corners are still there."""
+        return self.fits or (tracked and not self.sudden)
 
     def beats(self, other: Evidence) -> bool:
         """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree."""

@@ -40,7 +40,7 @@ class PoseGuard:
     turned: float = 0.0  # rad
     correction: Array = field(default_factory=lambda: np.zeros(3))  # (3,) moves the filter's pose to the one found
     agreed: int = 0  # scans that speak for it; 0: none was found
-    familiar: bool = False  # the last trusted scan was of a familiar place
+    familiar: int = 0  # landmarks that were recognised in the last trusted scan
 
     def __post_init__(self) -> None:
         self.log_odds = self.sure
@@ -68,9 +68,10 @@ class PoseGuard:
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
         seen, found = len(match.ids), len(match.recognised())
-        tells = seen >= self.config.least_corners - self.familiar and len(view.belief.ids) > 0
+        before = self.familiar >= 2
+        tells = seen >= self.config.least_corners - before and len(view.belief.ids) > 0
         share = found / seen if tells else math.nan
-        return Evidence(said, share, sharp, found >= 2, sudden=self.familiar and share == 0.0)
+        return Evidence(said, share, sharp, found, sudden=before and tells and 2 * found < self.familiar)
 
     def trusts(self, evidence: Evidence) -> bool:
         """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""

@@ -315,6 +315,7 @@ def test_corners_that_are_all_gone_in_one_step_do_not_fit():
     new = seen(0.9, 0.0)._replace(said=Agreement(0.9, 0.5, CONFIG.explained_share))
     assert new.fits  # a new room, as the scan before showed little of the map, too
     assert not new._replace(sudden=True).fits
+    assert seen(0.9, 0.7)._replace(sudden=True).fits  # most are recognised all the same
     assert seen(1.0, 0.8, sharp=False).beats(seen(math.nan, 0.0))  # nothing is mapped at the prediction
 
 
