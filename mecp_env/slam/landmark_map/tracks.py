@@ -44,6 +44,7 @@ def track_corners(
     if NEW in match.decision.tolist():
         seen_as = corners.z, corners.cov, corners.convex, corners.normals
         track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, config.record)
+        track[np.isin(track, match.ids[match.decision == PROVISIONAL])] = -1  # the associator's choice
         match = _follow_and_start(features, corners, match, track, room)
     marks = corners.kind, corners.normals, corners.z, T_map_robot
     return match, count_sightings(features.rows, match.ids, marks, room, graph.current, config.record, seen.step, wide)

@@ -104,6 +104,16 @@ def test_two_corners_never_follow_one_track():
     assert sorted(ids) == [0, 1]
 
 
+def test_a_track_that_the_associator_chose_is_no_other_corners_track():
+    table = FeatureTable()
+    first = see(table, [[2.0, 1.0]], 0)[0].ids[0]
+    match = match_of([Decision.NEW, Decision.PROVISIONAL], [-1, first])
+    seen = Sighting(corners_at([[2.0, 1.0], [2.0, 1.1]]), match, np.full(2, -1, np.int64), ORIGIN, 1)
+    found, confirmed = track_corners(table, seen, graph_of(), TrackConfig())
+    assert found.ids[1] == first != found.ids[0]
+    assert len(set(found.ids[confirmed].tolist())) == len(confirmed)
+
+
 def test_a_room_unseen_for_a_while_is_told_apart():
     rows = table_of(3, room=[0, 0, 1], state=1, last_step=[5, 95, 40]).rows
     assert not room_unseen_since(np.array([0]), rows, 90)
