@@ -81,7 +81,8 @@ class NetworkConfig(Settings):
     width: int = Field(64, ge=4, le=1024)  # of the code of a goal and of the context
     grid_channels: int = Field(16, ge=2, le=256)  # of the convolutions
     attention: bool = True  # between goals, before they are scored
-    prior: Literal["gain", "nearest", "none"] = "gain"  # the explorer that the untrained policy imitates
+    # the explorer that the untrained policy imitates; stachniss in a task
+    prior: Literal["gain", "nearest", "stachniss", "none"] = "gain"
     sharpness: float = Field(5.0, ge=0.0, le=100.0)  # of the logits of that explorer
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
     uncertainty: bool = True  # no: it sees no covariance, prediction or confidence, to measure what they are worth
@@ -158,6 +159,7 @@ class TrainConfig(Settings):
         refuse_unknown(cls, merged, cls.__name__)
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
+        check_prior(config)
         return config
 
     @property
@@ -228,6 +230,14 @@ def check_batches(config: TrainConfig) -> None:
         f"ppo.batch: {batch} leaves a last batch of 1 of the {decisions} decisions of an update (ppo.steps "
         f"{config.ppo.steps} x environments {config.environments}), at least 2; ppo.batch {better} does not"
     )
+
+
+def check_prior(config: TrainConfig) -> None:
+    """Raise `ConfigError` for a prior that reads predictions where the network has none."""
+    if config.network.prior != "stachniss" or (config.env.observation.uncertainty and config.network.uncertainty):
+        return
+    why = "network.uncertainty hides" if config.env.observation.uncertainty else "only a `task` shows"
+    raise ConfigError(f"network.prior: stachniss reads predictions, which {why}; expected one of gain, nearest, none")
 
 
 def read_config(path: Path) -> dict[str, Any]:

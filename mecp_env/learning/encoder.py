@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mecp_env.learning import tables
-from mecp_env.learning.priors import PRIORS, with_known_ground
+from mecp_env.learning.priors import PRIORS
 from mecp_env.policies.gain import LANDMARK_VALID
 from mecp_env.policies.policy import VALID
 
@@ -109,7 +109,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         assert goals is not None
         predicted = "localisation" in observation_space.spaces
         super().__init__(observation_space, width + (goals[0] * (width + 2) if prior else 0))
-        self.prior = with_known_ground(PRIORS[prior]) if prior else None
+        self.prior = PRIORS[prior] if prior else None
         self.uncertainty = uncertainty
         self.grid = GridEncoder(channels, width)
         promises = tables.PROMISE_COLUMNS if prior else 0

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from mecp_env.learning import tables
+from mecp_env.policies.active import AHEAD_M, InformationWeights
+from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT
 
 START_M = 2.0  # added to every way, so that what lies at hand is not worth all
 POWER = 0.7  # of the promise: a room twice as large is not worth twice the way
@@ -15,9 +17,9 @@ WINDING = 1.3  # the way from one goal to the next, times the straight line
 LEAST_M2 = 0.3  # where no goal promises as much, the nearest is next
 LEAST_SCORE = -4.0  # below the best goal's: nothing is ruled out
 NOTHING = 1e-6
-NEW_KINDS = 4  # goals of these kinds have something left to see
 SELDOM = -1.0  # score of a goal on known ground
-LOOK = 6  # kind of a look elsewhere, while the pose is searched for
+LEAST_SIGMA_M = 1e-3, 0.01  # of a predicted pose, for what a map is worth and for its entropy, as `stachniss` has it
+INFORMATION = InformationWeights()
 
 Prior = Callable[[Tensor, Tensor, Tensor], Tensor]
 
@@ -42,6 +44,20 @@ def like_gain(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
     return below_best(torch.log(torch.maximum(best, value / way).clamp(min=NOTHING)), valid)
 
 
+def like_stachniss(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
+    """(B,G) nat, the utility by which `stachniss` chooses among goals (B,G,12) with something to see and places.
+
+    The present sigma of the pose counts for all goals alike, so it is left out. It never waits.
+    """
+    sigma_m, floors = torch.hypot(goals[..., SIGMA], AHEAD_M * goals[..., SIGMA_RAD]), LEAST_SIGMA_M
+    worth = 1.0 - torch.exp(-(INFORMATION.tau_m**2) / (2.0 * sigma_m.clamp(min=floors[0]) ** 2))
+    known = INFORMATION.cell_nat_m2 * promise * worth + INFORMATION.landmark_nat * goals[..., GAIN]
+    known = known - 2.0 * INFORMATION.pose_nat * torch.log(sigma_m.clamp(min=floors[1]))
+    moves = valid & (torch.round(goals[..., KIND]) != WAIT)
+    scores = below_best(known - INFORMATION.metre_nat * goals[..., PATH], moves)
+    return torch.where(valid & ~moves, torch.full_like(scores, LEAST_SCORE), scores)
+
+
 def like_none(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
     """(B,G) all the same."""
     return torch.zeros_like(promise)
@@ -54,20 +70,31 @@ def below_best(score: Tensor, valid: Tensor) -> Tensor:
 
 
 def with_known_ground(prior: Prior) -> Prior:
-    """An explorer's score where goals on known ground are among the others: it seldom drives there.
-
-    While the pose is searched for, it looks elsewhere, as the explorers that act on their uncertainty do.
-    """
+    """The score of an explorer of new floor, where known ground is among the goals: it seldom drives there."""
 
     def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
-        kind = torch.round(goals[..., 4])
-        known, look = valid & (kind >= NEW_KINDS), valid & (kind == LOOK)
+        known = valid & (torch.round(goals[..., KIND]) >= PLACE)
         scores = prior(goals, valid & ~known, promise)
-        scores = torch.where(known, torch.full_like(scores, SELDOM), scores)
+        return torch.where(known, torch.full_like(scores, SELDOM), scores)
+
+    return score
+
+
+def looking_first(prior: Prior) -> Prior:
+    """An explorer's score; while the pose is searched for, it looks elsewhere, as the explorers of `active` do."""
+
+    def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
+        look = valid & (torch.round(goals[..., KIND]) == LOOK)
+        scores = prior(goals, valid, promise)
         first = torch.where(look, torch.zeros_like(scores), torch.full_like(scores, LEAST_SCORE))
         return torch.where(look.any(-1, keepdim=True), first * valid, scores)
 
     return score
 
 
-PRIORS: dict[str, Prior] = {"nearest": like_nearest, "gain": like_gain, "none": like_none}
+PRIORS: dict[str, Prior] = {
+    "nearest": looking_first(with_known_ground(like_nearest)),
+    "gain": looking_first(with_known_ground(like_gain)),
+    "stachniss": looking_first(like_stachniss),
+    "none": looking_first(with_known_ground(like_none)),
+}

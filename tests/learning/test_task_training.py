@@ -22,8 +22,8 @@ from mecp_env.learning.environments import make_env  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.learning.warm_start import check_teacher  # noqa: E402
-from mecp_env.policies.active import Active  # noqa: E402
-from mecp_env.policies.policy import KIND, LOOK, PLACE, SIGMA, VALID  # noqa: E402
+from mecp_env.policies.active import Active, Stachniss  # noqa: E402
+from mecp_env.policies.policy import KIND, LOOK, PATH, PLACE, SIGMA, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402
 from tests.learning.training import quick, resume, run  # noqa: E402
 
@@ -100,6 +100,28 @@ def test_an_untrained_policy_seldom_drives_to_known_ground_and_looks_elsewhere_w
     lost = {name: values.copy() for name, values in seen[0].items()}
     lost["goals"][0, [KIND, VALID]] = LOOK, 1.0
     assert logits(network, lost).argmax() == 0
+
+
+def test_an_untrained_policy_drives_as_stachniss_to_places_and_new_floor(seen):
+    network = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4, "prior": "stachniss"}))
+    farther = {name: values.copy() for name, values in seen[0].items()}
+    farther["goals"][farther["goals"][:, KIND] < PLACE, PATH] += 150.0  # so that it is a place
+    chosen = list[int]()
+    for observation in (*seen, farther):
+        row, goals = Stachniss().act(observation), observation["goals"]
+        scores = logits(network, observation)
+        assert scores[goals[:, VALID] > 0.5].max() == scores[row]
+        assert (scores[goals[:, KIND] == WAIT] < scores[row]).all()
+        chosen.append(int(goals[row, KIND]))
+    assert chosen[-1] == PLACE
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"), [({}, "only a `task` shows"), ({"task": TASK}, "network.uncertainty hides")]
+)
+def test_stachniss_is_no_prior_without_predictions(fields, why):
+    with pytest.raises(ConfigError, match=f"network.prior: stachniss reads predictions, which {why}"):
+        TrainConfig.build({**fields, "network": {"prior": "stachniss", "uncertainty": "task" not in fields}})
 
 
 @pytest.mark.parametrize("name", ["sigma", "trust", "pose_cov", "landmarks"])
