@@ -206,7 +206,7 @@ def report(figures: Figures) -> str:
     columns += ("pair_nees", "lost", "associate_ms")
     lines = []
     for layout, methods in figures.items():
-        lines += [f"### {layout} ({methods['mecp']['precision']['n']} seeds)", ""]
+        lines += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", ""]
         lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
         for method, row in methods.items():
             lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")

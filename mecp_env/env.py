@@ -65,7 +65,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Action Space
 
-    - `actions="velocity"` (default): `Box(-1, 1, (2,), float32)`, fractions of the maximum speed (0.75 m/s) and of the
+    - `actions="velocity"`: `Box(-1, 1, (2,), float32)`, fractions of the maximum speed (0.75 m/s) and of the
       maximum turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (turns at half of the maximum rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.

@@ -42,6 +42,7 @@ class RobotConfig(Settings):
 
     @property
     def substep_s(self) -> float:
+        """Duration of a physics step, s."""
         return self.period_s / (self.arcs * self.substeps)
 
     @model_validator(mode="after")
@@ -76,6 +77,7 @@ class LaserConfig(LaserNoise, PresetSettings):
 
     @property
     def has_dark_walls(self) -> bool:
+        """True when some beams are lost on dark walls."""
         return self.dark_share > 0.0 and self.dark_dropout > 0.0
 
 
@@ -111,10 +113,12 @@ class OdometryConfig(PresetSettings):
 
     @property
     def turn_sigma_rad(self) -> float:
+        """`turn_sigma_deg` in rad."""
         return math.radians(self.turn_sigma_deg)
 
     @property
     def slip_turn_rad(self) -> float:
+        """`slip_turn_deg` in rad."""
         return math.radians(self.slip_turn_deg)
 
 

@@ -1,0 +1,72 @@
+"""The site: `sphinx-build -W -c docs . runs/site`. Its source is the repository, so that links hold in both."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+
+import environment_pages  # noqa: E402
+from field_tables import comments  # noqa: E402
+from pydantic import BaseModel  # noqa: E402
+
+import mecp_env  # noqa: E402
+
+project, author, copyright = "mecp_env", "the mecp_env developers", "2026, the mecp_env developers"
+version = release = mecp_env.__version__
+root_doc = "docs/index"
+include_patterns = ["docs/**", "benchmarks/results/*.md", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "sphinx_copybutton"]
+templates_path = ["_templates"]
+nitpicky = True
+
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+
+default_role = "code"  # our docstrings mark code by single backquotes
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"
+autodoc_preserve_defaults = True
+
+html_theme = "furo"
+html_title = "mecp_env"
+html_additional_pages = {"index": "to_the_start.html"}
+html_show_sphinx = False
+
+BELOW = {"docs/decisions/README": "0*", "docs/results": "../benchmarks/results/*"}  # a page with a list -> its pages
+
+
+def add_toctree(app: Any, name: str, source: list[str]) -> None:
+    """Put pages below the page that lists them; a repository browser shows the list alone."""
+    if name in BELOW:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{BELOW[name]}\n```\n"
+
+
+def add_fields(app: Any, what: str, name: str, item: Any, options: object, lines: list[str]) -> None:
+    """Add fields with their comments; cut Markdown sections, which the pages of the environments contain."""
+    del lines[next((row for row, line in enumerate(lines) if line.startswith("## ")), len(lines)) :]
+    if isinstance(item, type) and (dataclasses.is_dataclass(item) or issubclass(item, BaseModel)):
+        fields = [(field, text) for field, text in comments(item).items() if field[0] != "_"]
+        lines += ["", *(f"- `{field}`: {escaped(text)}" if text else f"- `{field}`" for field, text in fields), ""]
+
+
+def escaped(text: str) -> str:
+    """A comment in reStructuredText."""
+    return text.replace("\\", "\\\\").replace("*", "\\*").replace("|", "\\|")
+
+
+def skip_pydantic(app: Any, what: str, name: str, item: object, skipped: bool, options: object) -> bool | None:
+    """Leave out what pydantic adds to a configuration."""
+    return True if name.startswith("model_") else None
+
+
+def setup(app: Any) -> None:
+    """Write what follows from the code before anything is read."""
+    app.connect("builder-inited", lambda app: environment_pages.write(ROOT / "docs/environments"))
+    app.connect("source-read", add_toctree)
+    app.connect("autodoc-process-docstring", add_fields)
+    app.connect("autodoc-skip-member", skip_pydantic)

@@ -1,0 +1,81 @@
+"""The site describes every environment id and every public name (`sphinx-build -W` checks its links)."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mecp_env
+
+ROOT = Path(__file__).parent.parent
+API = re.findall(r"automodule:: ([\w.]+)", "".join(path.read_text() for path in (ROOT / "docs/api").glob("*.md")))
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    return importlib.import_module("environment_pages")
+
+
+@pytest.mark.parametrize("name", mecp_env.ENVIRONMENTS)
+def test_every_id_has_a_page_with_spaces_rewards_arguments_and_versions(pages: Any, name: str) -> None:
+    env, text = pages.make(name), pages.page(name)
+    for key in env.observation_space:
+        assert f"\n### {key}\n" in text
+    for title in ("Action Space", "Rewards", "Episode End", "Arguments", "Version History"):
+        assert re.search(rf"\n## {title}\n+[^\n#]", text), title
+    assert str(env.action_space) in text
+    assert re.search(r"\| `reward_time` \| -0.005 \| per step \|", text)
+    assert "/tests/" not in text
+    assert str(ROOT) not in text
+
+
+def test_a_page_names_what_an_environment_sets_itself(pages: Any) -> None:
+    assert "| `laser.max_range_m` | `3.0` |" in pages.page("mecp_env/ActiveHalls-v0")
+    assert "| `layout` | `'paper'` |" in pages.page("mecp_env/PaperMap-v0")
+
+
+def test_fields_carry_their_comments(pages: Any) -> None:
+    text = pages.configuration_page()
+    assert "| `laser.sweeps` | `4` |" in text
+    assert "| `odometry.distance_sigma_m` | `0.1` | per sqrt(m), per step, or per metre |" in text
+    assert "| `reward.area` | `0.1` | per m^2 newly mapped |" in text
+
+
+def public(module: str) -> Iterator[tuple[str, Any]]:
+    """The classes and functions of a module, and their methods and properties."""
+    found = importlib.import_module(module)
+    named = getattr(found, "__all__", None) or [
+        n for n, o in vars(found).items() if of_module(o, module) and n[0] != "_"
+    ]
+    for name in named:
+        item = getattr(found, name)
+        if inspect.isclass(item) or inspect.isroutine(item):
+            yield f"{module}.{name}", item
+        if inspect.isclass(item) and item.__module__.startswith("mecp_env"):
+            own = [(key, value) for key, value in vars(item).items() if key[0] != "_"]
+            methods = [
+                key for key, value in own if inspect.isroutine(value) or isinstance(value, property | classmethod)
+            ]
+            yield from ((f"{module}.{name}.{key}", getattr(item, key)) for key in methods)
+
+
+def of_module(item: object, module: str) -> bool:
+    """True for a class or function that a module defines."""
+    return getattr(item, "__module__", "") == module and (inspect.isclass(item) or inspect.isroutine(item))
+
+
+@pytest.mark.parametrize("module", API)
+def test_every_public_name_is_documented(module: str) -> None:
+    if module == "mecp_env.learning.sb3_batch":
+        pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    if module == "mecp_env.learning.train":
+        pytest.importorskip("torch", reason="needs the extra rl")
+    assert importlib.import_module(module).__doc__
+    assert [name for name, item in public(module) if not inspect.getdoc(item)] == []
