@@ -6,11 +6,12 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, KeywordError
 from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.preset import PresetSettings
 from mecp_env.core.registry import Names
@@ -38,11 +39,27 @@ def registered(name: str) -> str:
 
 
 class ObservationConfig(Settings):
-    """Parts of the observation that are left out by default."""
+    """The form of the observation, and its parts that are left out by default (docs/observations.md).
 
+    `observation="flat"` stands for `observation={"format": "flat"}`.
+    """
+
+    format: Literal["dict", "flat", "image"] = "dict"  # tables and grids; float32 (104,); uint8 (3,64,64)
     map: bool = False  # a coarse grid, 64 x 64 cells of 0.8 m
     scan: bool = False  # the ranges of the merged beams
-    uncertainty: bool = False  # `localisation`, and two columns of `goals`: predicted sigma and gain of information
+    uncertainty: bool = False  # `localisation`, and columns of `goals`: predicted sigmas and gain of information
+
+    @model_validator(mode="after")
+    def _only_of_a_dict(self) -> Self:
+        for name in ("map", "scan"):
+            if getattr(self, name) and self.format != "dict":
+                raise ValueError(f"{name}: True, expected False with format {self.format!r}; only 'dict' has this part")
+        return self
+
+
+def as_section(name: str, value: Any) -> Any:
+    """The fields that a word stands for, as "flat" for an observation of that format; any other value as it is."""
+    return {"format": value} if name == "observation" and isinstance(value, str) else value
 
 
 class RewardConfig(Settings):
@@ -109,7 +126,7 @@ class EnvConfig(Settings):
     slam: SlamConfig = SlamConfig()
     planning: PlanningConfig = PlanningConfig()
     goal_steps: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every step)
-    observation: ObservationConfig = ObservationConfig()
+    observation: Annotated[ObservationConfig, BeforeValidator(partial(as_section, "observation"))] = ObservationConfig()
     reward: RewardConfig = RewardConfig()
     end: EndConfig = EndConfig()
 
@@ -118,8 +135,9 @@ class EnvConfig(Settings):
         """The configuration from `config` (an `EnvConfig`, a dict or None), overridden by keywords.
 
         Sections are merged field by field. Raises `ConfigError` for an unknown name at any level (with the closest
-        match), a wrong type or a value out of bounds.
+        match), a wrong type or a value out of bounds; for an unknown keyword `KeywordError`.
         """
+        refuse_keywords(keywords, (), cls.__name__)
         fields = merge(plain(config), {name: plain_value(value) for name, value in keywords.items()})
         refuse_unknown(cls, fields, cls.__name__)
         return cls(**fields)
@@ -246,8 +264,9 @@ def plain(config: Any) -> dict[str, Any]:
 
 def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     """`below` overridden by `above`, section by section; a layout is one value, not a section."""
-    merged = dict(below)
+    merged = {name: as_section(name, value) for name, value in below.items()}
     for name, value in above.items():
+        value = as_section(name, value)
         both = isinstance(value, dict) and isinstance(merged.get(name), dict) and name != "layout"
         merged[name] = merge(merged[name], value) if both else value
     return merged
@@ -264,13 +283,21 @@ def refuse_unknown(section: type[Settings], fields: Mapping[str, Any], where: st
 
 
 def refuse_keywords(keywords: Iterable[str], others: Iterable[str], where: str) -> None:
-    """Raise `ConfigError` for the first keyword that is neither a field of `EnvConfig` nor one of `others`."""
+    """Raise `KeywordError` for the first keyword that is neither a field of `EnvConfig` nor one of `others`.
+
+    The message is Python's own, on which libraries rely that try keywords.
+    """
     known = [*others, *EnvConfig.model_fields, "config"]
     for name in keywords:
         if name not in known:
-            raise ConfigError(unknown(name, known, where))
+            raise KeywordError(f"{where}() got an unexpected keyword argument {name!r}{alternatives(name, known)}")
 
 
 def unknown(name: object, known: list[str], where: str) -> str:
     """What to say about an unknown name: the nearest known one, and all of them."""
-    return f"{where}.{name}: no such field{guess(name, known)} (fields: {', '.join(known)})"
+    return f"{where}.{name}: no such field{alternatives(name, known)}"
+
+
+def alternatives(name: object, known: list[str]) -> str:
+    """The known name that is nearest to an unknown one, and all of them."""
+    return f"{guess(name, known)} (fields: {', '.join(known)})"

@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
 
 from mecp_env.config import EnvConfig, plain_value
 from mecp_env.core.array_types import Array, Bytes
@@ -20,6 +19,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
 from mecp_env.episode.actions import make_actions
+from mecp_env.episode.compact_observations import Flat, Image
 from mecp_env.episode.episode import (
     PARTS,
     STATE_FORMAT,
@@ -46,7 +46,7 @@ from mecp_env.slam.messages import SlamOutput
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 
-Observation = dict[str, NDArray[Any]]
+Observation = Any  # a dict of arrays, or one array: `config.observation.format`
 
 SCANS_AT_REST = 3  # III: the first landmarks come from the start pose, before any odometry error
 RENDER_MODES = ["human", "rgb_array"]
@@ -78,6 +78,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
     `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,).
     Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
+    `observation="flat"` is one `Box(-1, 1, (104,), float32)` instead (see `Flat`), `observation="image"` one
+    `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
 
     ## Rewards
 
@@ -138,7 +140,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._start = self._true_world.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
-        self.observation_space: spaces.Dict = self._new_observer().space  # type: ignore[assignment]
+        self._observer = self._new_observer()
+        self.observation_space: spaces.Space[Any] = self._observer.space
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._oracle = ORACLES[self.config.estimator]
         self._weights = weights_of(self.config.reward)
@@ -338,10 +341,13 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             raise ResetNeeded("call reset() first")
         return self._episode
 
-    def _new_observer(self) -> Observer:
-        parts = self.config.observation
-        beams = self.config.laser.beams if parts.scan else 0
-        return Observer(parts.map, beams, self.config.laser.max_range_m, parts.uncertainty)
+    def _new_observer(self) -> Observer | Flat | Image:
+        seen, laser = self.config.observation, self.config.laser
+        if seen.format == "flat":
+            return Flat(seen.uncertainty, nearest_first=self.config.actions != "goal")
+        if seen.format == "image":
+            return Image()
+        return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
 
     def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
@@ -452,8 +458,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _observe(self, episode: EpisodeState) -> Observation:
         features = episode.pipeline.map.features
         seen = episode.slam_output, features, episode.rows, episode.path_map
-        observation, episode.saturated = self._observer.observe(*seen, episode.recognised)
-        return observation
+        seen_by_agent: Observation
+        seen_by_agent, episode.saturated = self._observer.observe(*seen, episode.recognised)
+        return seen_by_agent
 
     def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
         """Ground truth, metrics and reward terms: fixed keys, all finite, no wall clock."""

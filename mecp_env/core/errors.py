@@ -9,6 +9,10 @@ class ConfigError(MecpError):
     """A configuration field is unknown, of the wrong type or out of its bounds."""
 
 
+class KeywordError(ConfigError, TypeError):
+    """A keyword is unknown; a `TypeError` too, since libraries that try keywords catch Python's own error."""
+
+
 class ActionError(MecpError):
     """An action does not lie in the action space; the environment is as it was before."""
 

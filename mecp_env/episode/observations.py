@@ -81,7 +81,7 @@ def make_space(with_map: bool, beams: int, max_range_m: float, uncertainty: bool
 
 
 class Observer:
-    """Computes observations; keeps only a cache that follows from the version of the grid, so it has no state.
+    """Computes observations of the format "dict"; it has no state beside caches.
 
     The parts of an observation (float32 unless noted):
 
@@ -108,13 +108,9 @@ class Observer:
         self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0, uncertainty: bool = False
     ) -> None:
         self.space = make_space(with_map, beams, max_range_m, uncertainty)
-        self._limits = column_limits(self.space, ("pose", "pose_cov", "landmarks", "goals"))  # goals: the last columns
-        self._predicted_limits = self._limits[:, GOAL_COLUMNS:] if uncertainty else None
+        self._tables, self._windows = BeliefTables(uncertainty), GridWindows()
         self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
-        self._goals, self._goal_rows = Goals(), goal_rows(Goals())
-        self._became, self._merges = NOTHING_MERGED, 0
-        self._key = (-1, -1)
-        self._cache: dict[int, tuple[Bytes, Array]] = {}  # pool width -> codes, their corner
+        self._uncertainty = uncertainty
 
     def observe(
         self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath, recognised: float = 0.0
@@ -123,18 +119,12 @@ class Observer:
 
         `recognised`: the recent share of recognised corners.
         """
-        became, rows = self._rooms(output.graph), self._goal_columns(goals).copy()
-        tables, outside = observation_arrays.belief_tables(
-            output.belief, features, became, rows, goals.p_map, self._limits
-        )
+        tables, outside = self._tables.read(output, features, goals)
         observation: dict[str, NDArray[Any]] = dict(tables)
-        observation["grid"] = self._window(output, trail, GRID)
+        observation["grid"] = self._windows.layers(output, trail, GRID)
         if "map" in self.space.spaces:
-            observation["map"] = self._window(output, trail, MAP)
-        if self._predicted_limits is not None:
-            predicted = predicted_columns(goals)
-            outside += observation_arrays.saturate(predicted, self._predicted_limits, 0)
-            observation["goals"] = np.concatenate([observation["goals"], predicted], axis=1)
+            observation["map"] = self._windows.layers(output, trail, MAP)
+        if self._uncertainty:
             trust = output.confidence, output.localised, recognised
             observation["localisation"] = np.array(trust, np.float32)
         if "scan" in self.space.spaces:
@@ -143,7 +133,53 @@ class Observer:
         left_out = max(0, len(output.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
         return observation, left_out + outside
 
-    def _window(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> Bytes:
+
+class BeliefTables:
+    """The tables `pose`, `pose_cov`, `landmarks` and `goals` of `Observer`; keeps only a cache."""
+
+    def __init__(self, uncertainty: bool = False) -> None:
+        space = make_space(False, 0, 1.0, uncertainty)
+        self._limits = column_limits(space, ("pose", "pose_cov", "landmarks", "goals"))  # goals: the last columns
+        self._predicted_limits = self._limits[:, GOAL_COLUMNS:] if uncertainty else None
+        self._goals, self._goal_rows = Goals(), goal_rows(Goals())
+        self._became, self._merges = NOTHING_MERGED, 0
+
+    def read(
+        self, output: SlamOutput, features: FeatureTable, goals: Goals
+    ) -> tuple[dict[str, NDArray[np.float32]], int]:
+        """The tables in fresh arrays, and how many of their values were cut to their bounds."""
+        became, rows = self._rooms(output.graph), self._goal_columns(goals).copy()
+        tables, outside = observation_arrays.belief_tables(
+            output.belief, features, became, rows, goals.p_map, self._limits
+        )
+        if self._predicted_limits is not None:
+            predicted = predicted_columns(goals)
+            outside += observation_arrays.saturate(predicted, self._predicted_limits, 0)
+            tables["goals"] = np.concatenate([tables["goals"], predicted], axis=1)
+        return tables, outside
+
+    def _goal_columns(self, goals: Goals) -> NDArray[np.float32]:
+        """(32,9) the first goals of the list without their place; they change only when goals are looked for."""
+        if goals is not self._goals:
+            self._goals, self._goal_rows = goals, goal_rows(goals)
+        return self._goal_rows
+
+    def _rooms(self, graph: RoomGraph) -> Ints:
+        """(M,) what each room became after all merges; a room beyond the table is itself."""
+        if len(graph.merged) != self._merges:
+            self._merges, self._became = len(graph.merged), rooms_after_merges(graph)
+        return self._became
+
+
+class GridWindows:
+    """Windows of the semantic grid around the robot; keeps only a cache that follows from the version of the grid."""
+
+    def __init__(self) -> None:
+        self._key = (-1, -1)
+        self._cache: dict[int, tuple[Bytes, Array]] = {}  # pool width -> codes, their corner
+
+    def layers(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> Bytes:
+        """(8,n,n) the layers of `Observer`'s `grid`; `size`: n, and the side of a cell in m."""
         grid, pose = output.grid, np.ascontiguousarray(output.belief.T_map_robot)
         pooled, corner = self._pooled(grid, output.graph.current, max(1, round(size[1] / grid.resolution_m)))
         path = trail.points[: trail.count]
@@ -160,18 +196,6 @@ class Observer:
             )
             self._cache[width] = codes, grid.origin - 0.5 * (width - 1) * grid.resolution_m
         return self._cache[width]
-
-    def _goal_columns(self, goals: Goals) -> NDArray[np.float32]:
-        """(32,9) the first goals of the list without their place; they change only when goals are looked for."""
-        if goals is not self._goals:
-            self._goals, self._goal_rows = goals, goal_rows(goals)
-        return self._goal_rows
-
-    def _rooms(self, graph: RoomGraph) -> Ints:
-        """(M,) what each room became after all merges; a room beyond the table is itself."""
-        if len(graph.merged) != self._merges:
-            self._merges, self._became = len(graph.merged), rooms_after_merges(graph)
-        return self._became
 
 
 def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.float32]:

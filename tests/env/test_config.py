@@ -9,14 +9,14 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from mecp_env.config import EnvConfig
-from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.errors import ConfigError, KeywordError, MecpError
 from mecp_env.env import MecpEnv
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.layout import load_layout
 
 UNKNOWN = [
-    ({"layuot": "paper"}, r"EnvConfig\.layuot: no such field; did you mean 'layout'\?"),
+    ({"observation": {"fromat": "flat"}}, r"EnvConfig\.observation\.fromat: no such field; did you mean 'format'\?"),
     ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
     ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
     ({"planning": {"navigator": {"limit_step": 3}}}, r"did you mean 'limit_steps'\?"),
@@ -49,6 +49,9 @@ WRONG = [
     {"slam": {"corners": {"door_width_m": ("0.7", 1.0)}}},
     {"layout": 3},
     {"observation": {"map": "please"}},
+    {"observation": "flatt"},
+    {"observation": {"format": "flat", "scan": True}},
+    {"observation": 3},
     {"robot": {"max_speed_m_s": -1.0}},
     {"slam": {"corners": {"door_width_m": (1.0, 0.5)}}},
     {"slam": {"polygon": {"widest_gap_m": -0.1}}},
@@ -69,6 +72,13 @@ def test_unknown_names_are_refused_at_every_level_with_the_nearest(fields, messa
         EnvConfig.build(fields)
     with pytest.raises(ConfigError, match=message):
         EnvConfig.build(**fields)
+
+
+def test_an_unknown_keyword_is_refused_in_the_words_of_python():
+    with pytest.raises(ConfigError, match=r"EnvConfig\.layuot: no such field; did you mean 'layout'\?"):
+        EnvConfig.build({"layuot": "paper"})
+    with pytest.raises(KeywordError, match="got an unexpected keyword argument 'layuot'; did you mean 'layout'"):
+        EnvConfig.build(layuot="paper")
 
 
 @pytest.mark.parametrize("fields", WRONG, ids=repr)

@@ -23,6 +23,7 @@ from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, NEEDED, SMALL, make
 
 ACTIONS = ("velocity", "discrete", "goal")
+FORMATS = ("dict", "flat", "image")
 # Stable-Baselines3 wants images and flat vectors; tables of landmarks and goals are neither, and its flattening
 # extractor takes them as they are.
 SB3_ALLOWED = ("Your observation landmarks has an unconventional", "Your observation goals has an unconventional")
@@ -39,9 +40,10 @@ def below(env: gymnasium.Env) -> gymnasium.Env:
 
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("actions", ACTIONS)
-def test_gymnasium_check_env_without_a_warning(name, actions):
-    needed = NEEDED.get(name, {})
-    env = gymnasium.make(name, actions=actions, disable_env_checker=True, laser=SMALL["laser"], **needed)
+@pytest.mark.parametrize("observation", FORMATS)
+def test_gymnasium_check_env_without_a_warning(name, actions, observation):
+    fields = {"actions": actions, "observation": observation, "laser": SMALL["laser"]} | NEEDED.get(name, {})
+    env = gymnasium.make(name, disable_env_checker=True, **fields)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=GYM_ALLOWED)
@@ -58,18 +60,19 @@ def test_render_modes_pass_the_check(actions):
 
 
 @pytest.mark.parametrize("actions", ACTIONS)
-def test_stable_baselines3_check_env(actions):
+@pytest.mark.parametrize("observation", FORMATS)
+def test_stable_baselines3_check_env(actions, observation):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    env = make(actions=actions)
+    env = make(actions=actions, observation=observation)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         checker.check_env(env, warn=True, skip_render_check=True)
     messages = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-    assert [m for m in messages if not m.startswith(SB3_ALLOWED)] == []
+    assert [m for m in messages if observation != "dict" or not m.startswith(SB3_ALLOWED)] == []
 
 
 @pytest.mark.parametrize("actions", ACTIONS)
-@pytest.mark.parametrize("parts", [{}, {"map": True, "scan": True}], ids=["default", "all"])
+@pytest.mark.parametrize("parts", [{}, {"map": True, "scan": True}, "flat", "image"], ids=str)
 def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts):
     env = make(actions=actions, observation=parts, max_steps=40, start="random")
     env.action_space.seed(3)

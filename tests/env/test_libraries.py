@@ -1,0 +1,177 @@
+"""Libraries that people train and record with take the environments as they are, in each format of the observation."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces, wrappers
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector as vector_wrappers
+
+from tests.env.helpers import SMALL, make
+
+LAYOUT = "mecp_env/Layout-v0"
+FORMATS = ("flat", "image")
+POLICIES = {"flat": "MlpPolicy", "image": "CnnPolicy", "dict": "MultiInputPolicy"}
+WRAPPERS = {
+    "statistics": wrappers.RecordEpisodeStatistics,
+    "flatten": wrappers.FlattenObservation,
+    "stack": lambda env: wrappers.FrameStackObservation(env, 4),
+    "normalise": wrappers.NormalizeObservation,
+    "clip reward": lambda env: wrappers.ClipReward(env, -1.0, 1.0),
+    "time": lambda env: wrappers.TimeAwareObservation(wrappers.TimeLimit(env, 50)),
+}
+VECTOR_WRAPPERS = {
+    "statistics": vector_wrappers.RecordEpisodeStatistics,
+    "flatten": vector_wrappers.FlattenObservation,
+    "normalise": vector_wrappers.NormalizeObservation,
+    "normalise reward": vector_wrappers.NormalizeReward,
+}
+
+
+def ended(env: Any, steps: int = 12) -> int:
+    """How many episodes ended in some random steps, in each of which the observation is in its space."""
+    env.action_space.seed(1)
+    observation, _ = env.reset(seed=1)
+    count = 0
+    for _ in range(steps):
+        assert env.observation_space.contains(observation)
+        observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if over := np.any(terminated | truncated):
+            count += 1
+        if over and not isinstance(env, gymnasium.vector.VectorWrapper):
+            observation, _ = env.reset()
+    return count
+
+
+@pytest.mark.parametrize("observation", FORMATS)
+@pytest.mark.parametrize("name", WRAPPERS)
+def test_wrappers_of_gymnasium(observation: str, name: str) -> None:
+    assert ended(WRAPPERS[name](make(observation=observation, max_steps=5))) == 2
+
+
+@pytest.mark.parametrize("observation", FORMATS)
+@pytest.mark.parametrize("name", VECTOR_WRAPPERS)
+def test_vector_wrappers_of_gymnasium(observation: str, name: str) -> None:
+    options = {"workers": 1, "observation": observation, "max_steps": 5, **SMALL}
+    envs = VECTOR_WRAPPERS[name](gymnasium.make_vec(LAYOUT, num_envs=2, **options))
+    assert ended(envs) == 2
+    envs.close()
+
+
+@pytest.mark.parametrize("observation", FORMATS)
+@pytest.mark.parametrize("mode", ["batch", "sync"])
+def test_vector_environments_give_what_single_ones_give(observation: str, mode: str) -> None:
+    options: dict[str, Any] = {"workers": 1} if mode == "batch" else {"vectorization_mode": mode}
+    envs = gymnasium.make_vec(LAYOUT, num_envs=2, observation=observation, **options, **SMALL)
+    single, command = make(observation=observation), np.float32([0.7, 0.2])
+    rows, alone = [envs.reset(seed=4)[0]], [single.reset(seed=5)[0]]
+    for _ in range(5):
+        rows.append(envs.step(np.tile(command, (2, 1)))[0])
+        alone.append(single.step(command)[0])
+    assert envs.single_observation_space == single.observation_space
+    assert all(np.array_equal(row[1], own) for row, own in zip(rows, alone, strict=True))
+    envs.close()
+
+
+@pytest.mark.parametrize("observation", FORMATS)
+def test_ppo_of_stable_baselines3_takes_them_as_they_are(observation: str) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    model = sb3.PPO(POLICIES[observation], make(observation=observation, max_steps=20), n_steps=16, batch_size=8)
+    assert not isinstance(model.get_env(), vec_env.VecTransposeImage)
+    assert model.observation_space == make(observation=observation).observation_space
+    model.learn(32)
+    assert model.predict(make(observation=observation).reset(seed=0)[0])[0].shape == (2,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observation", FORMATS)
+def test_ppo_of_stable_baselines3_on_the_batch(observation: str) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    sb3_batch = pytest.importorskip("mecp_env.learning.sb3_batch")
+    venv = sb3_batch.make(LAYOUT, 2, workers=1, observation=observation, max_steps=20, **SMALL)
+    sb3.PPO(POLICIES[observation], venv, n_steps=16, batch_size=8).learn(32)
+    venv.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observation", POLICIES)
+def test_maskable_ppo_takes_goals_and_their_mask(observation: str) -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    env = make(observation=observation, actions="goal", max_steps=30)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "You provided an OpenAI Gym environment")
+        model = contrib.MaskablePPO(POLICIES[observation], env, n_steps=16, batch_size=16)
+        model.learn(16)
+
+
+def test_a_loop_in_the_style_of_cleanrl_learns() -> None:
+    """One file, `make_vec`, `single_*_space.shape`, tensors of whole batches, and no adapter."""
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(0)
+    options = {"workers": 1, "observation": "flat", "max_steps": 5, "autoreset_mode": AutoresetMode.SAME_STEP, **SMALL}
+    envs = vector_wrappers.RecordEpisodeStatistics(gymnasium.make_vec(LAYOUT, num_envs=2, **options))
+    columns, commands = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+    actor, critic = torch.nn.Linear(columns, commands), torch.nn.Linear(columns, 1)
+    optimiser = torch.optim.Adam([*actor.parameters(), *critic.parameters()])
+    before, returns, losses = actor.weight.detach().clone(), [], []
+    observation = torch.as_tensor(envs.reset(seed=1)[0])
+    for _ in range(12):
+        policy = torch.distributions.Normal(actor(observation).tanh(), 0.3)
+        action = policy.sample()
+        value, log_prob = critic(observation).squeeze(1), policy.log_prob(action).sum(1)
+        seen, reward, _, _, infos = envs.step(action.clamp(-1, 1).numpy())
+        advantage = torch.as_tensor(reward, dtype=torch.float32) - value
+        losses.append((advantage.square() - log_prob * advantage.detach()).mean())
+        observation = torch.as_tensor(seen)
+        returns += infos["episode"]["r"][infos["_episode"]].tolist() if "episode" in infos else []
+    torch.stack(losses).mean().backward()
+    optimiser.step()
+    assert len(returns) >= 4
+    assert not torch.equal(before, actor.weight)
+    envs.close()
+
+
+@pytest.mark.parametrize("observation", [*FORMATS, "dict"])
+def test_torchrl_makes_and_drives_them(observation: str) -> None:
+    pytest.importorskip("torchrl", reason="torchrl is not installed")
+    from torchrl.envs import GymEnv
+    from torchrl.envs.utils import check_env_specs
+
+    env = GymEnv(LAYOUT, observation=observation, max_steps=5, **SMALL)
+    check_env_specs(env)
+    rollout = env.rollout(8)
+    assert rollout.batch_size == (5,)
+    assert rollout["next", "truncated"][-1]
+    assert ("observation" if observation != "dict" else "landmarks") in rollout.keys()  # noqa: SIM118
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore:.* is set to None:UserWarning:minari")
+@pytest.mark.parametrize("observation", [*FORMATS, "dict"])
+def test_minari_records_and_reads_them(observation: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari", reason="minari is not installed")
+    for package in ("h5py", "jax"):
+        pytest.importorskip(package, reason=f"the DataCollector needs {package}: minari[hdf5,create]")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = minari.DataCollector(make(observation=observation, max_steps=5))
+    env.action_space.seed(1)
+    seen = []
+    for seed in range(2):
+        seen.append([env.reset(seed=seed)[0]])
+        for _ in range(5):
+            seen[-1].append(env.step(env.action_space.sample())[0])
+    dataset = env.create_dataset("test/any-v0")
+    assert dataset.total_episodes == 2
+    assert dataset.spec.observation_space == env.observation_space
+    for episode, rows in zip(dataset.iterate_episodes(), seen, strict=True):
+        for step, row in enumerate(rows):
+            parts = row if isinstance(env.observation_space, spaces.Dict) else {"": row}
+            kept = episode.observations if isinstance(row, dict) else {"": episode.observations}
+            assert all(np.array_equal(kept[name][step], part) for name, part in parts.items())
+    env.close()
