@@ -1,6 +1,7 @@
 """The site: `sphinx-build -W -c docs . runs/site`. Its source is the repository, so that links hold in both."""
 
 import dataclasses
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ templates_path = ["_templates"]
 nitpicky = True
 
 myst_heading_anchors = 3
+os.environ |= {"NOTEBOOK_SHORT": "1", "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
@@ -37,13 +39,18 @@ html_title = "mecp_env"
 html_additional_pages = {"index": "to_the_start.html"}
 html_show_sphinx = False
 
-BELOW = {"docs/decisions/README": "0*", "docs/results": "../benchmarks/results/*"}  # a page with a list -> its pages
+BELOW = {  # a page with a list -> the pages of that list
+    "docs/decisions/README": "docs/decisions/0*.md",
+    "docs/results": "benchmarks/results/*.md",
+}
 
 
 def add_toctree(app: Any, name: str, source: list[str]) -> None:
     """Put pages below the page that lists them; a repository browser shows the list alone."""
     if name in BELOW:
-        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{BELOW[name]}\n```\n"
+        pages = sorted(path.relative_to(ROOT).with_suffix("") for path in ROOT.glob(BELOW[name]))
+        entries = (f"{page.name.replace('_', ' ').replace('-', ' ')} </{page}>" for page in pages)
+        source[0] += "\n```{toctree}\n:hidden:\n\n" + "\n".join(entries) + "\n```\n"
 
 
 def add_fields(app: Any, what: str, name: str, item: Any, options: object, lines: list[str]) -> None:

@@ -6,7 +6,7 @@ import importlib
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium
 import numpy as np
@@ -64,6 +64,9 @@ def page(name: str) -> str:
             "## Observation Space",
             'A `Dict`. Values beyond their bounds are clipped; `info["saturated"]` counts them.',
             *observation_tables(make(name, observation=everything).observation_space, env.observation_space),
+            "### Other formats",
+            "[observations.md](../observations.md) describes their columns and channels.",
+            format_table(name),
             "## Rewards",
             "The sum of these terms, each also in `info`; [rewards.md](../rewards.md) contains the formulas.",
             reward_table(config),
@@ -80,9 +83,10 @@ def page(name: str) -> str:
 
 
 def maker_text(name: str) -> str:
-    """The docstring of the entry point."""
+    """The docstring of the entry point, without the id that it starts with."""
     module, _, maker = mecp_env.ENVIRONMENTS[name].partition(":")
-    return inspect.getdoc(getattr(importlib.import_module(module), maker)) or ""
+    text = (inspect.getdoc(getattr(importlib.import_module(module), maker)) or "").partition(": ")[2]
+    return text[:1].upper() + text[1:]
 
 
 def doc_section(title: str) -> str:
@@ -113,6 +117,13 @@ def column_rows(key: str, box: spaces.Space[Any], shown: spaces.Space[Any]) -> I
         asked = "" if i < shown.shape[axis] else ', with `observation={"uncertainty": True}`'
         index = str(i) if len(COLUMNS[key]) > 1 else "all"
         yield index, name + asked, unit, f"[{low:g},\u00a0{high:g}]"
+
+
+def format_table(name: str) -> str:
+    """The spaces of the formats beside "dict"."""
+    formats = [word for word in get_args(ObservationConfig.model_fields["format"].annotation) if word != "dict"]
+    spaces_of = {word: make(name, observation=word).observation_space for word in formats}
+    return table(("argument", "space"), [(f'`observation="{k}"`', f"`{v}`") for k, v in spaces_of.items()])
 
 
 def reward_table(config: EnvConfig) -> str:

@@ -22,7 +22,7 @@ PAPER_LAYOUT = "paper"
 def make(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `Layout-v0`: the environment of a configuration, in `GoalActions` where `actions="goal"`."""
+    """`Layout-v0`: the building of `layout`; the environment is in `GoalActions` where `actions="goal"`."""
     warm_up.prepare()
     env = MecpEnv(config, render_mode, **keywords)
     return GoalActions(env) if env.config.actions == "goal" else env
@@ -31,7 +31,7 @@ def make(
 def make_paper_map(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `PaperMap-v0`: as `make`, in the paper's building. Raises `ConfigError` for another layout."""
+    """`PaperMap-v0`: the building of the paper, nine rooms. As `make`; raises `ConfigError` for another layout."""
     layout = merge(plain(config), keywords).get("layout", PAPER_LAYOUT)
     if layout != PAPER_LAYOUT:
         raise ConfigError(f"layout: {layout!r:.80}, PaperMap-v0 is {PAPER_LAYOUT!r}; Layout-v0 takes any")
@@ -41,7 +41,7 @@ def make_paper_map(
 def make_rooms(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `Rooms-v0`: as `make`, in a new generated building at every reset.
+    """`Rooms-v0`: a new generated building at every reset; as `make`.
 
     Keywords are the fields of `EnvConfig`, `difficulty` ("medium"), `split` ("train") and every field of
     `GeneratorSpec`, which overrides the difficulty. Raises `ConfigError`, also for a layout.
@@ -58,7 +58,7 @@ def make_task(name: str, config: Any, render_mode: str | None, keywords: dict[st
 def make_floor_plan(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `FloorPlan-v0`: as `make`, in a real floor plan, or in one drawn from a folder at every reset.
+    """`FloorPlan-v0`: a real floor plan, or one drawn from a folder at every reset; as `make`.
 
     Keywords are the fields of `EnvConfig`, `plan` (the path of a file, or of a folder with its subfolders; images are
     used if `resolution_m` is given), and the options of `load_plan`. Raises `ConfigError`, also for a layout, and
@@ -80,21 +80,21 @@ def _make_from(
 
 
 def make_active_halls(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
-    """The entry point of `ActiveHalls-v0`: large rooms, a laser that sees 3 m, wheels that slip (`make_task`)."""
+    """`ActiveHalls-v0`: large rooms, a laser that sees 3 m, wheels that slip (`make_task`)."""
     return make_task("ActiveHalls-v0", config, render_mode, keywords)
 
 
 def make_active_corridors(
     config: Any = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `ActiveCorridors-v0`: rooms that look alike, a laser that sees ahead only (`make_task`)."""
+    """`ActiveCorridors-v0`: rooms that look alike, a laser that sees ahead only (`make_task`)."""
     return make_task("ActiveCorridors-v0", config, render_mode, keywords)
 
 
 def make_active_cheap_robot(
     config: Any = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """The entry point of `ActiveCheapRobot-v0`: furnished rooms, noisy beams, wheels that slip (`make_task`)."""
+    """`ActiveCheapRobot-v0`: furnished rooms, noisy beams, wheels that slip (`make_task`)."""
     return make_task("ActiveCheapRobot-v0", config, render_mode, keywords)
 
 
@@ -102,5 +102,5 @@ MAKERS: tuple[Any, ...] = (
     *(make, make_paper_map, make_rooms, make_floor_plan),
     *(make_active_halls, make_active_corridors, make_active_cheap_robot),
 )
-for entry_point in MAKERS:
-    entry_point.metadata = MecpEnv.metadata  # gymnasium.make reads the render modes from it
+for _maker in MAKERS:
+    _maker.metadata = MecpEnv.metadata  # gymnasium.make reads the render modes from it
