@@ -30,7 +30,7 @@ TASK = "ActiveHalls-v0"
 POLICIES = ("nearest", "gain", "pause", "returning", "stachniss")
 ESTIMATORS = {"slam": "estimator", "known": "known correspondences", "truth": "true pose"}
 BASE = "base"  # the task as it is
-SCALES, RANGES_M = (2.0, 4.0, 8.0), (2.5, 5.0, 8.0, 30.0)
+SCALES, RANGES_M = (2.0, 4.0, 8.0), (3.0, 5.0, 8.0, 30.0)
 CHANGES: dict[str, dict[str, Any]] = {  # point -> what differs from the task
     BASE: {},
     **{f"odometry_x{scale:g}": {"odometry": {"scale": scale}} for scale in SCALES},

@@ -74,7 +74,7 @@ class RewardConfig(Settings):
     time: float = -0.005  # per step
     completion: float = 10.0  # per 100 m^2 of map, once, when the episode terminates
     divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
-    lost: float = 0.0  # once, when an episode ends while the robot is lost, by ground truth: 1 + map / 100 m^2
+    lost: float = 0.0  # once, when an episode ends while the robot is lost, by ground truth: 1 + misplaced / 20 m^2
     expected_area: float = 0.0  # per m^2 of expected correct area
     entropy: float = 0.0  # per nat m^2 that the grid loses
     d_optimality: float = 0.0  # per nat, as the next two: of pose and landmarks

@@ -34,7 +34,7 @@ from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import Observer
 from mecp_env.episode.oracle import ORACLES
 from mecp_env.episode.potentials import RewardInputs
-from mecp_env.episode.rewards import apply_weights, events, mapped_m2, measured_terms, remember, weights_of
+from mecp_env.episode.rewards import apply_weights, events, measured_terms, remember, weights_of
 from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
@@ -445,7 +445,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         measured = measured_terms(episode.memory, self._reward_inputs(episode), self.config.reward)
         output = episode.slam_output
         lost = episode.over and episode.metrics.lost.is_lost(output.diverged)
-        lost_m2 = mapped_m2(output.grid) if lost else None
+        lost_m2 = episode.metrics.misplaced_m2(self._true_world.truth) if lost else None
         happened = events(episode.memory, episode.contact, terminated, output.diverged, lost_m2)
         return apply_weights(self._weights, measured | happened)
 

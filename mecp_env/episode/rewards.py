@@ -23,6 +23,7 @@ TERMS = REWARDS.ours
 OURS = tuple(name for name in TERMS if name in POTENTIALS)
 LEAST_LOG_DET, MOST_LOG_DET = -60.0, 60.0  # keeps the information finite at an exact or a diverged pose
 COMPLETION_M2 = 100.0  # the unit of a completed area
+LOST_M2 = 20.0  # the unit of floor that a lost robot does not have in its place
 AHEAD_M = 5.0  # typical distance from the robot to a wall that it draws
 
 
@@ -106,15 +107,15 @@ def events(
     - `time`: 1 in every step.
     - `completion`: once, when the episode terminates: the area that counts as mapped, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
-    - `lost`: once, when the episode ends and the robot is lost (`mecp_env.evaluation.lost`, from ground truth) with a
-      map of `lost_m2`: 1, and 1 for each 100 m^2 of it, which it may have earned before.
+    - `lost`: once, when the episode ends and the robot is lost (`mecp_env.evaluation.lost`, from ground truth) with
+      `lost_m2` of floor that the map does not have in its place: 1, and 1 for each 20 m^2 of it.
     """
     return {
         "contact": float(contact),
         "time": 1.0,
         "completion": memory.area_m2 / COMPLETION_M2 if terminated else 0.0,
         "divergence": float(diverged),
-        "lost": 1.0 + lost_m2 / COMPLETION_M2 if lost_m2 is not None else 0.0,
+        "lost": 1.0 + lost_m2 / LOST_M2 if lost_m2 is not None else 0.0,
     }
 
 

@@ -22,12 +22,12 @@ ACTIVE: dict[str, Any] = {  # of every task
         "landmark_information": 0.0,
         "completion": 0.0,
         "expected_area": 0.1,
-        "lost": -20.0,
+        "lost": -5.0,
     },
 }
 PLAIN: dict[str, Any] = {"shaped_rooms": 0, "furniture": 0.0, "corridors": 0}
 TASKS: dict[str, dict[str, Any]] = {
-    # large rooms in loops with a few pillars and boxes, a scanner that sees 3 m, wheels that slip
+    # large rooms in loops with a few pillars and boxes, a scanner that sees 2.5 m, wheels that slip
     "ActiveHalls-v0": {
         **ACTIVE,
         **PLAIN,
@@ -36,7 +36,7 @@ TASKS: dict[str, dict[str, Any]] = {
         "loops": 2,
         "furniture": 0.5,
         "pieces": ("square_pillar", "box"),
-        "laser": {"max_range_m": 3.0},
+        "laser": {"max_range_m": 2.5},
         "odometry": {"preset": "skid_steer"},
     },
     # rooms that look alike along corridors, a scanner that looks ahead only, wheels that slip
@@ -47,10 +47,10 @@ TASKS: dict[str, dict[str, Any]] = {
         "room_side_m": (3.6, 3.6),
         "corridors": 3,
         "loops": 2,
-        "laser": {"preset": "lms200", "max_range_m": 4.0},
+        "laser": {"preset": "lms200", "max_range_m": 3.0},
         "odometry": {"preset": "skid_steer"},
     },
-    # a cheap robot in furnished rooms: noisy beams up to 3.5 m, wheels that slip
+    # a cheap robot in furnished rooms: noisy beams up to 3 m, wheels that slip
     "ActiveCheapRobot-v0": {
         **ACTIVE,
         "rooms": 8,
@@ -59,7 +59,7 @@ TASKS: dict[str, dict[str, Any]] = {
         "loops": 1,
         "shaped_rooms": 1,
         "furniture": 1.0,
-        "laser": {"preset": "rplidar_a1", "max_range_m": 3.5},
+        "laser": {"preset": "rplidar_a1", "max_range_m": 3.0},
         "odometry": {"preset": "skid_steer"},
     },
 }

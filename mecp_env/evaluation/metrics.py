@@ -157,6 +157,11 @@ class EpisodeMetrics:
         """Share of the true free area that the robot has seen."""
         return self.seen_cells / truth.free_cells
 
+    def misplaced_m2(self, truth: GroundTruth) -> float:
+        """m^2 of the floor that the robot has seen, but that the map did not have in its place when last compared."""
+        share = max(0.0, self.coverage(truth) - self.quality.correct_coverage)
+        return share * truth.free_cells * metric_arrays.CELL_M**2
+
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
         T_map_robot: Array = compose(inverse(self.T_world_map), T_world_robot)

@@ -40,7 +40,7 @@ SUITES = {
             for task in ("ActiveHalls-v0", "ActiveCorridors-v0", "ActiveCheapRobot-v0")
         ),
         200,
-        "aae49216386c805c",
+        "f3388a4466800053",
     ),
     "coverage-v1": Suite(
         tuple(Setting(name, "test", "slam", 3000) for name in ("medium", "hard")), 100, "d1b7f5ea1ca3abcb"

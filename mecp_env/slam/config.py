@@ -232,7 +232,7 @@ class FilterConfig(Settings):
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
     linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
-    update_iterations: int = Field(5, ge=1, le=20)  # of the update with a scan, at most; paper: 1
+    update_iterations: int = Field(8, ge=1, le=20)  # of the update with a scan, at most; paper: 1
     max_landmarks: int = Field(2048, ge=8, le=10_000)
     submap: int = Field(60, ge=10, le=10_000)  # most landmarks in one; a map of up to six times as many stays whole
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)

@@ -73,6 +73,7 @@ class Reason(IntEnum):
     TRACK = 4
     UNSEEN = 5
     AMBIGUOUS = 6
+    REFUSED = 8
     IDENTITY = 9
     DYNAMIC = 10
     NOT_LOCALISED = 11

@@ -60,6 +60,7 @@ class SlamParts:
         self.guard = PoseGuard(
             config.localisation, config.grid.paint_range_m, math.radians(config.association.descriptor_deg)
         )
+        self.guard.certain = self.associator.certain
         self.step_count = 0
 
     @classmethod

@@ -106,7 +106,7 @@ class SlamPipeline(SlamParts):
         if first[2].settles(tracked):
             return first
         tried, self.filter = self.filter, predicted.copy()
-        self.filter.set_pose(view.belief.T_map_robot, self.guard.spread(view.belief))
+        self.filter.loosen(self.guard.slack())
         again = self._attempt(around, view, self._associate(around, view.at(self.filter.belief())), sharp=False)
         if not again[2].beats(first[2]):
             self.filter = tried

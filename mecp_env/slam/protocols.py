@@ -5,7 +5,7 @@ A filter takes and gives world coordinates and stable ids; how it stores them is
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import MecpError
@@ -76,6 +76,9 @@ class Filter(Protocol):
     def copy(self) -> Self:
         """An independent filter with the same state: what association tries out does not touch the estimate."""
 
+    def loosen(self, pose_cov: Array) -> None:
+        """Add a covariance (3,3) of x, y, heading to the pose: what odometry may be wrong by."""
+
     def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
         """The pose is this, independent of the landmarks, which keep their covariance.
 
@@ -88,6 +91,8 @@ class Filter(Protocol):
 
 class Associator(Protocol):
     """Decides for each corner of a scan which landmark it is, if any. Derive from this class to get the defaults."""
+
+    certain: ClassVar[bool] = False  # its pairs are right: where they do not fit (`Reason.REFUSED`), odometry failed
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """A new match with one decision per corner; the map and the filter stay as they are.

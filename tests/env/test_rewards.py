@@ -167,7 +167,7 @@ def test_events():
     calm = {"contact": 0.0, "time": 1.0, "completion": 0.0, "divergence": 0.0, "lost": 0.0}
     assert events(memory, False, False, False) == calm
     assert events(memory, True, False, True) == calm | {"contact": 1.0, "divergence": 1.0}
-    assert events(memory, False, False, False, lost_m2=250.0) == calm | {"lost": 3.5}
+    assert events(memory, False, False, False, lost_m2=50.0) == calm | {"lost": 3.5}
     assert events(memory, False, True, False)["completion"] == 1.5  # of 100 m^2
 
 

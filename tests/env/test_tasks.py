@@ -45,7 +45,7 @@ def test_a_task_is_an_environment_with_goals_and_uncertainty(name: str) -> None:
 
 def test_fields_of_a_task_are_overridden_one_by_one() -> None:
     config = make(laser={"beams": 360}, reward={"lost": -5.0}, rooms=4).unwrapped.config
-    assert (config.laser.beams, config.laser.max_range_m) == (360, 3.0)
+    assert (config.laser.beams, config.laser.max_range_m) == (360, 2.5)
     assert (config.reward.lost, config.reward.expected_area) == (-5.0, 0.1)
     assert config.layout["generate"]["rooms"] == 4
     assert config.layout["generate"]["loops"] == 2
@@ -104,7 +104,7 @@ def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
         assert one[1] == two[1]
 
 
-def test_a_lost_robot_pays_at_the_end_for_all_that_it_mapped() -> None:
+def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
     env = make(max_steps=3)
     env.reset(seed=0, options={"building": 0})
     env.unwrapped._started().pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
@@ -112,10 +112,11 @@ def test_a_lost_robot_pays_at_the_end_for_all_that_it_mapped() -> None:
     while not over:
         *_, terminated, truncated, info = env.step(int(env.unwrapped.goals.kind.tolist().index(WAIT)))
         over = terminated or truncated
-    mapped = env.unwrapped.slam_output.grid
-    area = np.count_nonzero(mapped.label) * mapped.resolution_m**2
+    figures = env.unwrapped.summary()
+    misplaced = (figures["coverage"] - figures["correct_coverage"]) * figures["free_area_m2"]
     assert info["lost"] is True
-    assert info["reward_lost"] == pytest.approx(-20.0 * (1.0 + area / 100.0))
+    assert misplaced > 1.0
+    assert info["reward_lost"] == pytest.approx(-5.0 * (1.0 + misplaced / 20.0))
 
 
 def unlocalised(env: gymnasium.Env) -> dict[str, Any]:

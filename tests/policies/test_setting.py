@@ -121,7 +121,7 @@ def test_a_task_gives_its_robot_to_plans_below_what_policies_and_options_say(pla
     changes = {"laser": {"beams": 360}, "planning": {"known_ground": {"wait_steps": 7}}}
     setting = Setting("", "", "known", 90, "ActiveHalls-v0", env=changes, **plan_fields(plans, {}))
     config = config_of(setting)
-    assert (config.laser.max_range_m, config.laser.beams) == (3.0, 360)
+    assert (config.laser.max_range_m, config.laser.beams) == (2.5, 360)
     assert (config.odometry.preset, config.observation.uncertainty) == ("skid_steer", True)
     assert (config.planning.known_ground.places, config.planning.known_ground.wait_steps) == (8, 7)
     assert (config.estimator, config.max_steps, config.start, config.actions) == ("known", 90, "random", "velocity")

@@ -53,7 +53,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     pipeline = env._episode.pipeline
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
     assert type(pipeline.filter) is RightInvariantEkf
-    assert pipeline.filter.update_iterations == 1  # the filter of the page; the default is 5
+    assert pipeline.filter.update_iterations == 1  # the filter of the page; the default is 8
     assert len(env.slam_output.belief.ids) > 5
     state = env.get_state()
     other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped

@@ -38,6 +38,7 @@ class OracleAssociator(Associator):
     The owner of the ground truth sets `correspondences` before each scan: plain data, so that a state can hold it.
     """
 
+    certain = True
     config: AssociationConfig
     correspondences: Correspondences = field(default_factory=NoCorrespondences)
     true_corner: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) of each corner of the last scan
@@ -65,7 +66,7 @@ class OracleAssociator(Associator):
             implied.update(*corners.measurements(pairs), ids, iterate=True)
             nis = implied.individual_nis(corners.z[pairs], corners.R[pairs], ids).diagonal()
             outside = pairs[nis > chi2_gate(2, self.config.gate_probability)]
-            builder.assign(outside, Decision.IGNORED, Reason.IDENTITY)
+            builder.assign(outside, Decision.IGNORED, Reason.REFUSED)
         return builder
 
     def remember(self, match: Match) -> None:

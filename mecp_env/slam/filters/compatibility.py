@@ -28,7 +28,7 @@ def pairwise_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
     if not find_rows(slot_ids, ids, slots):
         return False
-    linearise(mean, np.zeros(mean.shape[0]), slots, invariant, h, A, a_heading)
+    linearise(mean, slots, invariant, h, A, a_heading)
     for j in range(m):
         i = 3 + 2 * slots[j]
         tt, tx, ty = cov[0, 0], cov[0, i] - cov[0, 1], cov[0, i + 1] - cov[0, 2]  # of the heading and l - p
@@ -58,7 +58,7 @@ def joint_cost(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, inva
     """Least prior + measurement cost over pose and landmarks `ids` (m,); nan: S is not positive, or an unknown id.
 
     iterations = 1: the linear joint NIS nu^T S^-1 nu. More: Gauss-Newton from the pose that lays z best on the
-    landmarks (at its fixed point nu^T S^-1 nu with nu = z - h(xi) + H xi is the sum of both costs).
+    landmarks (at its fixed point nu^T S^-1 nu with nu = z - h + H xi is the sum of both costs).
     """
     m = ids.shape[0]
     slots = np.empty(m, np.int64)
@@ -100,7 +100,7 @@ def procrustes(part: Array, z: Array, invariant: bool, xi: Array) -> None:
         xi[1], xi[2] = x - part[1], y - part[2]
         return
     c, s = math.cos(xi[0]), math.sin(xi[0])
-    a, b, _, _ = left_jacobian(xi[0])
+    a, b = left_jacobian(xi[0])
     det = a * a + b * b
     for i in range(1, part.shape[0], 2):
         to_x, to_y = (x, y) if i == 1 else (part[i], part[i + 1])

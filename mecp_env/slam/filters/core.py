@@ -15,7 +15,7 @@ from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, pairwise_nis
-from mecp_env.slam.filters.error_state import change_chart
+from mecp_env.slam.filters.error_state import change_chart, propagate_invariant, propagate_plain
 from mecp_env.slam.filters.landmarks import append, take, world_belief
 from mecp_env.slam.filters.measurement import innovation
 from mecp_env.slam.filters.motion import predict
@@ -205,6 +205,14 @@ class LandmarkFilter:
         cov[:size, :3] = 0.0
         cov[:3, :3] = pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)]
         change_chart(self.state, size, -1.0, self.invariant)
+
+    def loosen(self, pose_cov: Array) -> None:
+        """Odometry may be wrong by a covariance (3,3) of x, y, heading more; landmarks stay as sure as they are."""
+        noise = np.ascontiguousarray(pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)])
+        if self.invariant:
+            propagate_invariant(self.state, self.size, noise)
+        else:
+            propagate_plain(self.state, self.size, np.zeros(2), noise)
 
     def shift_pose(self, T_old_new: Array) -> None:
         """The pose becomes that of a frame at T_old_new (3,) in the present one, fixed to it.

@@ -19,20 +19,12 @@ from mecp_env.core.se2 import wrap_angle
 
 
 @compiled
-def left_jacobian(t: float) -> tuple[float, float, float, float]:
-    """a, b of V(t) = [[a, -b], [b, a]], a = sin t / t, b = (1 - cos t) / t, and their derivatives by t."""
+def left_jacobian(t: float) -> tuple[float, float]:
+    """a, b of V(t) = [[a, -b], [b, a]]: sin t / t and (1 - cos t) / t."""
     if abs(t) < 1e-2:
         u = t * t
-        a = 1.0 - u / 6.0 + u * u / 120.0
-        b = t * (0.5 - u / 24.0 + u * u / 720.0)
-        da = t * (-1.0 / 3.0 + u / 30.0 - u * u / 840.0)
-        db = 0.5 - u / 8.0 + u * u / 144.0
-    else:
-        a = math.sin(t) / t
-        b = 2.0 * math.sin(0.5 * t) ** 2 / t
-        da = (math.cos(t) - a) / t
-        db = (math.sin(t) - b) / t
-    return a, b, da, db
+        return 1.0 - u / 6.0 + u * u / 120.0, t * (0.5 - u / 24.0 + u * u / 720.0)
+    return math.sin(t) / t, 2.0 * math.sin(0.5 * t) ** 2 / t
 
 
 @compiled
@@ -41,7 +33,7 @@ def retract(mean: Array, n: int, xi: Array, invariant: bool) -> None:
     heading = wrap_angle(mean[0] + xi[0])
     if invariant:
         c, s = math.cos(xi[0]), math.sin(xi[0])
-        a, b, _, _ = left_jacobian(xi[0])
+        a, b = left_jacobian(xi[0])
         for i in range(1, n, 2):  # position and landmarks alike
             x, y = mean[i], mean[i + 1]
             mean[i] = c * x - s * y + a * xi[i] - b * xi[i + 1]
@@ -53,38 +45,22 @@ def retract(mean: Array, n: int, xi: Array, invariant: bool) -> None:
 
 
 @compiled
-def linearise(mean: Array, xi: Array, slots: Ints, invariant: bool, h: Array, A: Array, a_heading: Array) -> None:
-    """Predict range and bearing of the landmarks at `slots` (m,) for the state with error xi, and the Jacobian by xi.
+def linearise(mean: Array, slots: Ints, invariant: bool, h: Array, A: Array, a_heading: Array) -> None:
+    """Predict range and bearing of the landmarks at `slots` (m,), and their Jacobian by the error of the state.
 
     Writes h (m,2); A (m,2,2): by the landmark (and, negated, by the position); a_heading (m,2): by the heading, zero
-    at xi = 0 for the invariant error, so that the unobservable directions never change.
+    for the invariant error, so that the unobservable directions never change.
     """
-    t = xi[0]
-    heading = mean[0] if invariant else mean[0] + t
-    c, s = math.cos(heading), math.sin(heading)
-    a, b, da, db = left_jacobian(t)
+    c, s = math.cos(mean[0]), math.sin(mean[0])
     for k in range(slots.shape[0]):
         i = 3 + 2 * slots[k]
         dx, dy = mean[i] - mean[1], mean[i + 1] - mean[2]
-        ex, ey = xi[i] - xi[1], xi[i + 1] - xi[2]
-        if invariant:  # q = l - p + V(-t) e
-            qx, qy = dx + a * ex + b * ey, dy - b * ex + a * ey
-            tx, ty = da * ex + db * ey, -db * ex + da * ey
-        else:  # q = l - p + e; turning the robot by t turns q by -t
-            qx, qy = dx + ex, dy + ey
-            tx, ty = qy, -qx
-        r2 = qx * qx + qy * qy
+        r2 = dx * dx + dy * dy
         r = math.sqrt(r2)
         h[k, 0] = r
-        h[k, 1] = math.atan2(-s * qx + c * qy, c * qx + s * qy)
-        rx, ry = qx / r, qy / r  # derivative of the range by q
-        bx, by = -qy / r2, qx / r2  # derivative of the bearing by q
-        a_heading[k, 0], a_heading[k, 1] = rx * tx + ry * ty, bx * tx + by * ty
-        if invariant:
-            A[k, 0, 0], A[k, 0, 1] = rx * a - ry * b, rx * b + ry * a
-            A[k, 1, 0], A[k, 1, 1] = bx * a - by * b, bx * b + by * a
-        else:
-            A[k, 0, 0], A[k, 0, 1], A[k, 1, 0], A[k, 1, 1] = rx, ry, bx, by
+        h[k, 1] = math.atan2(-s * dx + c * dy, c * dx + s * dy)
+        A[k, 0, 0], A[k, 0, 1], A[k, 1, 0], A[k, 1, 1] = dx / r, dy / r, -dy / r2, dx / r2
+        a_heading[k, 0], a_heading[k, 1] = 0.0, 0.0 if invariant else -1.0
 
 
 @compiled

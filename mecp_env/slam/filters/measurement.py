@@ -14,7 +14,7 @@ from mecp_env.slam.filters.error_state import linearise
 
 @compiled
 def residual(z: Array, h: Array, A: Array, a_heading: Array, slots: Ints, xi: Array, nu: Array) -> None:
-    """Write nu (2m,) = z - h(xi) + H xi, bearings wrapped: the innovation, referred to xi = 0."""
+    """Write nu (2m,) = z - h + H xi, bearings wrapped: the innovation, referred to xi = 0."""
     for k in range(slots.shape[0]):
         i = 3 + 2 * slots[k]
         ex, ey = xi[i] - xi[1], xi[i + 1] - xi[2]
@@ -61,8 +61,7 @@ def innovation(
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
     if not find_rows(slot_ids, ids, slots):
         return False
-    xi = np.zeros(n)
-    linearise(state[0], xi, slots, invariant, h, A, a_heading)
-    residual(z, h, A, a_heading, slots, xi, nu)
+    linearise(state[0], slots, invariant, h, A, a_heading)
+    residual(z, h, A, a_heading, slots, np.zeros(n), nu)
     innovation_cov(project(state[1:], n, A, a_heading, slots), A, a_heading, slots, R, S)
     return True

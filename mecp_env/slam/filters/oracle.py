@@ -38,6 +38,9 @@ class OraclePoseFilter:
     def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
         """Nothing: the pose is the true one."""
 
+    def loosen(self, pose_cov: Array) -> None:
+        """Nothing: the pose is the true one."""
+
     def copy(self) -> Self:
         """A filter with a map of its own, at the same true pose."""
         return replace(self, inner=self.inner.copy())

@@ -23,15 +23,19 @@ def gauss_newton(
 ) -> tuple[float, Array]:
     """Minimise prior + measurement cost over the error xi (n,) of the state; xi is the start and becomes the result.
 
-    At most `iterations` steps; one from xi = 0 is the EKF's. Returns the cost, which is nu^T S^-1 nu with
-    nu = z - h(xi) + H xi, and W = L^-1 H P (2m,w) of the last step, S = L L^T. The cost is nan where S is not positive
-    or xi not finite.
+    At most `iterations` steps; one from xi = 0 is the EKF's. H is that of the filter at the state with error xi, not
+    the derivative by xi there: that of the invariant error has a heading column at xi != 0, by which the map as a whole
+    would turn, though nothing that is measured says so. Returns the cost, which is nu^T S^-1 nu with nu = z - h + H xi,
+    and W = L^-1 H P (2m,w) of the last step, S = L L^T. The cost is nan where S is not positive or xi not finite.
     """
-    m, mean, cov, cost = slots.shape[0], state[0], state[1:], math.nan
+    m, x, cov, cost = slots.shape[0], state[0].copy(), state[1:], math.nan
     h, A, a_heading = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
     nu, S, W = np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((0, n))
     for _ in range(iterations):
-        linearise(mean, xi, slots, invariant, h, A, a_heading)
+        for i in range(n):
+            x[i] = state[0, i]
+        retract(x, n, xi, invariant)
+        linearise(x, slots, invariant, h, A, a_heading)
         residual(z, h, A, a_heading, slots, xi, nu)
         W = project(cov, n, A, a_heading, slots)
         innovation_cov(W, A, a_heading, slots, R, S)
@@ -54,8 +58,6 @@ def gauss_newton(
 def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, iterations: int) -> bool:
     """Gauss-Newton on prior and measurements, at most `iterations` steps (1: the EKF's update), then P -= W^T W.
 
-    After several steps W is that of the new mean: there the invariant error keeps the unobservable directions, while
-    the Jacobian of a step at xi != 0 takes in information about the heading of the whole map that was never measured.
     Returns False, and leaves the state alone, when S is not positive or one of the `ids` (m,) is unknown.
     """
     n = 3 + 2 * slot_ids.shape[0]
@@ -63,14 +65,6 @@ def batch_update(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, in
     if not find_rows(slot_ids, ids, slots):
         return False
     cost, W = gauss_newton(state, n, slots, z, R, invariant, iterations, xi)
-    if iterations > 1 and not math.isnan(cost):
-        before = state[0, :n].copy()
-        retract(state[0], n, xi, invariant)
-        xi[:] = 0.0
-        cost, W = gauss_newton(state, n, slots, z, R, invariant, 1, np.zeros(n))
-        if math.isnan(cost):
-            for i in range(n):  # not by slices: for their error messages numba compiles its strings, two seconds long
-                state[0, i] = before[i]
     return not math.isnan(cost) and apply_update(state, slot_ids, W, xi, invariant)
 
 

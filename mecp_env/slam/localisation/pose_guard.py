@@ -18,7 +18,9 @@ from mecp_env.slam.config import LocalisationConfig
 from mecp_env.slam.localisation.hypotheses import NOWHERE, Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located
-from mecp_env.slam.messages import Belief, Corners, MapView, Match, MergedScan, Polygon, SemanticGrid
+from mecp_env.slam.messages import Belief, Corners, MapView, Match, MergedScan, Polygon, Reason, SemanticGrid
+
+REFUSED = int(Reason.REFUSED)
 
 
 @dataclass(slots=True, eq=False)
@@ -41,6 +43,7 @@ class PoseGuard:
     correction: Array = field(default_factory=lambda: np.zeros(3))  # (3,) moves the filter's pose to the one found
     agreed: int = 0  # scans that speak for it; 0: none was found
     familiar: int = 0  # landmarks that were recognised in the last trusted scan
+    certain: bool = False  # correspondences are known
 
     def __post_init__(self) -> None:
         self.log_odds = self.sure
@@ -60,14 +63,18 @@ class PoseGuard:
         """What the map says of a scan at the pose of a belief."""
         return agreement(beams, belief.T_map_robot, grid, self.reach_m, self.config.explained_share)
 
-    def spread(self, belief: Belief) -> Array:
-        """(3,3) covariance of a predicted pose if odometry since the last trusted scan may be wrong altogether."""
+    def slack(self) -> Array:
+        """(3,3) covariance by which a predicted pose is wrong if odometry since the last trusted scan failed."""
         metres, turn = self.travelled + self.config.inlier_m, self.turned + self.config.inlier_m
-        return belief.pose_cov + np.diag([metres**2, metres**2, turn**2])
+        return np.diag([metres**2, metres**2, turn**2])
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
         seen, found = len(match.ids), len(match.recognised())
+        if self.certain:
+            refused = int(np.count_nonzero(match.reason == REFUSED))
+            known = found / (found + refused) if found + refused else math.nan
+            return Evidence(said, known, sharp, found, sudden=refused > found)
         before = self.familiar >= 2
         tells = seen >= self.config.least_corners - before and len(view.belief.ids) > 0
         share = found / seen if tells else math.nan
@@ -133,6 +140,8 @@ class PoseGuard:
         belief: Belief,
     ) -> bool:
         """True when a search by this scan alone finds the pose of a belief, as failed odometry may have left it."""
+        if self.certain:
+            return True
         judge = partial(self._judge, corners=corners, beams=beams, grid=grid, predicted=view.belief.T_map_robot)
         won = clear_winner([*map(judge, self._index(view).locate(corners, polygons))], self.config)
         off = math.dist(won.at.T_map_robot[:2], belief.T_map_robot[:2]) if won else math.inf

@@ -20,6 +20,7 @@ from mecp_env.slam.config import LocalisationConfig
 from mecp_env.slam.messages import Corners, MapView, Polygon
 
 Complexes = NDArray[np.complex128]
+OPEN_COV = np.diag([9.0, 9.0, 0.25])  # m^2, rad^2: next to no prior, the corners that are explained say the rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +37,7 @@ class Located:
     """A pose at which the map explains a scan, and the corners that it explains."""
 
     T_map_robot: Array  # (3,)
-    cov: Array  # (3,3) m, rad, a bound that the corners improve
+    cov: Array  # (3,3) m, rad, of what is known but for the corners
     corners: Ints  # (c,)
     ids: Ints  # (c,) their landmarks
 
@@ -86,7 +87,7 @@ class LandmarkIndex:
         corners = np.flatnonzero(row >= 0)
         _, first = np.unique(row[corners], return_index=True)
         corners = corners[np.sort(first)]
-        return Located(pose, self.config.inlier_m**2 * np.eye(3), corners, self.ids[row[corners]])
+        return Located(pose, OPEN_COV, corners, self.ids[row[corners]])
 
     def _by_polygon(self, ring: Complexes) -> Array:
         """Poses (h,3) that put the corners `ring` (k,) of a polygon onto a map polygon of the same shape."""

@@ -41,39 +41,34 @@ def test_exponential_is_that_of_the_matrix_group(turn):
 
 
 @pytest.mark.parametrize("turn", [1e-12, 1e-4, 0.0099, 0.0101, 1.0, -2.0])
-def test_coefficients_of_the_exponential_and_their_derivatives(turn):
-    a, b, da, db = left_jacobian(turn)
+def test_coefficients_of_the_exponential(turn):
+    a, b = left_jacobian(turn)
     series = [(-1) ** k * turn ** (2 * k) for k in range(14)]
     factorial = np.cumprod(np.concatenate([[1.0], np.arange(1, 31)]))
     assert a == pytest.approx(sum(s / factorial[2 * k + 1] for k, s in enumerate(series)), abs=1e-15)
     assert b == pytest.approx(sum(s * turn / factorial[2 * k + 2] for k, s in enumerate(series)), abs=1e-15)
-    step = 1e-5
-    above, below = left_jacobian(turn + step), left_jacobian(turn - step)
-    assert da == pytest.approx((above[0] - below[0]) / (2 * step), abs=1e-9)
-    assert db == pytest.approx((above[1] - below[1]) / (2 * step), abs=1e-9)
 
 
 @pytest.mark.parametrize("invariant", [True, False])
-@pytest.mark.parametrize("size", [0.0, 0.3])
-def test_measurement_jacobian(invariant, size):
+def test_measurement_jacobian(invariant):
     rng = np.random.default_rng(3)
     for _ in range(20):
-        x, xi = random_state(rng), size * rng.normal(size=11)
+        x, xi = random_state(rng), np.zeros(11)
         h, A, a_heading = np.empty((3, 2)), np.empty((3, 2, 2)), np.empty((3, 2))
-        linearise(x, xi, SLOTS, invariant, h, A, a_heading)
+        linearise(x, SLOTS, invariant, h, A, a_heading)
         H = np.zeros((3, 2, 11))
         H[:, :, 0], H[:, :, 1:3] = a_heading, -A
         for k, slot in enumerate(SLOTS):
             H[k, :, 3 + 2 * slot : 5 + 2 * slot] = A[k]
         numeric = central_difference(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
-        np.testing.assert_allclose(wrap(h - expected(retracted(x, xi, invariant), SLOTS)), 0.0, atol=1e-12)
+        np.testing.assert_allclose(wrap(h - expected(x, SLOTS)), 0.0, atol=1e-12)
         np.testing.assert_allclose(H, numeric, atol=1e-7, rtol=1e-5)
 
 
 def test_invariant_jacobian_never_sees_the_heading():
     x = random_state(np.random.default_rng(1))
     h, A, a_heading = np.empty((3, 2)), np.empty((3, 2, 2)), np.empty((3, 2))
-    linearise(x, np.zeros(11), SLOTS, True, h, A, a_heading)
+    linearise(x, SLOTS, True, h, A, a_heading)
     np.testing.assert_array_equal(a_heading, 0.0)
 
 

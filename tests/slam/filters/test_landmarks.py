@@ -185,6 +185,16 @@ def test_set_pose_with_a_covariance_is_independent_of_the_map(pair):
     np.testing.assert_allclose(placed_cov[:3, 3:], 0.0, atol=1e-12)
 
 
+def test_loosening_adds_to_the_pose_and_keeps_what_the_map_says_of_it(pair):
+    mean, cov = pair.filter.marginal(pair.ids)
+    more = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
+    pair.filter.loosen(more)
+    loose, loose_cov = pair.filter.marginal(pair.ids)
+    np.testing.assert_array_equal(loose, mean)
+    cov[:3, :3] += more
+    np.testing.assert_allclose(loose_cov, cov, atol=1e-12)
+
+
 def test_with_the_true_pose_landmarks_average_their_measurements(kind):
     rng = np.random.default_rng(0)
     estimate = make_filter(FilterConfig(kind=kind))

@@ -134,7 +134,7 @@ def test_the_belief_names_all_landmarks_and_is_exact_for_those_in_the_submap(lon
     assert np.abs(shown.T_map_robot - expected.T_map_robot).max() < 1e-9
 
 
-@pytest.mark.parametrize("change", ["remove", "fuse", "set_pose", "set_pose_with_cov", "shift_pose"])
+@pytest.mark.parametrize("change", ["remove", "fuse", "set_pose", "set_pose_with_cov", "loosen", "shift_pose"])
 def test_rare_changes_are_those_of_the_whole_filter(change):
     drive, whole, divided = driven(460)
     assert divided.rest is not None
@@ -147,10 +147,12 @@ def test_rare_changes_are_those_of_the_whole_filter(change):
         elif change == "shift_pose":
             some.shift_pose(np.array([0.2, 0.1, 0.3]))
             some.shift_pose(np.array([0.0, -0.2, -0.3]))
+        elif change == "loosen":
+            some.loosen(np.diag([0.1, 0.2, 0.05]))
         else:
             pose = some.belief()
             some.set_pose(pose.T_map_robot, pose.pose_cov if change.endswith("cov") else None)
-    for _ in range(10 if "pose" in change else 0):
+    for _ in range(10 if "pose" in change or change == "loosen" else 0):
         drive.step()
     divided.synchronise()
     assert_equal(whole, divided, 1e-8 if change == "fuse" else 2e-9)  # to fuse two that differ bends the whole map

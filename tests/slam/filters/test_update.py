@@ -85,13 +85,12 @@ def lost(kind: str, heading_error: float, seed: int = 0) -> tuple[Pair, np.ndarr
     return pair, expected(true, np.arange(5)), np.diag(np.tile([0.02**2, 0.005**2], 5)), true
 
 
-def cost_of(pair: Pair, mean: np.ndarray, cov: np.ndarray, z: np.ndarray, R: np.ndarray, kind: str):
-    """Residual vector whose squared length is prior + measurement cost, as a function of xi."""
+def cost_of(pair: Pair, mean: np.ndarray, cov: np.ndarray, z: np.ndarray, R: np.ndarray):
+    """Residual vector whose squared length is prior + measurement cost, as a function of the plain error."""
     prior, noise = np.linalg.cholesky(np.linalg.inv(cov)).T, np.linalg.cholesky(np.linalg.inv(R)).T
 
     def residuals(xi):
-        x = exp_map(mean, xi) if kind == "riekf" else mean + xi
-        nu = z - expected(x, np.arange(len(z)))
+        nu = z - expected(mean + xi, np.arange(len(z)))
         nu[:, 1] = wrap(nu[:, 1])
         return np.concatenate([prior @ xi, noise @ nu.ravel()])
 
@@ -99,20 +98,44 @@ def cost_of(pair: Pair, mean: np.ndarray, cov: np.ndarray, z: np.ndarray, R: np.
 
 
 @pytest.mark.parametrize("heading_error", [0.05, 0.3, -0.6])
-def test_iterated_update_finds_the_most_likely_state(kind, heading_error):
-    pair, z, R, _ = lost(kind, heading_error)
+def test_iterated_update_finds_the_most_likely_state_for_the_plain_error(heading_error):
+    pair, z, R, _ = lost("ekf", heading_error)
     mean, cov = pair.mean.copy(), pair.cov.copy()
-    best = least_squares(cost_of(pair, mean, cov, z, R, kind), np.zeros(len(mean)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    config = FilterConfig(kind=kind, update_iterations=20)
-    pair.filter.update_iterations = config.update_iterations
+    best = least_squares(cost_of(pair, mean, cov, z, R), np.zeros(len(mean)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    pair.filter.update_iterations = 20
     pair.filter.update(z, R, pair.ids, iterate=True)
-    wanted = exp_map(mean, best.x) if kind == "riekf" else mean + best.x
-    np.testing.assert_allclose(wrap(pair.mean - wanted), 0.0, atol=2e-5)
-    residuals = cost_of(pair, wanted, cov, z, R, kind)  # the covariance is that of the error about the new mean
+    np.testing.assert_allclose(wrap(pair.mean - mean - best.x), 0.0, atol=2e-5)
+    residuals = cost_of(pair, mean + best.x, cov, z, R)  # the covariance is that of the error about the new mean
     steps = 1e-6 * np.eye(len(mean))
     jacobian = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in steps], axis=1)
     information = jacobian.T @ jacobian
     np.testing.assert_allclose(pair.cov, np.linalg.inv(information), atol=1e-5)
+
+
+@pytest.mark.parametrize("heading_error", [0.05, 0.3, -0.6])
+def test_iterated_update_is_that_of_the_twin(kind, heading_error):
+    pair, z, R, _ = lost(kind, heading_error)
+    pair.twin.x, pair.twin.P = pair.mean.copy(), pair.cov.copy()
+    pair.filter.update_iterations = 20
+    pair.filter.update(z, R, pair.ids, iterate=True)
+    pair.twin.update(z, R, np.arange(5), steps=20)
+    np.testing.assert_allclose(wrap(pair.mean - pair.twin.x), 0.0, atol=2e-6)
+    np.testing.assert_allclose(pair.cov, pair.twin.P, atol=2e-6)
+
+
+@pytest.mark.parametrize("heading_error", [0.05, 0.3, -0.6])
+def test_iterating_never_turns_or_moves_the_map_as_a_whole(heading_error):
+    """However unsure the map as a whole is: the measurements are the same wherever it lies."""
+    found = []
+    for sigma in (0.0, 0.1, 3.0):
+        pair, z, R, _ = lost("riekf", heading_error)
+        n, whole = len(pair.mean), np.zeros((3, len(pair.mean)))
+        whole[0, 0], whole[1, 1::2], whole[2, 2::2] = 1.0, 1.0, 1.0  # errors that turn and move all alike
+        pair.filter.cov[:n, :n] += sigma**2 * whole.T @ whole
+        pair.filter.update(z, R, pair.ids, iterate=True)
+        found.append(pair.mean.copy())
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-7)
 
 
 @pytest.mark.parametrize("heading_error", [0.1, 0.3, 0.6])

@@ -94,13 +94,19 @@ class Twin:
         nu[:, 1] = wrap(nu[:, 1])
         return nu.ravel(), H @ self.P @ H.T + R
 
-    def update(self, z: Array, R: Array, slots: Array) -> None:
-        nu, S = self.innovation(z, R, slots)
-        H = self.jacobian(slots)
-        K = self.P @ H.T @ np.linalg.inv(S)
+    def update(self, z: Array, R: Array, slots: Array, steps: int = 1) -> float:
+        """Gauss-Newton with the filter's Jacobian at each state; returns the cost."""
+        xi, prior = np.zeros(len(self.x)), self.x
+        for _ in range(steps):
+            nu, S = self.innovation(z, R, slots)
+            H = self.jacobian(slots)
+            K, nu = self.P @ H.T @ np.linalg.inv(S), nu + H @ xi
+            xi = K @ nu
+            self.x = prior.copy()
+            self.retract(xi)
         left = np.eye(len(self.x)) - K @ H
         self.P = left @ self.P @ left.T + K @ R @ K.T  # Joseph form
-        self.retract(K @ nu)
+        return float(nu @ np.linalg.solve(S, nu))
 
     def augment(self, z: Array, R: Array) -> None:
         n, m = len(self.x), len(z)
