@@ -61,6 +61,7 @@ NAMES = (
     "soak",
     "scale",
     "learning",
+    "stock_ppo",
     "uncertainty",
 )
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import tyro
+from pydantic import model_validator
 
 from mecp_env.config import EnvConfig, Number, merge
 from mecp_env.core.settings import Settings
@@ -17,6 +18,13 @@ class Fields(EnvConfig):
 
     layout: Annotated[str, tyro.conf.Suppress] = "paper"
     actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
+
+    @model_validator(mode="after")
+    def _has_tables(self) -> Self:
+        given = self.observation.format
+        if given != "dict":
+            raise ValueError(f"observation.format: {given!r}, expected 'dict': the policies read its tables")
+        return self
 
 
 Fields.__name__ = "--config"  # errors then name the option

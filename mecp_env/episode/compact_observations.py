@@ -116,8 +116,9 @@ def flat_ranges(output: SlamOutput) -> Array:
     """
     bearings, width = output.beams.bearings + output.T_robot_laser[2], 2.0 * math.pi / FLAT_SECTORS
     sector = np.rint(bearings / width).astype(np.intp) % FLAT_SECTORS
+    starts = np.flatnonzero(np.concatenate(([True], sector[1:] != sector[:-1])))  # of the runs of beams in one sector
     nearest = np.full(FLAT_SECTORS, np.inf)
-    np.minimum.at(nearest, sector, output.beams.ranges)
+    np.minimum.at(nearest, sector[starts], np.minimum.reduceat(output.beams.ranges, starts))
     seen = np.isfinite(nearest)
     return np.where(seen, squash(np.where(seen, nearest, 0.0), RANGE_M), NO_BEAM)
 

@@ -160,6 +160,7 @@ class TrainConfig(Settings):
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
         check_prior(config)
+        check_observation(config)
         return config
 
     @property
@@ -238,6 +239,13 @@ def check_prior(config: TrainConfig) -> None:
         return
     why = "network.uncertainty hides" if config.env.observation.uncertainty else "only a `task` shows"
     raise ConfigError(f"network.prior: stachniss reads predictions, which {why}; expected one of gain, nearest, none")
+
+
+def check_observation(config: TrainConfig) -> None:
+    """Raise `ConfigError` for another observation than the network reads."""
+    given = config.env.observation.format
+    if given != "dict":
+        raise ConfigError(f"env.observation.format: {given!r}, expected 'dict': these networks read tables and grids")
 
 
 def read_config(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from mecp_env.cli import main as cli
+from mecp_env.cli.main import main
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
@@ -218,3 +219,11 @@ def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
             parse(["--resume", str(tmp_path), *line])
     with pytest.raises(ConfigError, match="No such file"):
         parse(["--resume", str(tmp_path / "nothing")])
+
+
+def test_the_networks_read_one_format_of_the_observation(capsys):
+    with pytest.raises(ConfigError, match=r"env\.observation\.format: 'flat', expected 'dict'"):
+        TrainConfig.build({"env": {"observation": "flat"}})
+    with pytest.raises(SystemExit):
+        main(["demo", "--config.observation.format", "image"])
+    assert "observation.format: 'image', expected 'dict'" in " ".join(capsys.readouterr().err.replace("│", "").split())

@@ -1,0 +1,143 @@
+"""Stock PPO of Stable-Baselines3, its hyperparameters unchanged: control steps per second, including learning.
+
+In `Rooms-v0`, with two processes: `SubprocVecEnv` with two environments, or the batch of mecp_env with 16. In each
+round a single environment is driven with random actions for a few seconds, then PPO collects and learns from one rollout
+of 4,096 actions. A ratio is taken within a round, so that other load affects both. PyTorch computes in one thread.
+
+CPU time per control step is that of the learner (which chooses actions and learns) and of the two processes with the
+environments. The learner waits for the environments and they for it, so that two cores without other load make at most
+1 / (learner + environments / 2) steps per second.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.process_use import processor_s
+
+ROOMS = "mecp_env/Rooms-v0"
+MODULE_AND_ID = f"mecp_env:{ROOMS}"  # the processes of SubprocVecEnv import the package first
+ROLLOUT = 4096  # actions of all environments
+POLICIES = {"flat": "MlpPolicy", "image": "CnnPolicy", "dict": "MultiInputPolicy"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is trained, and where."""
+
+    observation: str
+    actions: str = "velocity"
+    environments: int = 2
+    batch: bool = False  # of mecp_env, instead of SubprocVecEnv
+
+    @property
+    def name(self) -> str:
+        kind = "batch" if self.batch else "SubprocVecEnv"
+        return f"{self.observation}, {self.actions}, {kind} of {self.environments}"
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return {"observation": self.observation, "actions": self.actions}
+
+
+CASES = (
+    Case("flat"),
+    Case("flat", environments=16, batch=True),
+    Case("flat", actions="goal"),
+    Case("image"),
+    Case("dict"),
+)
+GATES = (Gate(f"{CASES[0].name}/over_single", "share", 0.25),)
+
+
+def run(options: Options) -> Figures:
+    """All results; 5 rounds with 3 s of a single environment (--quick: 2 of 1 s with a quarter of the actions)."""
+    rounds, seconds, actions = (2, 1.0, ROLLOUT // 4) if options.quick else (5, 3.0, ROLLOUT)
+    return {case.name: compare(case, rounds, seconds, actions) for case in CASES}
+
+
+def compare(case: Case, rounds: int, seconds: float, actions: int) -> Figures:
+    """Speed of a case over the rounds."""
+    import torch
+    from stable_baselines3 import PPO
+
+    torch.set_num_threads(1)
+    single, venv = Single(case), make_venv(case)
+    model = PPO(POLICIES[case.observation], venv, n_steps=actions // case.environments)
+    measured = [(single.measure(seconds), *learn(model, actions)) for _ in range(rounds + 1)][1:]
+    venv.close()
+    alone, rates, learner, others = (np.array(column) for column in zip(*measured, strict=True))
+    return {
+        "steps_per_s": estimate(rates),
+        "single_per_s": estimate(alone),
+        "over_single": estimate(rates / alone),
+        "learner_ms": estimate(1e3 * learner),
+        "environments_ms": estimate(1e3 * others),
+        "two_cores_per_s": estimate(1.0 / (learner + others / 2.0)),
+    }
+
+
+def make_venv(case: Case) -> Any:
+    """The environments as a user would make them."""
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    from mecp_env.learning import sb3_batch
+
+    if case.batch:
+        return sb3_batch.make(ROOMS, case.environments, workers=2, **case.fields)
+    return make_vec_env(MODULE_AND_ID, case.environments, env_kwargs=case.fields, vec_env_cls=SubprocVecEnv)
+
+
+def learn(model: Any, actions: int) -> tuple[float, float, float]:
+    """Control steps per second of one rollout with its update; CPU s per step of the learner, and of the others."""
+    steps = 0
+
+    def count(inner: dict[str, Any], _: Any) -> bool:
+        nonlocal steps
+        steps += sum(info.get("periods", 1) for info in inner["infos"])
+        return True
+
+    others = [process.pid for process in multiprocessing.active_children() if process.pid]
+    start, used, before = time.perf_counter(), time.process_time(), processor_s(others)
+    model.learn(actions, callback=count)
+    rate = steps / (time.perf_counter() - start)
+    return rate, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
+
+
+class Single:
+    """An environment of a case, driven with random actions."""
+
+    def __init__(self, case: Case) -> None:
+        self.env = gymnasium.make(MODULE_AND_ID, **case.fields)
+        self.env.action_space.seed(0)
+        self.env.reset(seed=0)
+
+    def measure(self, seconds: float) -> float:
+        """Control steps per second, over at least this time."""
+        start, steps = time.perf_counter(), 0
+        while time.perf_counter() < start + seconds:
+            _, _, terminated, truncated, info = self.env.step(self.env.action_space.sample())
+            steps += info.get("periods", 1)
+            if terminated or truncated:
+                self.env.reset()
+        return steps / (time.perf_counter() - start)
+
+
+def report(figures: Figures) -> str:
+    """One row per case."""
+    heads = [
+        "observation, actions, environments",
+        "steps per second, including learning",
+        "single environment",
+        "ratio",
+    ]
+    heads += ["CPU ms per step: learner", "environments", "steps per second of two idle cores"]
+    return f"{__doc__}\n{table(heads, [(name, *values.values()) for name, values in figures.items()])}"
