@@ -1,8 +1,9 @@
 """Stock PPO of Stable-Baselines3, its hyperparameters unchanged: control steps per second, including learning.
 
 In `Rooms-v0`, with two processes: `SubprocVecEnv` with two environments, or the batch of mecp_env with 16. In each
-round a single environment is driven with random actions for a few seconds, then PPO collects and learns from one rollout
-of 4,096 actions. A ratio is taken within a round, so that other load affects both. PyTorch computes in one thread.
+round a single environment is driven with random actions for a few seconds, then PPO collects one rollout of 4,096
+actions and learns from it. A ratio is taken within a round, so that other load affects both. PyTorch computes in one
+thread.
 
 CPU time per control step is that of the learner (which chooses actions and learns) and of the two processes with the
 environments. The learner waits for the environments and they for it, so that two cores without other load make at most
