@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,7 @@ def add_toctree(app: Any, name: str, source: list[str]) -> None:
 def add_fields(app: Any, what: str, name: str, item: Any, options: object, lines: list[str]) -> None:
     """Add fields with their comments; cut Markdown sections, which the pages of the environments contain."""
     del lines[next((row for row, line in enumerate(lines) if line.startswith("## ")), len(lines)) :]
+    lines[:] = [re.sub(r"\|(\w+)\|", r"\|\1\|", line) for line in lines]
     if isinstance(item, type) and (dataclasses.is_dataclass(item) or issubclass(item, BaseModel)):
         fields = [(field, text) for field, text in comments(item).items() if field[0] != "_"]
         lines += ["", *(f"- `{field}`: {escaped(text)}" if text else f"- `{field}`" for field, text in fields), ""]

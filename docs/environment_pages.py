@@ -62,7 +62,6 @@ def page(name: str) -> str:
             doc_section("Action Space"),
             f'Without `actions`, this environment has `actions="{config.actions}"`: `{env.action_space}`.',
             "## Observation Space",
-            "[observations.md](../observations.md) describes one vector and one image instead of the default:",
             'A `Dict`. Values beyond their bounds are clipped; `info["saturated"]` counts them.',
             *observation_tables(make(name, observation=everything).observation_space, env.observation_space),
             "### Other formats",

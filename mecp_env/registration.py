@@ -80,7 +80,7 @@ def _make_from(
 
 
 def make_active_halls(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
-    """`ActiveHalls-v0`: large rooms, a laser that sees 3 m, wheels that slip (`make_task`)."""
+    """`ActiveHalls-v0`: large rooms, a short-range laser, wheels that slip (`make_task`)."""
     return make_task("ActiveHalls-v0", config, render_mode, keywords)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import mecp_env
+from mecp_env.cli.main import COMMANDS
 
 Captured = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parent.parent
@@ -72,6 +73,11 @@ def test_the_readme_has_the_commands_that_ci_runs() -> None:
     for heading in re.findall(r'^run "(.+)"$', ci, re.MULTILINE):
         below = readme.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
         assert "```sh\n" in below, heading
+
+
+def test_the_page_of_the_command_has_every_command() -> None:
+    text = (ROOT / "docs/commands.md").read_text()
+    assert [words for words in COMMANDS if f"`{words}`" not in text] == []
 
 
 def test_the_readme_opens_with_a_small_film() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import mecp_env
+from mecp_env.episode.tasks import TASKS
 
 ROOT = Path(__file__).parent.parent
 API = re.findall(r"automodule:: ([\w.]+)", "".join(path.read_text() for path in (ROOT / "docs/api").glob("*.md")))
@@ -37,7 +38,8 @@ def test_every_id_has_a_page_with_spaces_rewards_arguments_and_versions(pages: A
 
 
 def test_a_page_names_what_an_environment_sets_itself(pages: Any) -> None:
-    assert "| `laser.max_range_m` | `3.0` |" in pages.page("mecp_env/ActiveHalls-v0")
+    range_m = TASKS["ActiveHalls-v0"]["laser"]["max_range_m"]
+    assert f"| `laser.max_range_m` | `{range_m}` |" in pages.page("mecp_env/ActiveHalls-v0")
     assert "| `layout` | `'paper'` |" in pages.page("mecp_env/PaperMap-v0")
 
 

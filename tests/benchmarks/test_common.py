@@ -37,11 +37,11 @@ def content(calibration: float = 5.0, **changes: object) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("name", command.NAMES)
-def test_every_benchmark_has_figures_and_gates_and_stands_in_the_readme(name: str) -> None:
+def test_every_benchmark_has_figures_and_gates_and_a_row_in_the_results(name: str) -> None:
     module = importlib.import_module(f"benchmarks.{name}")
     assert callable(module.run)
     assert module.GATES
-    assert f"| `{name}` |" in (Path(__file__).parents[2] / "README.md").read_text()
+    assert f"| `{name}` |" in (Path(__file__).parents[2] / "docs/results.md").read_text()
 
 
 def test_the_interval_of_a_mean_covers_it_about_95_times_in_100() -> None:
