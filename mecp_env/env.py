@@ -300,6 +300,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The current observation again, in fresh arrays."""
         return self._observe(self._started())
 
+    def observed_by(self, observer: Observer | Flat | Image) -> Observation:
+        """The current observation as another observer computes it, in fresh arrays."""
+        return self._seen_by(observer, self._started())[0]
+
     def summary(self) -> dict[str, float]:
         """The metrics of the episode until now, from ground truth (`EpisodeMetrics.summary`, `TrueWorld.counts`)."""
         episode = self._started()
@@ -456,11 +460,12 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return RewardInputs(output.belief, output.grid, output.diverged, true_area)
 
     def _observe(self, episode: EpisodeState) -> Observation:
-        features = episode.pipeline.map.features
-        seen = episode.slam_output, features, episode.rows, episode.path_map
-        seen_by_agent: Observation
-        seen_by_agent, episode.saturated = self._observer.observe(*seen, episode.recognised)
-        return seen_by_agent
+        observation, episode.saturated = self._seen_by(self._observer, episode)
+        return observation
+
+    def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:
+        seen = episode.slam_output, episode.pipeline.map.features, episode.rows, episode.path_map
+        return observer.observe(*seen, episode.recognised)
 
     def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
         """Ground truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
