@@ -29,6 +29,7 @@ os.environ |= {"NOTEBOOK_SHORT": "1", "MPLBACKEND": "module://matplotlib_inline.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
+nb_render_markdown_format = "myst"  # with tables
 
 default_role = "code"  # our docstrings mark code by single backquotes
 autodoc_default_options = {"members": True, "member-order": "bysource"}

@@ -75,6 +75,13 @@ def test_the_readme_has_the_commands_that_ci_runs() -> None:
         assert "```sh\n" in below, heading
 
 
+def test_the_site_has_every_page_once() -> None:
+    lines = (ROOT / "docs/index.md").read_text().splitlines()
+    pages = [path for path in ROOT.glob("docs/**/*.md") if path.parent.name not in ("decisions", "environments", "api")]
+    names = [str(path.relative_to(ROOT / "docs").with_suffix("")) for path in pages if path.name != "index.md"]
+    assert {name: lines.count(name) for name in names} == dict.fromkeys(names, 1)
+
+
 def test_the_page_of_the_command_has_every_command() -> None:
     text = (ROOT / "docs/commands.md").read_text()
     assert [words for words in COMMANDS if f"`{words}`" not in text] == []
