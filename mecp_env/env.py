@@ -39,6 +39,7 @@ from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
+from mecp_env.planning.goal_list import LENGTHS
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
 from mecp_env.render.view import SceneView
@@ -260,6 +261,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             robot_radius_m=self.config.robot.radius_m,
             p_goals=episode.rows.p_map,
             goal_kinds=np.asarray(episode.rows.kind, np.int64),
+            goal_figures={name: getattr(episode.rows, name) for name in LENGTHS},
             target=nearest_goal(episode.rows, episode.target),
             title=f"{self._true_world.outline.name}, {self.config.estimator}, step {episode.metrics.steps}",
             metrics=figures(episode.metrics, self._true_world.truth, episode.slam_output),

@@ -1,9 +1,10 @@
-"""Goal actions: an action is a row of the observation's goals, and a step is the whole drive there."""
+"""Wrappers: goal actions, by which a step is the whole drive to a goal, and a replay of each episode."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,8 @@ from mecp_env.episode.actions import check_choice, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.goal_list import WAIT, Outcome
 from mecp_env.planning.navigator import Navigator, Target
+from mecp_env.render.replay import Recorder, write_page
+from mecp_env.render.view import summary
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 EVENTS = {
@@ -143,3 +146,74 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         if event in ("reached", "refused", "waited", "unlocalised") and not terminated:
             observation = self.base.observation()
         return observation, sum(step[1] for step in steps), terminated, truncated, info
+
+
+class RecordReplay(gymnasium.Wrapper[Observation, Any, Observation, Any]):
+    """Write a page that plays each episode, `FOLDER/episode-0000.html` and so on (`mecp-env replay`).
+
+    Works around any environment of this package, inner steps of goal actions included, in training and evaluation.
+    `every`: only each so many-th episode. An episode that is cut off by `reset` or `close` is written, too. Raises
+    `ConfigError` for another environment, and `OSError` where the folder cannot be written.
+    """
+
+    def __init__(self, env: gymnasium.Env[Observation, Any], folder: str | Path, every: int = 1) -> None:
+        super().__init__(env)
+        if not isinstance(env.unwrapped, MecpEnv) or every < 1:
+            raise ConfigError(f"RecordReplay: expected a mecp_env environment and every >= 1, got {env} and {every}")
+        self.base, self.folder, self.every = env.unwrapped, Path(folder), every
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.episode, self.recorder = -1, Recorder()
+        self.goals = _goal_actions(env)
+        if self.goals is not None:
+            self.after, self.goals.callback = self.goals.callback, self._look
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As of the environment below."""
+        self._write()
+        self.episode, self.recorder = self.episode + 1, Recorder(self.base.config.robot.period_s)
+        observation, info = self.env.reset(seed=seed, options=options)
+        if self._wanted:
+            self.recorder.look(self.base.view())
+        return observation, info
+
+    def step(self, action: Any) -> Step:
+        """As of the environment below."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self.goals is None:
+            self._look((observation, float(reward), terminated, truncated, info))
+        if terminated or truncated:
+            self._write()
+        return observation, float(reward), terminated, truncated, info
+
+    def close(self) -> None:
+        """Write what there is of the last episode."""
+        self._write()
+        super().close()
+
+    @property
+    def _wanted(self) -> bool:
+        return self.episode % self.every == 0
+
+    def _look(self, step: Step) -> None:
+        if self._wanted:
+            self.recorder.look(self.base.view(), step[4])
+        if self.goals is not None and self.after is not None:
+            self.after(step)
+
+    def _write(self) -> None:
+        if len(self.recorder.frames) > 1:
+            title = f"{self.base.view().title.partition(', step')[0]}, episode {self.episode}"
+            result = ", ".join(f"{name} {value}" for name, value in summary(self.base.view().metrics))
+            write_page(self.recorder.run(title, result), self.folder / f"episode-{self.episode:04}.html")
+        self.recorder = Recorder()
+
+
+def _goal_actions(env: gymnasium.Env[Any, Any]) -> GoalActions | None:
+    """The wrapper that drives to goals, if there is one."""
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, GoalActions):
+            return env
+        env = env.env
+    return None

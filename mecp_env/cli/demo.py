@@ -31,6 +31,7 @@ class Demo(Command):
     seed: Seed = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
+    replay: bool = True  # keep the page that plays the run in a browser
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
@@ -44,6 +45,7 @@ class Demo(Command):
         from mecp_env.cli.stopwatch import timed_stages
         from mecp_env.core import warm_up
         from mecp_env.env import MecpEnv
+        from mecp_env.render.replay import Recorder
         from mecp_env.render.window import require_display
 
         folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout, self.reading))}-{self.seed}")
@@ -53,7 +55,8 @@ class Demo(Command):
         if self.render == "human":
             require_display()
         warm_up.prepare()
-        run = Run(MecpEnv(config, None if self.render == "none" else "human"), self.seed)
+        env = MecpEnv(config, None if self.render == "none" else "human")
+        run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None)
         with timed_stages() as watch, ExplorationBar(run, watch) as bar, suppress(KeyboardInterrupt):
             run.explore(bar.show)
         if not run.estimated:

@@ -17,11 +17,13 @@ from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
+from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.wrappers import GoalActions
+from mecp_env.render.view import summary
+from mecp_env.wrappers import GoalActions, Step
 
 FILES = (  # what a run leaves behind
-    *("map.png", "run.gif", "belief.yaml", "belief.pgm", "belief.svg"),
+    *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
     *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
 )
 FILM_SIZE = ScreenConfig(width_px=960, height_px=430)
@@ -33,6 +35,7 @@ class Run:
 
     env: MecpEnv
     seed: int
+    recorder: Recorder | None = field(default_factory=Recorder)  # None: no replay
     film: Film = field(default_factory=Film)
     screen: Screen = field(default_factory=lambda: Screen(FILM_SIZE))
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
@@ -46,8 +49,8 @@ class Run:
     def explore(self, after_step: Callable[[Run], None]) -> None:
         """Explore to the end; `after_step` is called after every control step, and once before the first."""
 
-        def look(*_: Any) -> None:
-            self.look()
+        def look(step: Step | None = None) -> None:
+            self.look(step[4] if step else None)
             after_step(self)
 
         policy, goals = BreadthFirst(), GoalActions(self.env, callback=look)
@@ -60,11 +63,13 @@ class Run:
             observation, _, terminated, truncated, info = goals.step(action)
         self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
 
-    def look(self) -> None:
+    def look(self, info: dict[str, Any] | None = None) -> None:
         """Keep what belongs to the present step."""
         view = self.env.view()
         self.estimated.append(view.slam_output.belief.T_map_robot.copy())
         self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
+        if self.recorder is not None:
+            self.recorder.look(view, info)
         self.film.offer(self.steps, lambda: self.screen.frame(view))
 
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
@@ -74,6 +79,10 @@ class Run:
         save(map_figure(view), folder / "map.png")
         self.film.frames.append(self.screen.frame(view))  # the last step, whether its turn has come or not
         self.film.save(folder / "run.gif")
+        if self.recorder is not None:
+            write_page(self.replay(), folder / "replay.html")
+        else:
+            (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
         save_map_server(view.slam_output.grid, folder / "belief")
         save_svg(view.slam_output.grid, folder / "belief.svg")
         recipe = {"seed": self.seed, "policy": "breadth_first", "config": config.to_dict()}
@@ -82,6 +91,13 @@ class Run:
         for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
             (folder / name).write_text(tum([step * config.robot.period_s for step in range(len(poses))], poses))
         return metrics
+
+    def replay(self) -> dict[str, Any]:
+        """The run as its page plays it."""
+        assert self.recorder is not None
+        found = ", ".join(f"{name} {value}" for name, value in summary(self.env.view().metrics))
+        title = f"{self.env.view().title.partition(', step')[0]}, seed {self.seed}"
+        return self.recorder.run(title, f"{self.ended}: {found}")
 
     def metrics(self, watch: Stopwatch) -> dict[str, Any]:
         """The figures of the run so far, measured on the truth, and its times."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 
-from mecp_env.cli.base import Command, Seed, Steps
+from mecp_env.cli.base import Command, Seed, Steps, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.map_option import check_map, save_map
@@ -41,6 +41,7 @@ class Explore(Command):
     steps: Steps = 3000  # control steps of 0.4 s, at most
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     start: Start = "layout"  # random: anywhere in free space
+    replay: Path | None = None  # folder for the page that plays the episode
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
@@ -51,12 +52,14 @@ class Explore(Command):
 
         from mecp_env.policies.registry import make_policy
         from mecp_env.policies.rollout import for_policy, masks, options_of
+        from mecp_env.wrappers import RecordReplay
 
         building, options = self._building()
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
         fields = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start, **options_of(policy)}
         env = for_policy(gym.make(**building, **fields), policy, lambda observation, info: None)
+        env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
         observation, info = env.reset(seed=self.seed, options=options)
         policy.reset(self.seed)
         terminated = truncated = False

@@ -22,12 +22,13 @@ from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
+from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import thumbnail
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import SlamOutput
 
 FILES = (  # what a run leaves behind; truth.tum only where the log has a reference path
-    *("map.png", "run.gif", "belief.yaml", "belief.pgm", "belief.svg"),
+    *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
     *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
 )
 FILM_SIZE = (800, 640)
@@ -43,11 +44,14 @@ class LogFiles:
         self.log = log
         self.film = Film(every=max(1, planned // FRAMES))
         self.path: list[Array] = []  # (2,) m, map frame
+        self.recorder = Recorder()
 
-    def look(self, output: SlamOutput) -> None:
-        """Keep what belongs to one scan."""
+    def look(self, output: SlamOutput, row: int) -> None:
+        """Keep what belongs to one scan, that of record `row` of the log."""
         self.path.append(output.belief.T_map_robot[:2].copy())
         self.film.offer(len(self.path) - 1, lambda: self._frame(output))
+        view = _view(output, np.array(self.path[-1:]), np.empty((0, 2)), self.log.name)
+        self.recorder.look(view, seconds=float(self.log.t[row] - self.log.t[0]))
 
     def _frame(self, output: SlamOutput) -> Any:
         rooms, doors = len(output.graph.rooms), len(output.graph.doors)
@@ -64,6 +68,7 @@ class LogFiles:
         save(map_figure(view), folder / "map.png")
         self.film.frames.append(self._frame(run.output))
         self.film.save(folder / "run.gif")
+        write_page(self.recorder.run(self.log.name, _caption(run.ended, metrics)), folder / "replay.html")
         save_map_server(run.output.grid, folder / "belief")
         save_svg(run.output.grid, folder / "belief.svg")
         for name, data in (("metrics.json", metrics), ("config.json", recipe)):

@@ -20,6 +20,7 @@ from mecp_env.core.settings import Settings, describe
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
+    "replay": ("replay", "Replay", "the page that plays a kept run, and shows why the robot believes what it does"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
     "slam": ("slam", "Slam", "map a recorded log: CARMEN, a ROS bag or an .npz; keep pictures and figures"),
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pygame
@@ -22,6 +22,7 @@ from mecp_env.core.array_types import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
 from mecp_env.render.keys import KeyHelp, key_strip
+from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import Screen
 from mecp_env.render.view import summary
 from mecp_env.render.window import Window, require_display
@@ -67,6 +68,7 @@ class Play(Command):
         6.0  # control steps of 0.4 s per second, while a key is held; 2.5 is real time
     )
     out: OutFolder = Path("runs/play")  # folder for pictures (P)
+    replay: bool = False  # keep a page that plays each drive, in the folder for pictures
     reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
@@ -84,11 +86,12 @@ class Play(Command):
                 return first, seed
             return MecpEnv(configuration(resolve(word, self.reading), self.config, line)), seed
 
-        game, window = Game(make, self.out), Window("mecp_env: play")
+        game, window = Game(make, self.out, self.replay), Window("mecp_env: play")
         try:
             loop(game, window, self.rate)
         finally:
             window.close()
+        game.keep_replay()
         echo(game.result)
         return 0
 
@@ -120,8 +123,9 @@ def loop(game: Game, window: Window, rate: float) -> None:
 class Game:
     """One drive after the other, each begun with `make(round)`: the environment and the seed. It opens no window."""
 
-    def __init__(self, make: Callable[[int], tuple[MecpEnv, int]], folder: Path) -> None:
-        self.make, self.folder = make, folder
+    def __init__(self, make: Callable[[int], tuple[MecpEnv, int]], folder: Path, replay: bool = False) -> None:
+        self.make, self.folder, self.replay = make, folder, replay
+        self.recorder = Recorder()
         self.screen = Screen()
         self.held: set[int] = set()
         self.tapped: set[int] = set()  # pressed since the last step, perhaps released again
@@ -133,9 +137,12 @@ class Game:
         """Start the present round from its beginning. Raises `MecpError` where there is none, and changes nothing."""
         env, seed = self.make(self.round)
         env.reset(seed=seed)
+        self.keep_replay()
         self.env = env
         self.view, self.moving, self.over = self.env.view(), False, False
         self.message, self.changed = HELP, True
+        self.recorder = Recorder(env.config.robot.period_s)
+        self.record({})
 
     def handle(self, event: pygame.event.Event) -> None:
         """Take in what the user did."""
@@ -181,6 +188,7 @@ class Game:
         """One control step."""
         _, _, terminated, truncated, info = self.env.step(self.action())
         before, self.view = self.view.T_world_robot, self.env.view()
+        self.record(info)
         self.moving = bool(np.abs(self.view.T_world_robot - before).max() > AT_REST_M)
         self.over = terminated or truncated
         self.changed = True
@@ -200,6 +208,21 @@ class Game:
             self.message = f"Kept {path}"
         except OSError as error:
             self.message = f"{path}: {error.strerror}; choose another place with --out"
+
+    def record(self, info: Mapping[str, Any]) -> None:
+        """Keep a step for the replay, if one is wanted."""
+        if self.replay:
+            self.recorder.look(self.view, info)
+
+    def keep_replay(self) -> None:
+        """Write the page of the present drive, if it has begun."""
+        if len(self.recorder.frames) < 2:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        title = self.view.title.partition(", step")[0]
+        page = self.folder / f"{NOT_IN_NAMES.sub('-', title).strip('-')}-{self.round}.html"
+        write_page(self.recorder.run(title, self.result), page)
+        echo(f"replay: {page}")
 
     def frame(self) -> Bytes:
         """World and belief, and below them the keys, uint8 (height, width, 3)."""

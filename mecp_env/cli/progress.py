@@ -66,4 +66,5 @@ def print_result(metrics: dict[str, Any], folder: Path) -> None:
         table.add_row(name, form.format(**metrics))
     console = Console()
     console.print(table)
-    console.print(f"{', '.join(FILES)} in {sanitised(str(folder))}/", markup=False)
+    there = [name for name in FILES if (folder / name).exists()]
+    console.print(f"{', '.join(there)} in {sanitised(str(folder))}/", markup=False)

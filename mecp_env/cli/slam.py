@@ -88,7 +88,7 @@ class Slam(Command):
         files = LogFiles(log, planned)
         with MappingBar(log.name, planned) as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():
-                files.look(output)
+                files.look(output, drive.rows[-1])
                 bar.show(output)
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED

@@ -40,6 +40,7 @@ class SceneView:
     robot_radius_m: float = 0.22
     p_goals: Array = field(default_factory=lambda: np.empty((0, 2)))  # (g,2) m, map frame
     goal_kinds: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (g,) GoalKind
+    goal_figures: Mapping[str, Array] = field(default_factory=dict)  # name -> (g,): length of the path, ...
     target: int = -1  # index of the goal the robot drives to, or -1
     title: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)  # `summary` shows some of them

@@ -30,7 +30,7 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
+FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
     f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
 }
 FIGURES = {

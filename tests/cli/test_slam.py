@@ -18,7 +18,7 @@ from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
+FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
     f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
 }
 

@@ -1,0 +1,209 @@
+"""The replay: what is kept of a run, the page, and how a real browser plays it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mecp_env  # noqa: F401  (registers the environments)
+from benchmarks.browser import Browser, chromium
+from mecp_env.core.errors import ConfigError
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.rollout import masks
+from mecp_env.render.replay import Recorder, ReplayError, changes, read_page, recorder, write_page
+from mecp_env.wrappers import RecordReplay
+
+DRAWN = "Number(document.body?.dataset.drawn) > 0"
+CLOCK = "document.getElementById('clock').textContent"
+needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+
+
+class Seen(RecordReplay):
+    """The wrapper, with the views that it was given."""
+
+    def _look(self, step: Any) -> None:
+        self.views = [*getattr(self, "views", []), self.base.view()]
+        super()._look(step)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
+    folder = tmp_path_factory.mktemp("replays")
+    env = Seen(gym.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", disable_env_checker=True), folder)
+    observation, _ = env.reset(seed=3)
+    policy, over = Nearest(), False
+    policy.reset(0)
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks(env)))
+        over = terminated or truncated
+    env.close()
+    return folder / "episode-0000.html", env.views
+
+
+def test_a_page_has_every_step_and_the_last_belief(kept: tuple[Path, list[Any]]) -> None:
+    page, views = kept
+    run = read_page(page)
+    assert page.stat().st_size < 200_000
+    assert [frame["step"] for frame in run["frames"]] == list(range(len(views) + 1))
+    landmarks: dict[int, list[int]] = {}
+    cells = np.zeros(run["grid"]["size"][::-1], np.uint8).ravel()
+    for frame in run["frames"]:
+        for name, *row in frame.get("landmarks", []):
+            landmarks.pop(name, None) if not row else landmarks.update({name: row})
+        for first, count, code in np.reshape(frame.get("cells", []), (-1, 3)).tolist():
+            cells[first : first + count] = code
+    output = views[-1].slam_output
+    assert sorted(landmarks) == sorted(output.belief.ids.tolist())
+    placed = np.array([landmarks[name][:2] for name in output.belief.ids.tolist()])
+    np.testing.assert_allclose(placed / 100.0, output.belief.p_map, atol=0.00501)
+    known = (output.grid.label > 0).sum()
+    assert (cells > 0).sum() == known
+    assert run["frames"][-1]["curves"]["coverage"] == round(1e4 * views[-1].metrics["coverage"])
+    assert "reward_area" in run["curve_units"]
+
+
+def test_corners_say_what_was_decided_and_why(kept: tuple[Path, list[Any]]) -> None:
+    page, views = kept
+    run = read_page(page)
+    for view, frame in list(zip(views, run["frames"][1:], strict=True))[::7]:
+        match = view.slam_output.match
+        rows = frame.get("corners", [])
+        assert [row[7] for row in rows] == match.decision.tolist()
+        assert [row[9] for row in rows] == match.ids.tolist()
+        assert all(run["reasons"][str(row[8])] for row in rows)
+    assert any(frame.get("matched") for frame in run["frames"])
+
+
+def test_a_map_polygon_is_that_of_the_scan(kept: tuple[Path, list[Any]]) -> None:
+    """The vertices that are said to be recognised are landmarks, or tracks, of corners of the chosen polygon."""
+    page, views = kept
+    for view, frame in zip(views, read_page(page)["frames"][1:], strict=True):
+        associated = view.slam_output.associated
+        if frame.get("matched"):
+            vertices = view.slam_output.polygons[associated.polygon].corners
+            assert set(associated.ids[vertices].tolist()) <= {-1, *frame["matched"]}
+
+
+def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder, "MOST_FRAMES", 8)
+    some = Recorder(0.4)
+    for view in kept[1][:30]:
+        some.look(view)
+    run = some.run("thin")
+    steps = [frame["step"] for frame in run["frames"]]
+    assert len(steps) <= 8
+    assert np.unique(np.diff(steps)).tolist() == [some.every]
+    assert run["frames"][1]["time"] == round(40 * some.every)
+
+
+def test_what_hardly_changed_is_not_written_again() -> None:
+    rows = [
+        {1: [0, 0, 100, 0, 100], 2: [5, 5, 9, 0, 9]},
+        {1: [0, 0, 101, 0, 99], 2: [5, 6, 9, 0, 9]},
+        {1: [0, 0, 60, 0, 60]},
+    ]
+    assert list(changes.changed_rows(rows)) == [
+        [[1, 0, 0, 100, 0, 100], [2, 5, 5, 9, 0, 9]],
+        [[2, 5, 6, 9, 0, 9]],
+        [[2], [1, 0, 0, 60, 0, 60]],
+    ]
+
+
+def test_a_grid_that_grows_keeps_its_place() -> None:
+    small, large = np.array([[1, 3]], np.uint8), np.array([[0, 0, 0], [0, 1, 3]], np.uint8)
+    place, size, runs = changes.changed_cells([(small, np.zeros(2)), (large, np.array([-0.1, -0.1]))], 0.1)
+    np.testing.assert_allclose(place, [-0.1, -0.1])
+    assert (size, runs) == ([3, 2], [[4, 1, 1, 5, 1, 3], []])
+
+
+def test_damaged_foreign_and_later_pages_are_refused(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
+    text, page = kept[0].read_text(), tmp_path / "page.html"
+    middle = text.index('data-version="1">') + 200
+    for damaged, words in (
+        (text[: len(text) // 3], "part of it is missing"),
+        ("<html></html>", "no replay"),
+        (text.replace('data-version="1"', 'data-version="2"'), "version 2 of the replay, this mecp_env reads up to 1"),
+        (text[:middle] + "AAAA" + text[middle + 4 :], "damaged"),
+    ):
+        page.write_text(damaged)
+        with pytest.raises(ReplayError, match=words):
+            read_page(page)
+
+
+def test_the_title_cannot_break_the_page(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
+    run = read_page(kept[0]) | {"title": "<script>alert(1)</script>"}
+    write_page(run, tmp_path / "page.html")
+    assert "<script>alert" not in (tmp_path / "page.html").read_text()
+
+
+def test_an_environment_with_velocities_is_recorded_too(tmp_path: Path) -> None:
+    env = RecordReplay(gym.make("mecp_env/Layout-v0", layout="two_rooms", disable_env_checker=True), tmp_path, every=2)
+    for _ in range(3):
+        env.reset(seed=0)
+        for _ in range(4):
+            env.step(np.array([0.5, 0.2], np.float32))
+    env.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["episode-0000.html", "episode-0002.html"]
+    assert len(read_page(tmp_path / "episode-0002.html")["frames"]) == 5
+
+
+def test_other_environments_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="expected a mecp_env environment"):
+        RecordReplay(gym.make("CartPole-v1"), tmp_path)
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_browser_plays_it_without_complaint(kept: tuple[Path, list[Any]], width: int, tmp_path: Path) -> None:
+    with Browser(width) as browser:
+        browser.show(kept[0], "#t=2")
+        browser.wait(DRAWN)
+        assert browser.ask(CLOCK).startswith("2.0 s, step 5 of")
+        browser.press("ArrowRight")
+        assert browser.ask(CLOCK).startswith("2.4 s, step 6 of")
+        browser.press("End")
+        assert f"step {len(kept[1])} of {len(kept[1])}" in browser.ask(CLOCK)
+        browser.press("Home")
+        before = browser.ask("Number(document.body.dataset.drawn)")
+        browser.press(" ")
+        browser.wait(f"Number(document.body.dataset.drawn) > {before + 2}")
+        assert browser.ask("document.documentElement.scrollWidth") <= width
+        browser.picture(tmp_path / "page.png")
+        assert browser.logged == []
+
+
+@needs_browser
+def test_the_pointer_tells_why(kept: tuple[Path, list[Any]]) -> None:
+    run = read_page(kept[0])
+    with Browser() as browser:
+        browser.show(kept[0])
+        browser.wait(DRAWN)
+        box = browser.ask("JSON.parse(JSON.stringify(document.getElementById('belief').getBoundingClientRect()))")
+        spots = [(x, y) for x in range(10, int(box["width"]), 20) for y in range(10, int(box["height"]), 20)]
+        said = set()
+        for x, y in spots:
+            browser.move(box["left"] + x, box["top"] + y)
+            said.add(browser.ask("document.getElementById('tip').textContent"))
+        reasons = set(run["reasons"].values())
+        assert any(words.partition(" - ")[2].partition(";")[0] in reasons for words in said)
+    assert run["opens_at"] > 0
+
+
+@needs_browser
+def test_a_browser_that_cannot_play_it_says_so(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
+    damaged, text = tmp_path / "page.html", kept[0].read_text()
+    middle = text.index('data-version="1">') + 200
+    damaged.write_text(text[:middle] + "AAAA" + text[middle + 4 :])
+    for script, page, words in (
+        ("HTMLCanvasElement.prototype.getContext = undefined", kept[0], "cannot draw (no canvas)"),
+        ("delete window.DecompressionStream", kept[0], "cannot unpack the run"),
+        ("0", damaged, "cannot be played"),
+    ):
+        with Browser() as browser:
+            browser.before_pages(script)
+            browser.show(page)
+            browser.wait(f"document.getElementById('trouble')?.textContent.includes({words!r})")
