@@ -9,24 +9,25 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.cli.stopwatch import Stopwatch
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.render.curves import Moment, curves_figure, moment_of
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.render.view import summary
+from mecp_env.render.view import SceneView, summary
 from mecp_env.wrappers import GoalActions, Step
 
 FILES = (  # what a run leaves behind
-    *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
+    *("map.png", "curves.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
     *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
 )
-FILM_SIZE = ScreenConfig(width_px=960, height_px=430)
+FILM_WIDTH = 960  # px
 
 
 @dataclass
@@ -37,9 +38,10 @@ class Run:
     seed: int
     recorder: Recorder | None = field(default_factory=Recorder)  # None: no replay
     film: Film = field(default_factory=Film)
-    screen: Screen = field(default_factory=lambda: Screen(FILM_SIZE))
+    screen: Screen | None = None  # of the film; made when the building is known
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
+    moments: list[Moment] = field(default_factory=list)  # what the curves show
     ended: str = "interrupted"
 
     @property
@@ -68,16 +70,18 @@ class Run:
         view = self.env.view()
         self.estimated.append(view.slam_output.belief.T_map_robot.copy())
         self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
+        self.moments.append(moment_of(view))
         if self.recorder is not None:
             self.recorder.look(view, info)
-        self.film.offer(self.steps, lambda: self.screen.frame(view))
+        self.film.offer(self.steps, lambda: self.picture(view))
 
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
         """Write `FILES`, everything there is, into `folder`; returns the metrics."""
         folder.mkdir(parents=True, exist_ok=True)
         view, metrics, config = self.env.view(), self.metrics(watch), self.env.config
         save(map_figure(view), folder / "map.png")
-        self.film.frames.append(self.screen.frame(view))  # the last step, whether its turn has come or not
+        save(curves_figure(self.title, config.robot.period_s, self.moments), folder / "curves.png")
+        self.film.frames.append(self.picture(view))  # the last step, whether its turn has come or not
         self.film.save(folder / "run.gif")
         if self.recorder is not None:
             write_page(self.replay(), folder / "replay.html")
@@ -92,12 +96,21 @@ class Run:
             (folder / name).write_text(tum([step * config.robot.period_s for step in range(len(poses))], poses))
         return metrics
 
+    def picture(self, view: SceneView) -> Bytes:
+        """A frame of the film, whose size fits the building."""
+        self.screen = self.screen or Screen(ScreenConfig.around(view.bounds, FILM_WIDTH))
+        return self.screen.frame(view)
+
     def replay(self) -> dict[str, Any]:
         """The run as its page plays it."""
         assert self.recorder is not None
         found = ", ".join(f"{name} {value}" for name, value in summary(self.env.view().metrics))
-        title = f"{self.env.view().title.partition(', step')[0]}, seed {self.seed}"
-        return self.recorder.run(title, f"{self.ended}: {found}")
+        return self.recorder.run(self.title, f"{self.ended}: {found}")
+
+    @property
+    def title(self) -> str:
+        """The building, the estimator and the seed."""
+        return f"{self.env.view().title.partition(', step')[0]}, seed {self.seed}"
 
     def metrics(self, watch: Stopwatch) -> dict[str, Any]:
         """The figures of the run so far, measured on the truth, and its times."""

@@ -100,7 +100,7 @@ def _draw_doors(axes: Axes, view: SceneView) -> None:
 
 
 def _draw_landmarks(axes: Axes, view: SceneView) -> None:
-    colour, said = unit(palette.LANDMARK), f"95 % ellipse x {shapes.ELLIPSE_MAGNIFIED:.0f}"
+    colour, said = unit(palette.LANDMARK), f"95 % ellipse x {shapes.magnification(view.slam_output.belief):.0f}"
     p_world = view.to_world(view.slam_output.belief.p_map)
     axes.plot(*p_world.T, "+", color=colour, markersize=5, label="landmark")
     looks: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 0.8, "zorder": 2.0}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
@@ -12,7 +13,10 @@ from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
 from mecp_env.render.view import KNOWN_GROUND, SceneView, loops, signed_area
-from mecp_env.slam.messages import SemanticGrid
+from mecp_env.slam.messages import Cell, SemanticGrid
+
+OCCUPIED = int(Cell.OCCUPIED)
+WALL = 0.22  # of the smoothed walls: those of one cell keep about its width
 
 
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
@@ -45,6 +49,11 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
     brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
     _draw_map(brush, view, camera)
     brush.line(camera.pixels(view.to_world(view.path_map)), palette.ESTIMATE, 1.5)
+    polygon, vertices = shapes.recognised(view)
+    if len(polygon):
+        brush.ring(camera.pixels(polygon), palette.POLYGON, 2.5)
+    for pixel in camera.pixels(vertices):
+        brush.square(pixel, 5.0, palette.POLYGON, 1.5)
     for ring in shapes.landmark_ellipses(view):
         brush.ring(camera.pixels(ring), palette.LANDMARK)
     for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
@@ -54,7 +63,7 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
         colour = palette.mix(palette.room_colour(room), palette.INK, 0.4)
         brush.text(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18, colour, align=0.5)
     belief = view.slam_output.belief
-    ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.ELLIPSE_MAGNIFIED)
+    ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.magnification(belief))
     brush.ring(camera.pixels(view.to_world(ring)), palette.LANDMARK)
     T_world_robot = compose(view.T_world_map, belief.T_map_robot)
     draw_robot(brush, T_world_robot, view.robot_radius_m, camera, palette.ESTIMATE)
@@ -78,16 +87,20 @@ def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Came
 
 
 def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Bytes:
-    """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3)."""
-    colours = shapes.cell_colours(grid)
+    """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3).
+
+    Walls are smooth: cells, whose sides are seldom parallel to the picture's, would be teeth of a saw.
+    """
+    colours, wall = shapes.cell_colours(grid, walls=False), gaussian_filter((grid.label == OCCUPIED).astype(float), 0.8)
     across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
     pixels = np.column_stack([box.left + across.ravel(), box.top + down.ravel()])
     p_map = to_map(inverse(T_world_map), camera.world(pixels))
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
-    rows, cols = cells[:, 1], cells[:, 0]
+    places = (p_map - grid.origin) / grid.resolution_m
+    cols, rows = np.floor(places.T).astype(np.int64)
     inside = (rows >= 0) & (rows < grid.label.shape[0]) & (cols >= 0) & (cols < grid.label.shape[1])
     picture = np.full((len(pixels), 3), palette.UNSEEN, np.uint8)
     picture[inside] = colours[rows[inside], cols[inside]]
+    picture[map_coordinates(wall, places.T[::-1] - 0.5, order=1) > WALL] = palette.SOLID
     return picture.reshape(box.height, box.width, 3)
 
 

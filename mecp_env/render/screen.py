@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from mecp_env.core.array_types import Bytes
+from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.settings import Settings
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush
 from mecp_env.render.panels import draw_belief, draw_nothing, draw_scan, draw_world
-from mecp_env.render.shapes import ELLIPSE_MAGNIFIED
+from mecp_env.render.shapes import magnification
 from mecp_env.render.view import KNOWN_GROUND, SceneView, summary
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
@@ -20,7 +20,7 @@ LEGEND: Legend = (
     ("true path", palette.TRUTH, "line"),
     ("laser hit", palette.HIT, "dot"),
     ("estimated path", palette.ESTIMATE, "line"),
-    (f"landmark, 95 % ellipse x {ELLIPSE_MAGNIFIED:.0f}", palette.LANDMARK, "dot"),
+    ("recognised polygon", palette.POLYGON, "line"),
     ("door", palette.DOOR, "line"),
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
@@ -34,6 +34,14 @@ class ScreenConfig(Settings):
 
     width_px: int = Field(1200, ge=320, le=4096)
     height_px: int = Field(520, ge=200, le=4096)
+
+    @classmethod
+    def around(cls, bounds: Array, width_px: int) -> ScreenConfig:
+        """The size at which a building with these `bounds` (2,2) m fills both halves, within what fits a screen."""
+        across, up = np.maximum(bounds[1] - bounds[0], 1.0).tolist()
+        half = (width_px - 3 * MARGIN) / 2
+        height = HEADER + FOOTER + round(min(max(half * up / across, 0.4 * half), 1.4 * half))
+        return cls(width_px=width_px, height_px=height + height % 2)
 
 
 class Screen:
@@ -54,7 +62,8 @@ class Screen:
         brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.FAINT)
         self._header(brush, view)
         places = PLACE_LEGEND if (view.goal_kinds >= KNOWN_GROUND).any() else ()
-        self._legend(brush, LEGEND + places + (MOVER_LEGEND if len(view.moving) else ()))
+        scale = f"landmark, 95 % ellipse x {magnification(view.slam_output.belief):.0f}", palette.LANDMARK, "dot"
+        self._legend(brush, (*LEGEND, scale) + places + (MOVER_LEGEND if len(view.moving) else ()))
         return brush.image()
 
     def _panels(self) -> tuple[Box, Box]:

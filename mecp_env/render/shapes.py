@@ -14,7 +14,9 @@ from mecp_env.render.palette import RGB, room_colour
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import Belief, Cell, SemanticGrid, SlamOutput
 
-ELLIPSE_MAGNIFIED = 5.0  # the ellipses of a good map are smaller than a pixel; the legend names the factor
+ELLIPSE_MAGNIFIED = 5.0  # of the corners of one scan
+MAGNIFICATIONS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # of the ellipses of a map; legends name the one that was taken
+READABLE_M = 0.25  # the usual ellipse is drawn no larger
 CHI2_95 = 5.991  # 2 degrees of freedom
 TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
 WIDE = (2.5, 1.0)  # a name is so many times as wide as high
@@ -73,9 +75,33 @@ def door_lines(view: SceneView) -> tuple[list[Array], list[Array]]:
 
 def landmark_ellipses(view: SceneView) -> list[Array]:
     """Magnified 95 % ellipses (32,2) m, world frame, of the landmarks."""
-    belief = view.slam_output.belief
+    belief, factor = view.slam_output.belief, magnification(view.slam_output.belief)
     pairs = zip(belief.p_map, belief.covs, strict=True)
-    return [view.to_world(ellipse(mean, cov, ELLIPSE_MAGNIFIED)) for mean, cov in pairs]
+    return [view.to_world(ellipse(mean, cov, factor)) for mean, cov in pairs]
+
+
+def magnification(belief: Belief) -> float:
+    """How many times larger than life the ellipses of a map are drawn: those of a good map are smaller than a pixel."""
+    if not len(belief.covs):
+        return MAGNIFICATIONS[0]
+    usual = math.sqrt(CHI2_95 * float(np.median(belief.covs.trace(axis1=1, axis2=2))) / 2.0)
+    return max((k for k in MAGNIFICATIONS if k * usual <= READABLE_M), default=MAGNIFICATIONS[0])
+
+
+def recognised(view: SceneView) -> tuple[Array, Array]:
+    """The polygon of the scan (k,2) m, world frame, that was recognised, and those of its vertices that are landmarks.
+
+    Both are empty where none was.
+    """
+    output = view.slam_output
+    if not 0 <= output.match.polygon < len(output.polygons) or not len(output.match.recognised()):
+        return np.empty((0, 2)), np.empty((0, 2))
+    corners = output.polygons[output.match.polygon].corners
+    ring = to_map(output.T_map_laser, polar_to_points(output.polygon_corners.z[corners]))
+    known = output.match.ids[corners[corners < len(output.match.ids)]]
+    where = positions(output.belief)
+    vertices = [where[name] for name in known.tolist() if name in where]
+    return view.to_world(ring), view.to_world(np.array(vertices).reshape(-1, 2))
 
 
 def room_labels(output: SlamOutput, path: Array | None = None) -> dict[int, Array]:
@@ -94,8 +120,8 @@ def room_labels(output: SlamOutput, path: Array | None = None) -> dict[int, Arra
     return labels
 
 
-def cell_colours(grid: SemanticGrid) -> Bytes:
-    """(H,W,3) colour of every cell."""
+def cell_colours(grid: SemanticGrid, walls: bool = True) -> Bytes:
+    """(H,W,3) colour of every cell; without `walls`, these look like what lies beside them."""
     rooms = np.array([palette.mix(palette.FREE, palette.room_colour(i), 0.2) for i in range(len(palette.ROOMS))])
     colours = np.empty((*grid.label.shape, 3), np.uint8)
     colours[:] = palette.UNSEEN
@@ -103,6 +129,10 @@ def cell_colours(grid: SemanticGrid) -> Bytes:
     colours[free] = palette.FREE
     named = free & (grid.room >= 0)
     colours[named] = rooms[grid.room[named] % len(palette.ROOMS)]
-    colours[grid.label == Cell.OCCUPIED] = palette.SOLID
+    if walls:
+        colours[grid.label == Cell.OCCUPIED] = palette.SOLID
+    else:
+        nearest = distance_transform_edt(grid.label == Cell.OCCUPIED, return_distances=False, return_indices=True)
+        colours = colours[nearest[0], nearest[1]]
     colours[grid.label == Cell.DOOR] = palette.mix(palette.DOOR, palette.FREE, 0.55)
     return colours

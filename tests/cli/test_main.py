@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,9 +31,16 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
-    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
-}
+FILES = {
+    "map.png",
+    "curves.png",
+    "run.gif",
+    "replay.html",
+    "metrics.json",
+    "trajectory.tum",
+    "truth.tum",
+    "config.json",
+} | {f"belief.{ending}" for ending in ("yaml", "pgm", "svg")}
 FIGURES = {
     "rooms",
     "rooms_found",
@@ -148,8 +156,8 @@ def test_the_run_can_be_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_an_interruption_keeps_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     look = Run.look
 
-    def look_and_stop(run: Run) -> None:
-        look(run)
+    def look_and_stop(run: Run, info: dict[str, Any] | None = None) -> None:
+        look(run, info)
         if run.steps == 5:
             raise KeyboardInterrupt
 
