@@ -61,6 +61,7 @@ NAMES = (
     "soak",
     "scale",
     "learning",
+    "replay",
     "stock_ppo",
     "uncertainty",
 )
