@@ -146,7 +146,7 @@ class SlamPipeline(SlamParts):
         with self.divergence:
             if len(recognised):
                 z, R = corners.measurements(recognised)
-                self.filter.update(z, R, match.ids[recognised], iterate=iterate)
+                self.guard.update(self.filter, z, R, match.ids[recognised], iterate)
             return match
         return ignored(len(corners), Reason.NOT_LOCALISED)
 

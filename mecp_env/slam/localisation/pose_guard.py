@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.config import LocalisationConfig
@@ -19,6 +19,7 @@ from mecp_env.slam.localisation.hypotheses import NOWHERE, Hypothesis, clear_win
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located
 from mecp_env.slam.messages import Belief, Corners, MapView, Match, MergedScan, Polygon, Reason, SemanticGrid
+from mecp_env.slam.protocols import Filter
 
 REFUSED = int(Reason.REFUSED)
 
@@ -67,6 +68,24 @@ class PoseGuard:
         """(3,3) covariance by which a predicted pose is wrong if odometry since the last trusted scan failed."""
         metres, turn = self.travelled + self.config.inlier_m, self.turned + self.config.inlier_m
         return np.diag([metres**2, metres**2, turn**2])
+
+    def update(self, estimate: Filter, z: Array, R: Array, ids: Ints, iterate: bool) -> None:
+        """Correct a filter by pairs z[i] - ids[i]; loosen it before where these say that odometry has failed."""
+        if self.config.explained_share and self._has_failed(estimate, z, R, ids):
+            estimate.loosen(self.slack())
+        estimate.update(z, R, ids, iterate=iterate)
+
+    def _has_failed(self, estimate: Filter, z: Array, R: Array, ids: Ints) -> bool:
+        """True where failed odometry is likelier than none, by Bayes' rule with the log-odds of a right pose."""
+        nu, S = estimate.innovation(z, R, ids)
+        cost, prior = nis_of(nu, S), 2.0 * self.sure
+        if cost < prior:
+            return False
+        loose = estimate.copy()
+        loose.loosen(self.slack())
+        nu, S_loose = loose.innovation(z, R, ids)
+        spread = float(np.linalg.slogdet(S_loose)[1] - np.linalg.slogdet(S)[1])
+        return cost - nis_of(nu, S_loose) > prior + spread
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
@@ -181,3 +200,11 @@ class PoseGuard:
         (x, y, heading), slack = at.T_map_robot - predicted, self.config.inlier_m
         near = math.hypot(x, y) < self.travelled + slack and abs(wrap_angle(heading)) < self.turned + slack
         return Hypothesis(at, said.share, explained, near)
+
+
+def nis_of(nu: Array, S: Array) -> float:
+    """nu^T S^-1 nu; inf where S is not positive, which the update then refuses."""
+    try:
+        return float(nu @ np.linalg.solve(S, nu))
+    except np.linalg.LinAlgError:
+        return math.inf

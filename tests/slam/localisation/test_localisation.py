@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import compose, inverse, wrap_angle
-from mecp_env.slam.config import LocalisationConfig, SlamConfig
+from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
+from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation.hypotheses import Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement, count_ends
 from mecp_env.slam.localisation.pose_guard import PoseGuard
@@ -204,6 +205,21 @@ def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
     guard.lose(anywhere=True)
     guard.trust()
     assert np.isfinite(guard.slack()).all()
+
+
+@pytest.mark.parametrize(("share", "turned", "loosened"), [(0.65, 0.2, True), (0.65, 0.01, False), (0.0, 0.2, False)])
+def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, turned: float, loosened: bool):
+    config = CONFIG.model_copy(update={"explained_share": share})
+    guard, estimate = PoseGuard(config, REACH_M, TURN_RAD), make_filter(FilterConfig())
+    z, R = np.array([[2.0, 0.3], [2.5, -0.8], [1.5, 2.0]]), np.diag(np.tile([0.01**2, 0.004**2], 3))
+    estimate.augment(z, R, np.arange(3))
+    estimate.loosen(np.diag([0.003, 0.003, 0.002]) ** 2)
+    plain, seen = estimate.copy(), z - [0.0, turned]
+    guard.update(estimate, seen, R, np.arange(3), True)
+    plain.update(seen, R, np.arange(3), iterate=True)
+    heading = estimate.belief().T_map_robot[2]
+    assert abs(heading - turned) < 0.01 if loosened else heading == plain.belief().T_map_robot[2]
+    assert abs(plain.belief().T_map_robot[2] - turned) > 0.015 or turned < 0.1
 
 
 def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
