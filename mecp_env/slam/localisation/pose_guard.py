@@ -77,15 +77,13 @@ class PoseGuard:
 
     def _has_failed(self, estimate: Filter, z: Array, R: Array, ids: Ints) -> bool:
         """True where failed odometry is likelier than none, by Bayes' rule with the log-odds of a right pose."""
-        nu, S = estimate.innovation(z, R, ids)
-        cost, prior = nis_of(nu, S), 2.0 * self.sure
+        cost, prior = estimate.joint_nis(z, R, ids), 2.0 * self.sure
         if cost < prior:
             return False
         loose = estimate.copy()
         loose.loosen(self.slack())
-        nu, S_loose = loose.innovation(z, R, ids)
-        spread = float(np.linalg.slogdet(S_loose)[1] - np.linalg.slogdet(S)[1])
-        return cost - nis_of(nu, S_loose) > prior + spread
+        spread = (float(np.linalg.slogdet(some.innovation(z, R, ids)[1])[1]) for some in (loose, estimate))
+        return cost - loose.joint_nis(z, R, ids) > prior + next(spread) - next(spread)
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
@@ -200,11 +198,3 @@ class PoseGuard:
         (x, y, heading), slack = at.T_map_robot - predicted, self.config.inlier_m
         near = math.hypot(x, y) < self.travelled + slack and abs(wrap_angle(heading)) < self.turned + slack
         return Hypothesis(at, said.share, explained, near)
-
-
-def nis_of(nu: Array, S: Array) -> float:
-    """nu^T S^-1 nu; inf where S is not positive, which the update then refuses."""
-    try:
-        return float(nu @ np.linalg.solve(S, nu))
-    except np.linalg.LinAlgError:
-        return math.inf
