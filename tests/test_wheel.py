@@ -1,0 +1,81 @@
+"""An installed wheel, outside the repository: a fresh environment in a folder with a space in its name."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import site
+import subprocess
+import venv
+from pathlib import Path
+
+import pytest
+
+from tests.learning.training import write_config
+
+ROOT = Path(__file__).parent.parent
+LEARNS = importlib.util.find_spec("torch") is not None
+needs_torch = pytest.mark.skipif(not LEARNS, reason="the extra `rl` is not installed")
+MOST_BYTES = 5_000_000
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an environment that has the wheel, and for its dependencies the packages of this one."""
+    builders = pytest.importorskip("hatchling.builders.wheel")
+    folder = tmp_path_factory.mktemp("wheel") / "a folder"
+    wheel = Path(next(builders.WheelBuilder(str(ROOT)).build(directory=str(folder), versions=["standard"])))
+    assert wheel.stat().st_size < MOST_BYTES
+    venv.create(folder / "env", with_pip=True)
+    packages = next((folder / "env").glob("lib/python*/site-packages"))
+    before = {path.name for path in packages.iterdir()}
+    install = [folder / "env/bin/python", "-m", "pip", "install", "-q", "--no-index", "--no-deps", wheel]
+    subprocess.run(install, check=True)
+    new = {path.name for path in packages.iterdir()} - before
+    assert {name for name in new if not name.endswith(".dist-info")} == {"mecp_env"}
+    (packages / "dependencies.pth").write_text("\n".join(site.getsitepackages()))
+    return folder
+
+
+def call(home: Path, *words: str) -> str:
+    """What a command of the wheel prints."""
+    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    env = {name: value for name, value in os.environ.items() if name not in hidden} | {"MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [home / "env/bin" / words[0], *words[1:]], cwd=home, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
+def test_the_package_is_that_of_the_wheel(home: Path) -> None:
+    where = call(home, "python", "-c", "import mecp_env; print(mecp_env.__file__)")
+    assert where.startswith(str(home))
+
+
+@pytest.mark.slow
+def test_an_explorer(home: Path) -> None:
+    assert "no goal is left" in call(home, "mecp-env", "explore", "nearest", "--layout", "two_rooms")
+
+
+@pytest.mark.slow
+def test_a_replay(home: Path) -> None:
+    call(home, "mecp-env", "demo", "--layout", "two_rooms", "--out", "my run")
+    assert (home / "my run/replay.html").stat().st_size > 20_000
+
+
+@pytest.mark.slow
+@needs_torch
+def test_the_trained_policy(home: Path) -> None:
+    words = ("evaluate", "gain", "maskable_ppo", "--difficulty", "hard", "--episodes", "1", "--max-steps", "100")
+    assert "maskable_ppo" in call(home, "mecp-env", *words, "--no-truth", "--out", "compared")
+
+
+@pytest.mark.slow
+@needs_torch
+def test_training_and_the_adapter(home: Path) -> None:
+    write_config(home / "quick.json")
+    call(home, "mecp-env", "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
+    assert (home / "trained/policy.json").exists()
+    call(home, "python", "-c", "from mecp_env.learning.sb3_batch import SB3Batch")
+
