@@ -78,4 +78,3 @@ def test_training_and_the_adapter(home: Path) -> None:
     call(home, "mecp-env", "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
     assert (home / "trained/policy.json").exists()
     call(home, "python", "-c", "from mecp_env.learning.sb3_batch import SB3Batch")
-

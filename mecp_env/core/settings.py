@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, fie
 from mecp_env.core.array_types import Rows
 from mecp_env.core.errors import ConfigError
 
-MOST_TOLD = 3  # wrong fields that one message tells of
+MOST_TOLD = 8  # wrong fields that one message tells of
 NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
 UNION = re.compile(r"(literal|tuple)\[")  # how pydantic names a part of a union in a path
 PLACEHOLDER = re.compile(r"'([^']+)'")  # the words in what pydantic says is expected

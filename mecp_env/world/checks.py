@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain, islice
 
 import numpy as np
 import shapely
@@ -12,7 +13,7 @@ from shapely.geometry import LineString, Point, Polygon
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.settings import guess
+from mecp_env.core.settings import MOST_TOLD, guess
 from mecp_env.world.outline import (
     GAP_POST_M,
     ROBOT_RADIUS_M,
@@ -26,6 +27,8 @@ from mecp_env.world.outline import (
     wall_lines,
 )
 from mecp_env.world.schema import DoorSpec, Layout
+
+Walls = tuple[shapely.STRtree, list[LineString], Array]  # with the thickness of each
 
 ON_LINE_M = 0.01
 SQUARE_DEG = 1.0
@@ -42,39 +45,50 @@ SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts m
 
 
 def check_geometry(layout: Layout) -> Outline:
-    """The outline of `layout`. Raises LayoutError with the field, the value and the bound of what is impossible."""
+    """The outline of `layout`. Raises LayoutError with the fields, the values and the bounds of what is impossible.
+
+    All that is wrong with shapes is told at once; if nothing is, all that is wrong with rooms and doors; and so on.
+    """
     rooms = [Polygon(room.polygon) for room in layout.rooms]
     solids, obstacles = [solid_shape(solid) for solid in layout.solids], list(map(obstacle_shape, layout.obstacles))
-    for field, shapes in (("rooms.{}.polygon", rooms), ("solids.{}", solids), ("obstacles.{}.points", obstacles)):
-        for i in np.flatnonzero(~shapely.is_valid(shapes))[:1].tolist():
-            reason = shapely.is_valid_reason(shapes[i])
-            raise LayoutError(f"{field.format(i)}: not a simple polygon ({reason})")
-    _check_rooms(layout, np.array(rooms))
+    _refuse(_not_simple({"rooms.{}.polygon": rooms, "solids.{}": solids, "obstacles.{}.points": obstacles}))
     _close_pairs(np.array([*wall_lines(layout)[0], *obstacles, *solids]), MAX_CROSSINGS, "walls")
-    _check_doors(layout)
+    _refuse(chain(_wrong_rooms(layout, np.array(rooms)), _wrong_doors(layout)))
     try:
         outline = build_outline(layout)
-        _check_doors_apart(outline.doors)
-        _check_gaps(outline)
-        _check_starts(outline)
+        _refuse(chain(_doors_that_touch(outline.doors), _wrong_gaps(outline), _wrong_starts(outline)))
         _close_pairs(shapely.linestrings(outline.segments[~outline.round]), MAX_NEAR, "walls: faces", NEAR_M)
-        _check_reach(outline)
+        _refuse(_out_of_reach(outline))
     except shapely.errors.GEOSException as error:
         raise LayoutError(f"walls: their union cannot be computed ({error})") from None
     return outline
 
 
-def _check_rooms(layout: Layout, shapes: NDArray[np.object_]) -> None:
+def _refuse(faults: Iterable[str]) -> None:
+    """Raise LayoutError for the first few `faults`, with the number of the others."""
+    told = list(faults)
+    if told:
+        more = [f"and {len(told) - MOST_TOLD} more"] if len(told) > MOST_TOLD else []
+        raise LayoutError("; ".join(told[:MOST_TOLD] + more))
+
+
+def _not_simple(shapes: Mapping[str, list[Polygon]]) -> Iterator[str]:
+    for field, some in shapes.items():
+        for i in np.flatnonzero(~shapely.is_valid(some)).tolist():
+            yield f"{field.format(i)}: not a simple polygon ({shapely.is_valid_reason(some[i])})"
+
+
+def _wrong_rooms(layout: Layout, shapes: NDArray[np.object_]) -> Iterator[str]:
     """Rooms have different names, and do not overlap."""
     first: dict[str, int] = {}
     for i, room in enumerate(layout.rooms):
         if first.setdefault(room.name, i) != i:
-            raise LayoutError(f"rooms.{i}.name: {room.name!r} is the name of rooms.{first[room.name]} too")
+            yield f"rooms.{i}.name: {room.name!r} is the name of rooms.{first[room.name]} too"
     one, other = _close_pairs(shapes, MAX_TOUCHING, "rooms")
     shared = shapely.area(shapely.intersection(shapes[one], shapes[other], grid_size=GRID_M))
-    for pair in np.flatnonzero(shared > OVERLAP_M2)[:1].tolist():
+    for pair in np.flatnonzero(shared > OVERLAP_M2).tolist():
         what = f"shares {shared[pair]:.2f} m2 with rooms.{other[pair]}, at most {OVERLAP_M2} m2"
-        raise LayoutError(f"rooms.{one[pair]}.polygon: {what}")
+        yield f"rooms.{one[pair]}.polygon: {what}"
 
 
 def _close_pairs(shapes: NDArray[np.object_], most: int, field: str, near_m: float = 0.0) -> tuple[Ints, Ints]:
@@ -97,39 +111,44 @@ def _close_pairs(shapes: NDArray[np.object_], most: int, field: str, near_m: flo
     return i, j
 
 
-def _check_doors(layout: Layout) -> None:
-    """Doors join two rooms; one that is cut is in a wall."""
+def _wrong_doors(layout: Layout) -> Iterator[str]:
+    """Doors join two rooms; one that is cut is in a wall. The first fault of each."""
     lines, thickness = wall_lines(layout)
     tree = shapely.STRtree(lines)
     floors = {room.name: Polygon(room.polygon) for room in layout.rooms}
     for i, door in enumerate(layout.doors):
-        unknown = next((name for name in door.rooms if name not in floors), None)
-        if unknown is not None:
-            side, nearest_name = door.rooms.index(unknown), guess(unknown, floors)
-            raise LayoutError(f"doors.{i}.rooms.{side}: no room is called {unknown!r}{nearest_name}")
-        depth = door.depth_m
-        if depth is None:
-            nearest = int(tree.nearest(Point(door.centre)))
-            depth = thickness[nearest]
-            _check_door_wall(door, lines[nearest], f"doors.{i}")
-        _check_door_sides(floors, door, depth, f"doors.{i}")
+        yield from islice(_wrong_door(door, f"doors.{i}", floors, (tree, lines, thickness)), 1)
 
 
-def _check_door_wall(door: DoorSpec, wall: LineString, field: str) -> None:
+def _wrong_door(door: DoorSpec, field: str, floors: Mapping[str, Polygon], walls: Walls) -> Iterator[str]:
+    for side, name in enumerate(door.rooms):
+        if name not in floors:
+            yield f"{field}.rooms.{side}: no room is called {name!r}{guess(name, floors)}"
+            return
+    tree, lines, thickness = walls
+    depth = door.depth_m
+    if depth is None:
+        nearest = int(tree.nearest(Point(door.centre)))
+        depth = thickness[nearest]
+        yield from _off_its_wall(door, lines[nearest], field)
+    yield from _not_between(floors, door, depth, field)
+
+
+def _off_its_wall(door: DoorSpec, wall: LineString, field: str) -> Iterator[str]:
     """The door lies with its whole width in one straight wall, and is square to it."""
     off = wall.distance(Point(door.centre))
     if off > ON_LINE_M:
-        raise LayoutError(f"{field}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m")
+        yield f"{field}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m"
     (x0, y0), (x1, y1) = wall.coords
     square = math.degrees(math.atan2(y1 - y0, x1 - x0)) + 90.0 - door.direction_deg
     if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
-        raise LayoutError(f"{field}.direction_deg: {door.direction_deg:g} is not square to its wall")
+        yield f"{field}.direction_deg: {door.direction_deg:g} is not square to its wall"
     widest = 2.0 * min(math.dist(door.centre, end) for end in wall.coords)
     if door.width_m > widest:
-        raise LayoutError(f"{field}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m")
+        yield f"{field}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m"
 
 
-def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, field: str) -> None:
+def _not_between(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, field: str) -> Iterator[str]:
     """A point in front of the door is in the first room, a point behind it in the second."""
     step = thickness / 2.0 + 0.05
     heading = math.radians(door.direction_deg)
@@ -137,22 +156,22 @@ def _check_door_sides(floors: Mapping[str, Polygon], door: DoorSpec, thickness: 
     for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
         if not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
-            raise LayoutError(f"{field}.centre: {door.centre} is not between its rooms, {beside}")
+            yield f"{field}.centre: {door.centre} is not between its rooms, {beside}"
 
 
-def _check_doors_apart(doors: Doors) -> None:
+def _doors_that_touch(doors: Doors) -> Iterator[str]:
     """No two doorways overlap: there are jambs between two doors."""
     rings = shapely.polygons(np.array([door_ring(doors, i, 0.0) for i in range(len(doors))]).reshape(-1, 4, 2))
     one, other = _close_pairs(rings, MAX_TOUCHING, "doors")
     shared = shapely.area(shapely.intersection(rings[one], rings[other]))
     most = SHARED_SHARE * np.minimum(shapely.area(rings[one]), shapely.area(rings[other]))
     cuts = ~(doors.gap[one] | doors.gap[other])
-    for pair in np.flatnonzero(cuts | (shared > most))[:1].tolist():
+    for pair in np.flatnonzero(cuts | (shared > most)).tolist():
         given = f"{doors.centre[one[pair]].round(3).tolist()}, {doors.width[one[pair]]:g} m wide"
-        raise LayoutError(f"doors.{one[pair]}.centre: {given}, touches the doorway of doors.{other[pair]}")
+        yield f"doors.{one[pair]}.centre: {given}, touches the doorway of doors.{other[pair]}"
 
 
-def _check_gaps(outline: Outline) -> None:
+def _wrong_gaps(outline: Outline) -> Iterator[str]:
     """A gap is open, and there is a wall at either end of its width."""
     gaps = np.flatnonzero(outline.doors.gap).tolist()
     rings = np.array([door_ring(outline.doors, i, 0.0) for i in gaps]).reshape(-1, 4, 2)
@@ -163,9 +182,9 @@ def _check_gaps(outline: Outline) -> None:
     for i, gap, far in zip(gaps, shapely.polygons(rings), off.tolist(), strict=True):
         open_share = 1.0 if free.covers(gap) else free.intersection(gap).area / gap.area
         if open_share < OPEN_SHARE:
-            raise LayoutError(f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}")
+            yield f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}"
         if far > GAP_POST_M:
-            raise LayoutError(f"doors.{i}.width_m: an end is {far:.2f} m from a wall, at most {GAP_POST_M} m")
+            yield f"doors.{i}.width_m: an end is {far:.2f} m from a wall, at most {GAP_POST_M} m"
 
 
 def _from_faces(outline: Outline, points: Array) -> Array:
@@ -176,26 +195,25 @@ def _from_faces(outline: Outline, points: Array) -> Array:
     return distances
 
 
-def _check_starts(outline: Outline) -> None:
+def _wrong_starts(outline: Outline) -> Iterator[str]:
     points = outline.starts[:, :2]
     inside = shapely.contains_xy(outline.free_area, points)
     for i, clearance in enumerate(_from_faces(outline, points).tolist()):
         given = f"starts.{i}.point: {points[i].tolist()}"
         if not inside[i]:
-            raise LayoutError(f"{given} lies inside a wall or cut off from starts.0")
-        if clearance < ROBOT_RADIUS_M:
-            raise LayoutError(f"{given} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}")
+            yield f"{given} lies inside a wall or cut off from starts.0"
+        elif clearance < ROBOT_RADIUS_M:
+            yield f"{given} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}"
 
 
-def _check_reach(outline: Outline) -> None:
+def _out_of_reach(outline: Outline) -> Iterator[str]:
     """Every room, every door and every start can be reached by the robot's centre from the first start."""
     reach = reachable(outline)
     shapely.prepare(reach)
     lost = ~shapely.intersects(reach, shapely.buffer(outline.rooms, -DOORSTEP_M))
-    for i in np.flatnonzero(lost)[:1]:
-        name = outline.room_names[i]
-        raise LayoutError(f"rooms.{i}: {name!r} cannot be reached by a radius of {ROBOT_RADIUS_M} m")
-    for i in np.flatnonzero(~shapely.intersects(reach, shapely.points(outline.doors.centre)))[:1]:
-        raise LayoutError(f"doors.{i}: too narrow or blocked for a radius of {ROBOT_RADIUS_M} m")
-    for i in np.flatnonzero(~shapely.dwithin(reach, shapely.points(outline.starts[:, :2]), ON_LINE_M))[:1]:
-        raise LayoutError(f"starts.{i}.point: {outline.starts[i, :2].tolist()} cannot be reached from starts.0")
+    for i in np.flatnonzero(lost):
+        yield f"rooms.{i}: {outline.room_names[i]!r} cannot be reached by a radius of {ROBOT_RADIUS_M} m"
+    for i in np.flatnonzero(~shapely.intersects(reach, shapely.points(outline.doors.centre))):
+        yield f"doors.{i}: too narrow or blocked for a radius of {ROBOT_RADIUS_M} m"
+    for i in np.flatnonzero(~shapely.dwithin(reach, shapely.points(outline.starts[:, :2]), ON_LINE_M)):
+        yield f"starts.{i}.point: {outline.starts[i, :2].tolist()} cannot be reached from starts.0"

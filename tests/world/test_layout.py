@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import LayoutError, MecpError
+from mecp_env.core.settings import MOST_TOLD
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import BoxSpec, Pillar
@@ -154,6 +155,17 @@ def test_bad_documents_are_refused_with_their_field(name: str, document: Documen
     path.write_text(json.dumps(document))
     with pytest.raises(LayoutError, match=r"spoilt\.json"):
         load_layout(path)
+
+
+def test_all_faults_of_a_kind_are_told_at_once(document: Document) -> None:
+    replace("doors.0.width_m", 4.5)(document)
+    document["doors"] += [document["doors"][0] | {"rooms": ["west", "nort"]}] * 30
+    with pytest.raises(LayoutError) as refused:
+        load_layout(document)
+    told = str(refused.value).split("; ")
+    assert told[0].startswith("doors.0.width_m: 4.5 is wider")
+    assert told[1].startswith("doors.1.rooms.1: no room is called 'nort'")
+    assert told[-1] == f"and {31 - MOST_TOLD} more"
 
 
 BAD_FILES = {
