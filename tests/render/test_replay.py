@@ -30,6 +30,15 @@ class Seen(RecordReplay):
         super()._look(step)
 
 
+def cells_at_the_end(run: dict[str, Any]) -> np.ndarray:
+    """(H*W,) the map of the last frame."""
+    cells = np.zeros(run["grid"]["size"][::-1], np.uint8).ravel()
+    for frame in run["frames"]:
+        for first, count, code in np.reshape(frame.get("cells", []), (-1, 3)).astype(int).tolist():
+            cells[first : first + count] = code
+    return cells
+
+
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
     folder = tmp_path_factory.mktemp("replays")
@@ -50,18 +59,15 @@ def test_a_page_has_every_step_and_the_last_belief(kept: tuple[Path, list[Any]])
     assert page.stat().st_size < 200_000
     assert [frame["step"] for frame in run["frames"]] == list(range(len(views) + 1))
     landmarks: dict[int, list[int]] = {}
-    cells = np.zeros(run["grid"]["size"][::-1], np.uint8).ravel()
     for frame in run["frames"]:
         for name, *row in frame.get("landmarks", []):
             landmarks.pop(name, None) if not row else landmarks.update({name: row})
-        for first, count, code in np.reshape(frame.get("cells", []), (-1, 3)).tolist():
-            cells[first : first + count] = code
     output = views[-1].slam_output
     assert sorted(landmarks) == sorted(output.belief.ids.tolist())
     placed = np.array([landmarks[name][:2] for name in output.belief.ids.tolist()])
     np.testing.assert_allclose(placed / 100.0, output.belief.p_map, atol=0.00501)
     known = (output.grid.label > 0).sum()
-    assert (cells > 0).sum() == known
+    assert (cells_at_the_end(run) > 0).sum() == known
     assert run["frames"][-1]["curves"]["coverage"] == round(1e4 * views[-1].metrics["coverage"])
     assert "reward_area" in run["curve_units"]
 
@@ -98,6 +104,8 @@ def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monk
     assert len(steps) <= 8
     assert np.unique(np.diff(steps)).tolist() == [some.every]
     assert run["frames"][1]["time"] == round(40 * some.every)
+    shown = some.frames[-1].view.slam_output.grid
+    assert (cells_at_the_end(run) > 0).sum() == (shown.label > 0).sum()
 
 
 def test_what_hardly_changed_is_not_written_again() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ CURVES = (  # metrics that are drawn over time, as far as a run has them, and th
     *(("rooms_found", 1.0), ("rooms", 1.0), ("doors_found", 1.0), ("doors", 1.0), ("contacts", 1.0)),
 )
 REWARD = "reward_"
+NO_PATH = np.empty((0, 2))
 
 
 @dataclass(slots=True, eq=False)
@@ -68,10 +69,12 @@ class Recorder:
         output, known = view.slam_output, np.empty(0, np.int64)
         if self.before is not None and 0 <= output.associated.known < len(self.before.map_polygons):
             known = self.before.map_polygons[output.associated.known].ids
-        same = self.before is not None and self.frames and self.before.grid.version == output.grid.version
-        grid = self.frames[-1].grid if same else (codes(output.grid), output.grid.origin)
+        last = self.frames[-1] if self.frames else None
+        same = last is not None and last.view.slam_output.grid.version == output.grid.version
+        grid = last.grid if last is not None and same else (codes(output.grid), output.grid.origin)
         curves = {name: float(view.metrics[name]) for name, _ in CURVES if name in view.metrics}
-        return Frame(view, self.steps, seconds, known, grid, curves | self.earned)
+        short = replace(view, path_world=NO_PATH, path_map=NO_PATH)  # the page draws the paths from the poses
+        return Frame(short, self.steps, seconds, known, grid, curves | self.earned)
 
     def run(self, title: str, result: str = "") -> dict[str, Any]:
         """All that was kept, as plain data. Call it once there is a step."""
