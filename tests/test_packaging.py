@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import re
+import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -23,6 +26,22 @@ def test_the_wheel_contains_weights_and_layouts_and_nothing_but_the_package(tmp_
         assert not [path for path in below if str(path.relative_to(ROOT)) not in names]
 
 
+def test_the_images_of_the_readme_get_the_address_from_one_setting() -> None:
+    hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"]["hooks"]
+    (setting,) = hooks["fancy-pypi-readme"]["substitutions"]
+    readme = (ROOT / "README.md").read_text()
+    images = re.findall(r"!\[.*?\]\((.+?)\)", readme)
+    built = re.sub(setting["pattern"], setting["replacement"] + "https://address/", readme)
+    assert re.findall(r"!\[.*?\]\((.+?)\)", built) == [f"https://address/{image}" for image in images]
+
+
+def test_the_adapter_without_its_extra_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.env_util", None)
+    monkeypatch.delitem(sys.modules, "mecp_env.learning.sb3_batch", raising=False)
+    with pytest.raises(ModuleNotFoundError, match=r"SB3Batch needs stable_baselines3.*pip install 'mecp_env\[rl\]'"):
+        importlib.import_module("mecp_env.learning.sb3_batch")
+
+
 def test_an_editable_install_exposes_the_package_only() -> None:
     hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
     assert hatch["dev-mode-exact"] is True
@@ -31,8 +50,8 @@ def test_an_editable_install_exposes_the_package_only() -> None:
 
 def test_every_extra_is_imported_somewhere() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    # docs/ imports `docs`, benchmarks import `peers`
-    assert set(extras) == {"rl", "logs", "datasets", "docs", "dev", "peers"}
+    # docs/ imports `docs`, benchmarks import `peers`, Gymnasium's RecordVideo imports `video`
+    assert set(extras) == {"rl", "logs", "datasets", "video", "docs", "dev", "peers"}
     text = "".join(path.read_text() for path in (ROOT / "mecp_env").rglob("*.py"))
     modules = {"torch": "torch", "stable-baselines3": "stable_baselines3", "sb3-contrib": "sb3_contrib"}
     modules |= {"safetensors": "safetensors", "tensorboard": "TensorBoardOutputFormat", "rosbags": "rosbags.highlevel"}

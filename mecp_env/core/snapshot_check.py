@@ -96,6 +96,8 @@ def fits(value: Any, hint: Any) -> bool:
     origin = get_origin(hint)
     if origin is None:
         return is_a(value, type(None) if hint is None else hint)
+    if hasattr(origin, "__value__"):  # an alias with parameters, as NumPy's NDArray is from Python 3.12 on
+        return fits(value, origin.__value__[get_args(hint)])
     return GENERIC[origin](value, get_args(hint))
 
 

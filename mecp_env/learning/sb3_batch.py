@@ -15,10 +15,15 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList
 from numpy.typing import NDArray
-from stable_baselines3.common.env_util import is_wrapped
-from stable_baselines3.common.vec_env import VecEnv
 
+from mecp_env.policies.registry import INSTALL
 from mecp_env.vector import BatchEnv, make_batch
+
+try:
+    from stable_baselines3.common.env_util import is_wrapped
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(f"SB3Batch needs {error.name}; {INSTALL}", name=error.name) from None
 
 MASKS = "action_masks"
 

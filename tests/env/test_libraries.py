@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -52,6 +53,14 @@ def ended(env: Any, steps: int = 12) -> int:
 @pytest.mark.parametrize("name", WRAPPERS)
 def test_wrappers_of_gymnasium(observation: str, name: str) -> None:
     assert ended(WRAPPERS[name](make(observation=observation, max_steps=5))) == 2
+
+
+def test_a_video_of_an_episode(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="needs the extra video")
+    env = wrappers.RecordVideo(make(render_mode="rgb_array", max_steps=5), str(tmp_path), disable_logger=True)
+    ended(env, 5)
+    env.close()
+    assert next(tmp_path.glob("*.mp4")).stat().st_size > 1000
 
 
 @pytest.mark.parametrize("observation", FORMATS)
