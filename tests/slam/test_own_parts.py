@@ -111,10 +111,10 @@ def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: py
     assert list(rows)[-2:] == ["global_nearest", "mecp, filter one_shot"]
     assert command.main(["association", "--with", "global_nearest", "one_shot_filter", "--sets", "two_rooms:1"]) == 0
     said = capsys.readouterr().out
-    assert "### two_rooms (1 seeds)" in said
+    assert "## two_rooms (1 seeds)" in said
     assert "| global_nearest |" in said
     assert "| mecp, filter one_shot |" in said
-    assert "### paper" not in said
+    assert "## paper" not in said
 
 
 @pytest.mark.parametrize(
