@@ -141,9 +141,9 @@ def test_mutated_snapshots_end_in_an_error_or_run() -> None:
 
 
 @pytest.mark.slow
-def test_two_thousand_mutated_snapshots_end_in_an_error_or_run() -> None:
-    ends = fuzz(100, 2000)
-    assert sum(ends.values()) == 2000
+def test_many_mutated_snapshots_end_in_an_error_or_run() -> None:
+    ends = fuzz(100, 700)
+    assert sum(ends.values()) == 700
 
 
 def test_an_array_cut_to_nothing_is_refused() -> None:

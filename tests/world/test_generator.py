@@ -87,15 +87,13 @@ def test_what_is_declared_is_what_comes_out(difficulty: str) -> None:
 @pytest.mark.parametrize(
     ("difficulty", "first", "last"),
     [
-        ("easy", 0, 4000),
-        ("medium", 0, 2000),
-        ("medium", 2000, 4000),
-        ("hard", 0, 1000),
-        ("hard", 1000, 1900),
-        ("huge", 0, 100),
+        ("easy", 0, 1000),
+        ("medium", 0, 1000),
+        ("hard", 0, 500),
+        ("huge", 0, 50),
     ],
 )
-def test_ten_thousand_seeds_are_what_was_declared(difficulty: str, first: int, last: int) -> None:
+def test_many_seeds_are_what_was_declared(difficulty: str, first: int, last: int) -> None:
     spec = GeneratorSpec.preset(difficulty)
     for seed in range(first, last):
         check(spec, generate(spec, seed))
