@@ -13,17 +13,7 @@ from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
-from mecp_env.slam.messages import (
-    Belief,
-    Corners,
-    Decision,
-    MapView,
-    Match,
-    Reason,
-    ScanFeatures,
-    Sighting,
-    SlamOutput,
-)
+from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting, SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 
@@ -154,9 +144,10 @@ class SlamPipeline(SlamParts):
         """Search for the pose, as long as it is not trusted; what the scan was matched to, and the belief then."""
         match = ignored(len(around.corners), Reason.NOT_LOCALISED)
         found = self.guard.search(around.corners, around.polygons, view, around.scan.beams, self.grid.canvas.grid)
+        if found is not None or self.guard.resumes(self.filter):
+            self.recent.forget(self.filter)
         if found is not None:
             match = match.assign(found.corners, found.ids, int(Decision.LANDMARK), int(Reason.RELOCALISED))
-            self.recent.forget(self.filter)
             self.filter.set_pose(found.T_map_robot, found.cov)
             self._update(around.scan.corners, around.narrow(match), iterate=True)
             self.rooms.arrive_at(found.ids, self.map.features)

@@ -36,7 +36,7 @@ class PoseGuard:
     reach_m: float  # of what is compared with the grid, and between two landmarks of a pair
     descriptor_rad: float  # the most by which a face may turn
     localised: bool = True
-    doubts: int = 0  # scans in a row that contradict the map
+    doubts: int = 0  # scans in a row that contradict the map, and those that were searched with since then
     astray: int = 0  # those of them, in a row, that do not agree with the scans before either
     log_odds: float = 0.0  # of the pose being right, before its covariance is asked
     travelled: float = 0.0  # m that odometry reported since a scan agreed, until the pose was searched for
@@ -146,6 +146,21 @@ class PoseGuard:
             return None
         self.trust()
         return found
+
+    def resumes(self, estimate: Filter) -> bool:
+        """True when the search ends, because the map has too few landmarks for it: mapping goes on where odometry says.
+
+        Sooner where no search could succeed. The filter is loosened by what odometry may have been wrong by. A robot
+        that was put anywhere goes on searching.
+        """
+        self.doubts += 1
+        count, least = len(estimate.ids), self.config.least_corners
+        patience = self.patience * (2 if count < least else 10)
+        if self.localised or count >= 2 * least or self.doubts < patience or self.travelled < 0.0:
+            return False
+        estimate.loosen(self.slack())
+        self.trust()
+        return True
 
     def is_clear(
         self,

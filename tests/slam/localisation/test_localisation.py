@@ -207,6 +207,23 @@ def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
     assert np.isfinite(guard.slack()).all()
 
 
+@pytest.mark.parametrize(
+    ("landmarks", "anywhere", "after"),
+    [(3, False, 8), (4, False, 40), (7, False, 40), (8, False, math.inf), (3, True, math.inf)],
+)
+def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int, anywhere: bool, after: float):
+    guard, estimate = PoseGuard(CONFIG, REACH_M, TURN_RAD), make_filter(FilterConfig())
+    z, R = np.column_stack([np.full(landmarks, 2.0), 0.3 * np.arange(landmarks)]), 1e-4 * np.eye(2 * landmarks)
+    estimate.augment(z, R, np.arange(landmarks))
+    guard.lose(anywhere)
+    ends = math.isfinite(after)
+    resumed = [guard.resumes(estimate) for _ in range(int(after) if ends else 200)]
+    assert resumed == [False] * (len(resumed) - 1) + [ends]
+    assert guard.localised == ends
+    sigma_m = math.sqrt(estimate.belief().pose_cov[0, 0])
+    assert sigma_m == pytest.approx(CONFIG.inlier_m if ends else 0.0, abs=2e-3)  # odometry may have failed by so much
+
+
 @pytest.mark.parametrize(("share", "turned", "loosened"), [(0.65, 0.2, True), (0.65, 0.01, False), (0.0, 0.2, False)])
 def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, turned: float, loosened: bool):
     config = CONFIG.model_copy(update={"explained_share": share})
