@@ -1,4 +1,4 @@
-"""Wrappers: goal actions, by which a step is the whole drive to a goal, and a replay of each episode."""
+"""Wrappers: goal actions, by which a step is a whole drive to a goal; a look at every step; a replay of episodes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.goal_list import WAIT, Outcome
 from mecp_env.planning.navigator import Navigator, Target
 from mecp_env.render.replay import Recorder, write_page
-from mecp_env.render.view import summary
+from mecp_env.render.view import SceneView, summary
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 EVENTS = {
@@ -148,7 +148,45 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return observation, sum(step[1] for step in steps), terminated, truncated, info
 
 
-class RecordReplay(gymnasium.Wrapper[Observation, Any, Observation, Any]):
+class EveryStep(gymnasium.Wrapper[Observation, Any, Observation, Any]):
+    """Call `look(view, info)` after each reset (`info` None) and after every control step, those of drives included.
+
+    Works around any environment of this package; `view` is its `SceneView`. Raises `ConfigError` for another one.
+    """
+
+    def __init__(
+        self, env: gymnasium.Env[Observation, Any], look: Callable[[SceneView, dict[str, Any] | None], None]
+    ) -> None:
+        super().__init__(env)
+        if not isinstance(env.unwrapped, MecpEnv):
+            raise ConfigError(f"{type(self).__name__}: expected a mecp_env environment, got {env}")
+        self.base, self.look = env.unwrapped, look
+        self.goals = _goal_actions(env)
+        if self.goals is not None:
+            self.after, self.goals.callback = self.goals.callback, self._drive_step
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As of the environment below."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self.look(self.base.view(), None)
+        return observation, info
+
+    def step(self, action: Any) -> Step:
+        """As of the environment below."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self.goals is None:
+            self.look(self.base.view(), info)
+        return observation, float(reward), terminated, truncated, info
+
+    def _drive_step(self, step: Step) -> None:
+        self.look(self.base.view(), step[4])
+        if self.after is not None:
+            self.after(step)
+
+
+class RecordReplay(EveryStep):
     """Write a page that plays each episode, `FOLDER/episode-0000.html` and so on (`mecp-env replay`).
 
     Works around any environment of this package, inner steps of goal actions included, in training and evaluation.
@@ -157,15 +195,12 @@ class RecordReplay(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Any], folder: str | Path, every: int = 1) -> None:
-        super().__init__(env)
-        if not isinstance(env.unwrapped, MecpEnv) or every < 1:
-            raise ConfigError(f"RecordReplay: expected a mecp_env environment and every >= 1, got {env} and {every}")
-        self.base, self.folder, self.every = env.unwrapped, Path(folder), every
+        super().__init__(env, self._keep)
+        if every < 1:
+            raise ConfigError(f"RecordReplay: every: expected at least 1, got {every}")
+        self.folder, self.every = Path(folder), every
         self.folder.mkdir(parents=True, exist_ok=True)
         self.episode, self.recorder = -1, Recorder()
-        self.goals = _goal_actions(env)
-        if self.goals is not None:
-            self.after, self.goals.callback = self.goals.callback, self._look
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -173,34 +208,23 @@ class RecordReplay(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         """As of the environment below."""
         self._write()
         self.episode, self.recorder = self.episode + 1, Recorder(self.base.config.robot.period_s)
-        observation, info = self.env.reset(seed=seed, options=options)
-        if self._wanted:
-            self.recorder.look(self.base.view())
-        return observation, info
+        return super().reset(seed=seed, options=options)
 
     def step(self, action: Any) -> Step:
         """As of the environment below."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if self.goals is None:
-            self._look((observation, float(reward), terminated, truncated, info))
-        if terminated or truncated:
+        step = super().step(action)
+        if step[2] or step[3]:
             self._write()
-        return observation, float(reward), terminated, truncated, info
+        return step
 
     def close(self) -> None:
         """Write what there is of the last episode."""
         self._write()
         super().close()
 
-    @property
-    def _wanted(self) -> bool:
-        return self.episode % self.every == 0
-
-    def _look(self, step: Step) -> None:
-        if self._wanted:
-            self.recorder.look(self.base.view(), step[4])
-        if self.goals is not None and self.after is not None:
-            self.after(step)
+    def _keep(self, view: SceneView, info: dict[str, Any] | None) -> None:
+        if self.episode % self.every == 0:
+            self.recorder.look(view, info)
 
     def _write(self) -> None:
         if len(self.recorder.frames) > 1:

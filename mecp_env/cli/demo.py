@@ -32,6 +32,7 @@ class Demo(Command):
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
     replay: bool = True  # keep the page that plays the run in a browser
+    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
@@ -42,6 +43,7 @@ class Demo(Command):
         from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
         from mecp_env.cli.map_option import check_map, save_map
         from mecp_env.cli.progress import ExplorationBar, print_result
+        from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.cli.stopwatch import timed_stages
         from mecp_env.core import warm_up
         from mecp_env.env import MecpEnv
@@ -55,10 +57,12 @@ class Demo(Command):
         if self.render == "human":
             require_display()
         warm_up.prepare()
+        recording = rerun_log(self.rerun, config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
-        run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None)
+        run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)
         with timed_stages() as watch, ExplorationBar(run, watch) as bar, suppress(KeyboardInterrupt):
             run.explore(bar.show)
+        end_rerun(recording, self.rerun)
         if not run.estimated:
             return INTERRUPTED
         print_result(run.keep(folder, watch), folder)

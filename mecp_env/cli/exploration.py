@@ -19,6 +19,7 @@ from mecp_env.render.curves import Moment, curves_figure, moment_of
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
+from mecp_env.render.rerun_log import RerunLog
 from mecp_env.render.screen import Screen, ScreenConfig
 from mecp_env.render.view import SceneView, summary
 from mecp_env.wrappers import GoalActions, Step
@@ -37,6 +38,7 @@ class Run:
     env: MecpEnv
     seed: int
     recorder: Recorder | None = field(default_factory=Recorder)  # None: no replay
+    rerun: RerunLog | None = None  # the recording of the rerun viewer, where one is wanted
     film: Film = field(default_factory=Film)
     screen: Screen | None = None  # of the film; made when the building is known
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
@@ -73,6 +75,8 @@ class Run:
         self.moments.append(moment_of(view))
         if self.recorder is not None:
             self.recorder.look(view, info)
+        if self.rerun is not None:
+            self.rerun.look(view, info)
         self.film.offer(self.steps, lambda: self.picture(view))
 
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:

@@ -42,6 +42,7 @@ class Explore(Command):
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     start: Start = "layout"  # random: anywhere in free space
     replay: Path | None = None  # folder for the page that plays the episode
+    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
@@ -50,15 +51,18 @@ class Explore(Command):
         """Run the episode; one line per drive, then the metrics."""
         import gymnasium as gym
 
+        from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.policies.registry import make_policy
         from mecp_env.policies.rollout import for_policy, masks, options_of
-        from mecp_env.wrappers import RecordReplay
+        from mecp_env.wrappers import EveryStep, RecordReplay
 
         building, options = self._building()
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
         fields = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start, **options_of(policy)}
         env = for_policy(gym.make(**building, **fields), policy, lambda observation, info: None)
+        recording = rerun_log(self.rerun, env.get_wrapper_attr("config").robot.period_s)
+        env = env if recording is None else EveryStep(env, recording.look)
         env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
         observation, info = env.reset(seed=self.seed, options=options)
         policy.reset(self.seed)
@@ -72,6 +76,7 @@ class Explore(Command):
         echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
         save_map(env.unwrapped, self.save_map)
         env.close()
+        end_rerun(recording, self.rerun)
         return 0
 
     def _building(self) -> tuple[dict[str, Any], dict[str, int] | None]:

@@ -23,6 +23,7 @@ from mecp_env.logs import Log
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
+from mecp_env.render.rerun_log import RerunLog
 from mecp_env.render.screen import thumbnail
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import SlamOutput
@@ -40,8 +41,8 @@ EVERY = 10  # scans between two updates of the bar
 class LogFiles:
     """The film and the path of a run in progress, and the files at its end."""
 
-    def __init__(self, log: Log, planned: int) -> None:
-        self.log = log
+    def __init__(self, log: Log, planned: int, rerun: RerunLog | None = None) -> None:
+        self.log, self.rerun = log, rerun
         self.film = Film(every=max(1, planned // FRAMES))
         self.path: list[Array] = []  # (2,) m, map frame
         self.recorder = Recorder()
@@ -51,7 +52,10 @@ class LogFiles:
         self.path.append(output.belief.T_map_robot[:2].copy())
         self.film.offer(len(self.path) - 1, lambda: self._frame(output))
         view = _view(output, np.array(self.path[-1:]), np.empty((0, 2)), self.log.name)
-        self.recorder.look(view, seconds=float(self.log.t[row] - self.log.t[0]))
+        seconds = float(self.log.t[row] - self.log.t[0])
+        self.recorder.look(view, seconds=seconds)
+        if self.rerun is not None:
+            self.rerun.look(view, seconds=seconds)
 
     def _frame(self, output: SlamOutput) -> Any:
         rooms, doors = len(output.graph.rooms), len(output.graph.doors)

@@ -63,6 +63,7 @@ class Slam(Command):
     rest_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.05  # and less turn than this, are skipped
     from_map: Path | None = None  # a saved map to go on in
     start: str = "saved"  # where, in that map: saved, unknown (it is searched for), or a pose as X,Y,HEADING
+    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)
     config: SlamFields = field(default_factory=SlamFields)  # any field of the estimator
     noise: NoiseFields = field(default_factory=NoiseFields)
@@ -72,6 +73,7 @@ class Slam(Command):
         from mecp_env.cli.buildings import spare_sources
         from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_result
         from mecp_env.cli.map_option import check_map
+        from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.core import warm_up
         from mecp_env.evaluation.log_run import LogDrive, LogRunConfig
 
@@ -85,11 +87,12 @@ class Slam(Command):
         drive = LogDrive(log, pipeline, options)
         planned = len(drive.planned())
         warm_up.prepare()
-        files = LogFiles(log, planned)
+        files = LogFiles(log, planned, rerun_log(self.rerun))
         with MappingBar(log.name, planned) as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():
                 files.look(output, drive.rows[-1])
                 bar.show(output)
+        end_rerun(files.rerun, self.rerun)
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED
         run = drive.result()

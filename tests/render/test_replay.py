@@ -25,9 +25,10 @@ needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on th
 class Seen(RecordReplay):
     """The wrapper, with the views that it was given."""
 
-    def _look(self, step: Any) -> None:
-        self.views = [*getattr(self, "views", []), self.base.view()]
-        super()._look(step)
+    def _keep(self, view: Any, info: Any) -> None:
+        if info is not None:
+            self.views = [*getattr(self, "views", []), view]
+        super()._keep(view, info)
 
 
 def cells_at_the_end(run: dict[str, Any]) -> np.ndarray:

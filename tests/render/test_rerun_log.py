@@ -1,0 +1,112 @@
+"""Recordings of the rerun viewer: what is in them, and where they cannot be made."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.cli.main import main
+from mecp_env.env import MecpEnv
+from mecp_env.render.rerun_log import RerunLog
+
+STEPS = 12
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], list[Any]]:
+    """What was logged last of every entity, and the views that it was made of."""
+    pytest.importorskip("rerun", reason="needs the extra viewer")
+    path = tmp_path_factory.mktemp("rerun") / "new" / "run.rrd"
+    env, log, views, logged = MecpEnv(), RerunLog(path), list[Any](), dict[str, Any]()
+    env.reset(seed=1)
+    write = log.stream.log
+
+    def spy(name: str, what: Any, **options: Any) -> None:
+        logged[name] = what
+        write(name, what, **options)
+
+    log.stream.log = spy
+    for _ in range(STEPS):
+        info = env.step(np.array([0.5, 0.2]))[4]
+        views.append(env.view())
+        log.look(views[-1], info)
+    log.close()
+    assert path.stat().st_size > 10_000
+    return logged, views
+
+
+def last(logged: dict[str, Any], entity: str, column: str) -> Any:
+    """What an entity has in a column, as plain data."""
+    return getattr(logged[entity], column).as_arrow_array().to_pylist()
+
+
+def test_landmarks_corners_and_curves_are_those_of_the_estimator(kept: tuple[dict[str, Any], list[Any]]) -> None:
+    logged, views = kept
+    output = views[-1].slam_output
+    assert np.allclose(np.array(last(logged, "belief/landmarks", "positions"))[:, :2], output.belief.p_map, atol=1e-5)
+    assert last(logged, "belief/landmarks", "labels") == [str(name) for name in output.belief.ids]
+    reasons = last(logged, "belief/robot/laser/corners", "labels")
+    assert len(reasons) == len(output.corners)
+    assert all(": " in reason for reason in reasons)
+    error = last(logged, "curves/error/pose_error_m", "scalars")
+    assert error == pytest.approx([views[-1].metrics["pose_error_m"]])
+    assert np.allclose(last(logged, "belief/robot", "translation")[0][:2], output.belief.T_map_robot[:2], atol=1e-5)
+
+
+def test_an_ellipse_is_that_of_the_covariance(kept: tuple[dict[str, Any], list[Any]]) -> None:
+    logged, views = kept
+    cov = views[-1].slam_output.belief.pose_cov[:2, :2]
+    half = np.array(last(logged, "belief/pose_ellipse", "half_sizes"))[0, :2]
+    x, y, z, w = last(logged, "belief/pose_ellipse", "quaternions")[0]
+    assert (x, y) == (0.0, 0.0)
+    axis = np.array([w * w - z * z, 2.0 * w * z])
+    axes = np.column_stack([axis, [-axis[1], axis[0]]])
+    assert np.allclose(axes @ np.diag(half**2) @ axes.T, 5.991 * cov, rtol=1e-3, atol=1e-12)
+
+
+def test_the_grid_is_the_right_way_up(kept: tuple[dict[str, Any], list[Any]]) -> None:
+    logged, views = kept
+    grid = views[-1].slam_output.grid
+    image = np.array(last(logged, "belief/grid", "data"), np.uint8).reshape(*grid.label.shape, 3)
+    seen = (image != image[0, 0]).any(axis=2)  # the corner of the grid is unknown
+    assert np.array_equal(seen[::-1], grid.label > 0)
+    assert np.allclose(last(logged, "belief/grid", "translation")[0][:2], grid.origin, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "line", [["demo", "--layout", "two_rooms", "--no-replay"], ["explore", "nearest", "--layout", "two_rooms"]]
+)
+def test_commands_write_one(line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rerun", reason="needs the extra viewer")
+    made, out = tmp_path / "run.rrd", ["--out", str(tmp_path / "kept")] if line[0] == "demo" else []
+    assert main([*line, *out, "--rerun", str(made)]) == 0
+    assert made.stat().st_size > 50_000
+    assert f"recording: {made}" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("run.txt", "expected a file name that ends in .rrd"), ("folder.rrd", "is a folder, not a file")],
+)
+def test_a_wrong_path_is_refused(name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rerun", reason="needs the extra viewer")
+    (tmp_path / "folder.rrd").mkdir()
+    assert main(["explore", "nearest", "--rerun", str(tmp_path / name)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "--rerun" in said
+    assert words in said
+
+
+def test_without_rerun_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    made = tmp_path / "run.rrd"
+    assert main(["demo", "--layout", "two_rooms", "--out", str(tmp_path / "kept"), "--rerun", str(made)]) == 2
+    assert "pip install 'mecp_env[viewer]'" in " ".join(capsys.readouterr().err.split())
+    assert not made.exists()
+    assert not (tmp_path / "kept").exists()
