@@ -140,7 +140,7 @@ def _off_its_wall(door: DoorSpec, wall: LineString, field: str) -> Iterator[str]
     if off > ON_LINE_M:
         yield f"{field}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m"
     (x0, y0), (x1, y1) = wall.coords
-    square = math.degrees(math.atan2(y1 - y0, x1 - x0)) + 90.0 - door.direction_deg
+    square = math.degrees(math.atan2(y1 - y0, x1 - x0) - door.heading) + 90.0
     if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
         yield f"{field}.direction_deg: {door.direction_deg:g} is not square to its wall"
     widest = 2.0 * min(math.dist(door.centre, end) for end in wall.coords)
@@ -151,8 +151,7 @@ def _off_its_wall(door: DoorSpec, wall: LineString, field: str) -> Iterator[str]
 def _not_between(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, field: str) -> Iterator[str]:
     """A point in front of the door is in the first room, a point behind it in the second."""
     step = thickness / 2.0 + 0.05
-    heading = math.radians(door.direction_deg)
-    ahead = step * np.array([math.cos(heading), math.sin(heading)])
+    ahead = step * np.array([math.cos(door.heading), math.sin(door.heading)])
     for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
         if not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"

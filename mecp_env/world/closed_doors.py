@@ -65,7 +65,7 @@ def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
 
 def _leaf(door: DoorSpec) -> Solid:
     """The solid that fills a gap, with its ends in the adjacent walls."""
-    depth, heading = door.depth_m or 0.0, math.radians(door.direction_deg)
+    depth, heading = door.depth_m or 0.0, door.heading
     through = 0.5 * depth * np.array([math.cos(heading), math.sin(heading)])
     along = (0.5 * door.width_m + GAP_POST_M) * np.array([-math.sin(heading), math.cos(heading)])
     ring = door.centre + np.stack([-through - along, through - along, through + along, along - through])

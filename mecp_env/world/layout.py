@@ -12,6 +12,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.world.checks import check_geometry
+from mecp_env.world.door_directions import with_directions
 from mecp_env.world.schema import Layout
 
 LIBRARY = Path(__file__).parent / "library"
@@ -33,7 +34,7 @@ def load_layout(given: str | os.PathLike[str] | dict[str, Any] | Layout) -> Layo
     """
     given = Path(given) if isinstance(given, os.PathLike) else given
     try:
-        layout = _parse(given)
+        layout = with_directions(_parse(given))
         check_geometry(layout)
         return layout
     except LayoutError as error:

@@ -177,7 +177,7 @@ def _doors(layout: Layout) -> Doors:
     return Doors(
         centre=centres,
         width=np.array([door.width_m for door in layout.doors]),
-        normal=np.array([wrap_angle(math.radians(door.direction_deg)) for door in layout.doors]),
+        normal=np.array([wrap_angle(door.heading) for door in layout.doors]),
         rooms=np.array(rooms, dtype=np.int64).reshape(-1, 2),
         thickness=_door_thickness(layout, centres),
         gap=np.array([door.opening == "gap" for door in layout.doors], dtype=np.bool_),

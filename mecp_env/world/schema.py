@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -70,7 +71,7 @@ class DoorSpec(_Part):
     centre: Point  # on the middle line of a wall; the middle of a gap
     width_m: Annotated[float, Strict(), Field(ge=0.1, le=20.0)] = 0.9
     rooms: tuple[Name, Name]
-    direction_deg: Degrees  # heading from the first room to the second
+    direction_deg: Degrees | None = None  # heading from the first room to the second; `load_layout` asks the wall
     opening: Literal["cut", "gap"] = "cut"
     depth_m: Annotated[float, Strict(), Field(ge=0.01, le=5.0)] | None = None  # of a gap: the thickness of its wall
 
@@ -78,7 +79,15 @@ class DoorSpec(_Part):
     def _has_depth(self) -> Self:
         if (self.opening == "gap") != (self.depth_m is not None):
             raise ValueError("a gap has depth_m, a cut has none: its wall has a thickness")
+        if self.opening == "gap" and self.direction_deg is None:
+            raise ValueError("a gap has direction_deg, for no wall says it")
         return self
+
+    @property
+    def heading(self) -> float:
+        """Radians, from the first room to the second; of a layout that `load_layout` returned."""
+        assert self.direction_deg is not None
+        return math.radians(self.direction_deg)
 
 
 class BoxSpec(_Part):
@@ -177,8 +186,9 @@ class Layout(Document):
 
 
 def _without_defaults(door: dict[str, Any]) -> dict[str, Any]:
-    """The JSON of a door; a cut is written without the fields of a gap."""
-    return {key: value for key, value in door.items() if door["opening"] == "gap" or key not in ("opening", "depth_m")}
+    """The JSON of a door; a cut is written without the fields of a gap, and without a direction that its wall says."""
+    unset = {"opening", "depth_m"} if door["opening"] == "cut" else set()
+    return {key: value for key, value in door.items() if key not in unset and value is not None}
 
 
 def _lines(value: Any) -> str:

@@ -8,7 +8,7 @@ import json
 import math
 import pickle
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from mecp_env.core.errors import LayoutError, MecpError
 from mecp_env.core.settings import MOST_TOLD
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
-from mecp_env.world.schema import BoxSpec, Pillar
+from mecp_env.world.schema import BoxSpec, DoorSpec, Pillar
 from tests.world.conftest import DOCUMENTS
 
 Document = dict[str, Any]
@@ -310,6 +310,41 @@ def test_the_schema_is_public() -> None:
     assert schema["additionalProperties"] is False
 
 
+@pytest.mark.parametrize("name", shipped_layouts())
+def test_the_direction_of_a_cut_follows_from_its_wall(name: str) -> None:
+    document, turned = copy.deepcopy(DOCUMENTS[name]), copy.deepcopy(DOCUMENTS[name])
+    for door in document["doors"]:
+        del door["direction_deg"]
+    for door in turned["doors"]:
+        del door["direction_deg"]
+        door["rooms"] = door["rooms"][::-1]
+    there, back = load_layout(document), load_layout(turned)
+    assert there == load_layout(name)
+    assert all((one.heading - other.heading) % math.tau == pytest.approx(math.pi) for one, other in doors(there, back))
+    assert load_layout(json.loads(there.to_json())) == there
+
+
+def doors(one: Layout, other: Layout) -> Iterator[tuple[DoorSpec, DoorSpec]]:
+    return zip(one.doors, other.doors, strict=True)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (("centre", [0, 2]), r"doors\.0\.centre.*not between its rooms"),
+        (("rooms", ["west", "north"]), r"doors\.0\.rooms\.1: .*'north'"),
+        (("centre", [5.2, 1.8]), r"doors\.0\.centre: \(5\.2, 1\.8\) is 0\.200 m off"),
+        (("direction_deg", "up"), r"doors\.0\.direction_deg"),
+    ],
+)
+def test_a_door_without_a_direction_may_be_wrong_otherwise(spoil: tuple[str, Any], message: str) -> None:
+    document = copy.deepcopy(DOCUMENTS["two_rooms"])
+    del document["doors"][0]["direction_deg"]
+    document["doors"][0][spoil[0]] = spoil[1]
+    with pytest.raises(LayoutError, match=message):
+        load_layout(document)
+
+
 def solid_house() -> Document:
     """Two rooms of 4 x 3 m in one solid, the wall of 0.1 m between them with a gap of 0.9 m."""
     west = [[4, 1.9], [4, 3], [0, 3], [0, 0], [4, 0], [4, 1]]
@@ -352,6 +387,7 @@ BAD_SOLIDS = {
         replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2),
         r"rooms: 24\d{3} faces, at most 20000",
     ),
+    "gap without direction": (replace("doors.0.direction_deg", None), r"doors\.0: .*a gap has direction_deg"),
     "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
     "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
