@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.paths import is_folder
+from mecp_env.core.registry import Names
 from mecp_env.core.settings import shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
@@ -85,14 +87,57 @@ class PlanFiles:
         return self.read[building]
 
 
+@dataclass(frozen=True, slots=True)
+class CustomSource:
+    """The buildings of a registered source, each checked as a layout file is."""
+
+    name: str
+    made: Any  # a `Source` whose layouts may be all that `load_layout` takes
+
+    @property
+    def count(self) -> int:
+        return int(self.made.count)
+
+    def layout(self, building: int) -> Layout:
+        try:
+            return load_layout(self.made.layout(building))
+        except LayoutError as error:
+            raise LayoutError(f"{self.name}: building {building}: {error}") from None
+
+
+def register_buildings(name: str, make: Callable[..., Any]) -> None:
+    """Let `layout={name: {...}}` stand for the buildings of `make(**fields)`, which has `count` and `layout(building)`.
+
+    `count` is their number, at least 1; `layout` returns the building of a number from 0 on as anything that
+    `load_layout` takes, and always the same. Such a configuration works in every environment of this process, and in
+    workers that are forked from it or import what registers the name. A name that was registered before is replaced.
+    Raises `ConfigError` for a key of ours or of a layout, and for what is no name.
+    """
+    if not callable(make):
+        raise ConfigError(f"make: {shown(make)}, a class or function expected")
+    NAMES.add(name)
+    SOURCES[name] = partial(_custom, name, make)
+
+
+def _custom(name: str, make: Callable[..., Any], **fields: Any) -> CustomSource:
+    try:
+        made = CustomSource(name, make(**fields))
+    except TypeError as error:
+        raise ConfigError(f"layout: {name}: {error}") from error
+    count = getattr(made.made, "count", None)
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1 or not hasattr(made.made, "layout"):
+        raise ConfigError(f"layout: {name}: expected a method `layout` and a `count` of 1 or more, got {shown(count)}")
+    return made
+
+
 def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     """The source that the field `layout` of a configuration stands for.
 
     A shipped name, a path or a layout is one building; `{"generate": {...}}` the generated ones, with the fields of
     `GeneratorSpec`, `difficulty` and `split`; `{"plan": {"path": ...}}` a real floor plan or a folder of them, with the
-    options of `load_plan`. Raises `ConfigError` or `LayoutError`.
+    options of `load_plan`; a name of `register_buildings` those. Raises `ConfigError` or `LayoutError`.
     """
-    key = next((key for key in (GENERATE, PLAN) if isinstance(given, Mapping) and key in given), None)
+    key = next((key for key in SOURCES if isinstance(given, Mapping) and key in given), None)
     if key is not None:
         return _made(key, given)
     return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
@@ -102,7 +147,7 @@ def _made(key: str, given: Any) -> Source:
     """The source of a layout that is given by one key."""
     if set(given) != {key} or not isinstance(given[key], Mapping):
         raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
-    return _generated(**given[key]) if key == GENERATE else _plans(**given[key])
+    return SOURCES[key](**given[key])
 
 
 def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
@@ -125,6 +170,10 @@ def _path(given: Any) -> str:
     if not isinstance(path, str) or not path:
         raise ConfigError(f"plan: the path of a floor plan, or of a folder of them, is needed (given: {shown(given)})")
     return path
+
+
+NAMES = Names(GENERATE, PLAN, *Layout.model_fields)  # a dict with those of a layout is one
+SOURCES: dict[str, Callable[..., Source]] = {GENERATE: _generated, PLAN: _plans}
 
 
 def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

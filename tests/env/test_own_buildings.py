@@ -1,0 +1,106 @@
+"""Buildings of a registered generator (docs/layouts.md)."""
+
+from __future__ import annotations
+
+import re
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pytest
+
+from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.env import MecpEnv
+from mecp_env.episode import buildings
+from mecp_env.episode.buildings import make_source, register_buildings
+
+PAGE = Path(__file__).parents[2] / "docs/layouts.md"
+
+
+@pytest.fixture
+def registered() -> Iterator[None]:
+    """Names that a test registers are forgotten."""
+    before, names = dict(buildings.SOURCES), list(buildings.NAMES.others)
+    yield
+    buildings.SOURCES.clear()
+    buildings.SOURCES.update(before)
+    buildings.NAMES.others[:] = names
+
+
+@pytest.fixture
+def rows(monkeypatch: pytest.MonkeyPatch, registered: None) -> types.ModuleType:
+    """The module of the page."""
+    code, _ = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    made = types.ModuleType("rows")
+    exec(code, made.__dict__)
+    monkeypatch.setitem(sys.modules, "rows", made)
+    return made
+
+
+def test_the_code_of_the_page_runs(rows: types.ModuleType) -> None:
+    _, use = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    env = {}
+    exec(use, env)
+    assert env["env"].unwrapped.summary()["rooms"] == 5
+
+
+def test_all_its_buildings_are_sound_and_differ(rows: types.ModuleType) -> None:
+    source = make_source({"rows": {"rooms": 3}})
+    layouts = [source.layout(number) for number in range(30)]
+    assert len({layout.to_json() for layout in layouts}) == 30
+    assert source.layout(4) == layouts[4]
+
+
+def test_batches_and_states_know_it(rows: types.ModuleType) -> None:
+    env = MecpEnv({"layout": {"rows": {}}})
+    first, _ = env.reset(seed=3)
+    state = env.get_state()
+    env.step([0.3, 0.1])
+    env.set_state(state)
+    assert (env.observation()["pose"] == first["pose"]).all()
+    venv = gym.make_vec(
+        "mecp_env/Layout-v0", 2, vectorization_mode="vector_entry_point", layout={"rows": {}}, max_steps=5
+    )
+    venv.reset(seed=0)
+    venv.close()
+
+
+@pytest.mark.parametrize("name", ["generate", "plan", "walls", "two words", 3])
+def test_names_that_cannot_be_registered(name: Any) -> None:
+    with pytest.raises(ConfigError, match="name: "):
+        register_buildings(name, dict)
+
+
+class Broken:
+    count = 2
+
+    def layout(self, building: int) -> Any:
+        return {"name": "x"} if building else "two_rooms"
+
+
+@pytest.mark.parametrize(
+    ("make", "fields", "said"),
+    [
+        (Broken, {"rooms": 3}, r"layout: mine: .*takes no arguments"),
+        (Broken, 3, r"layout: \{'mine': \{\.\.\.\}\} stands alone"),
+        (lambda: object(), {}, r"layout: mine: expected a method `layout` and a `count` of 1 or more, got None"),
+        (type("None_", (Broken,), {"count": 0}), {}, r"a `count` of 1 or more, got 0"),
+    ],
+)
+def test_what_is_no_source_is_refused(registered: None, make: Any, fields: Any, said: str) -> None:
+    register_buildings("mine", make)
+    with pytest.raises(ConfigError, match=said):
+        make_source({"mine": fields})
+
+
+def test_a_building_that_is_no_layout_is_named(registered: None) -> None:
+    register_buildings("mine", Broken)
+    source = make_source({"mine": {}})
+    assert len(source.layout(0).rooms) == 2
+    with pytest.raises(LayoutError, match=r"mine: building 1: .*walls"):
+        source.layout(1)
+    with pytest.raises(ConfigError, match="make: 3, a class or function expected"):
+        register_buildings("mine", 3)
