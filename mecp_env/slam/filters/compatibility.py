@@ -13,6 +13,7 @@ from mecp_env.core.linalg import factor_lower, quadratic, solve_lower
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise
 from mecp_env.slam.filters.landmarks import take
+from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 from mecp_env.slam.filters.update import gauss_newton
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
@@ -71,6 +72,38 @@ def joint_cost(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, inva
         procrustes(part[0], z, invariant, xi)
     cost, _ = gauss_newton(part, size, np.arange(m), z, R, invariant, iterations, xi)
     return cost
+
+
+@compiled
+def log_bayes_factor(
+    state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, noise: Array
+) -> float:
+    """Twice the log of p(z | pose noise is larger by `noise`) / p(z | as it is); nan: S not positive, or unknown id.
+
+    `noise` (3,3) of heading, x, y. S of the larger noise is S + D noise D^T, D the derivative of z by the pose.
+    """
+    m = ids.shape[0]
+    slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
+    if not find_rows(slot_ids, ids, slots):
+        return math.nan
+    part, own = take(state, slots), np.arange(m)
+    size, nu, S, D = part.shape[1], np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((2 * m, 3))
+    linearise(part[0], own, invariant, h, A, a_heading)
+    residual(z, h, A, a_heading, own, np.zeros(size), nu)
+    innovation_cov(project(part[1:], size, A, a_heading, own), A, a_heading, own, R, S)
+    for k in range(m):
+        for r in range(2):
+            D[2 * k + r, 0], D[2 * k + r, 1], D[2 * k + r, 2] = -1.0 * r, -A[k, r, 0], -A[k, r, 1]
+    wider = S.copy()
+    for i in range(2 * m):
+        for j in range(i + 1):
+            wider[i, j] += quadratic(noise, D[i], D[j])
+    if not (factor_lower(S) and factor_lower(wider)):
+        return math.nan
+    y, y_wider, factor = solve_lower(S, nu), solve_lower(wider, nu), 0.0
+    for i in range(2 * m):
+        factor += y[i] * y[i] - y_wider[i] * y_wider[i] - 2.0 * math.log(wider[i, i] / S[i, i])
+    return factor
 
 
 @compiled

@@ -14,7 +14,7 @@ from mecp_env.core.linalg import mirror_lower
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, pairwise_nis
+from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, log_bayes_factor, pairwise_nis
 from mecp_env.slam.filters.error_state import change_chart, propagate_invariant, propagate_plain
 from mecp_env.slam.filters.landmarks import append, take, world_belief
 from mecp_env.slam.filters.measurement import innovation
@@ -140,6 +140,13 @@ class LandmarkFilter:
         z, R, ids = _observations(z, R, ids)
         nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, iterations)
         return self._finite(nis, "joint_nis", ids)
+
+    def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
+        """Twice the log of how much likelier the pairs are with a covariance (3,3) of x, y, heading more."""
+        z, R, ids = _observations(z, R, ids)
+        noise = np.ascontiguousarray(pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)])
+        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, noise)
+        return self._finite(factor, "log_bayes_factor", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
         """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (III-B.1, eq. 2-3).

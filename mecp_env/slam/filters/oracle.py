@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.messages import Odometry
 from mecp_env.slam.protocols import Filter
 
@@ -40,6 +40,10 @@ class OraclePoseFilter:
 
     def loosen(self, pose_cov: Array) -> None:
         """Nothing: the pose is the true one."""
+
+    def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
+        """0: the true pose cannot be loosened."""
+        return 0.0
 
     def copy(self) -> Self:
         """A filter with a map of its own, at the same true pose."""

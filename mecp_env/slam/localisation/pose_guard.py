@@ -77,13 +77,7 @@ class PoseGuard:
 
     def _has_failed(self, estimate: Filter, z: Array, R: Array, ids: Ints) -> bool:
         """True where failed odometry is likelier than none, by Bayes' rule with the log-odds of a right pose."""
-        cost, prior = estimate.joint_nis(z, R, ids), 2.0 * self.sure
-        if cost < prior:
-            return False
-        loose = estimate.copy()
-        loose.loosen(self.slack())
-        spread = (float(np.linalg.slogdet(some.innovation(z, R, ids)[1])[1]) for some in (loose, estimate))
-        return cost - loose.joint_nis(z, R, ids) > prior + next(spread) - next(spread)
+        return estimate.log_bayes_factor(z, R, ids, self.slack()) > 2.0 * self.sure
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
