@@ -80,7 +80,7 @@ def log_bayes_factor(
 ) -> float:
     """Twice the log of p(z | pose noise is larger by `noise`) / p(z | as it is); nan: S not positive, or unknown id.
 
-    `noise` (3,3) of heading, x, y. S of the larger noise is S + D noise D^T, D the derivative of z by the pose.
+    `noise` (3,3) of x, y, heading. S of the larger noise is S + D noise D^T, D the derivative of z by the pose.
     """
     m = ids.shape[0]
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
@@ -93,7 +93,7 @@ def log_bayes_factor(
     innovation_cov(project(part[1:], size, A, a_heading, own), A, a_heading, own, R, S)
     for k in range(m):
         for r in range(2):
-            D[2 * k + r, 0], D[2 * k + r, 1], D[2 * k + r, 2] = -1.0 * r, -A[k, r, 0], -A[k, r, 1]
+            D[2 * k + r, 0], D[2 * k + r, 1], D[2 * k + r, 2] = -A[k, r, 0], -A[k, r, 1], -1.0 * r
     wider = S.copy()
     for i in range(2 * m):
         for j in range(i + 1):

@@ -144,8 +144,7 @@ class LandmarkFilter:
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
         """Twice the log of how much likelier the pairs are with a covariance (3,3) of x, y, heading more."""
         z, R, ids = _observations(z, R, ids)
-        noise = np.ascontiguousarray(pose_cov[np.ix_(POSE_ORDER, POSE_ORDER)])
-        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, noise)
+        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, _array(pose_cov))
         return self._finite(factor, "log_bayes_factor", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
