@@ -99,21 +99,35 @@ def downdate(P: Array, n: int, W: Array) -> None:
 
 
 @compiled
-def product(A: Array, B: Array, lower: bool) -> Array:
-    """A B for A (m,k), B (k,n), four rows of B a pass; `lower`: zero above the diagonal."""
-    C, depth = np.zeros((A.shape[0], B.shape[1])), A.shape[1]
+def add_product(C: Array, A: Array, B: Array, lower: bool) -> None:
+    """C += A B in place for A (m,k), B (k,n); `lower`: what is above the diagonal of C is not meant, and spoilt.
+
+    Two rows of C and four of B a pass, so that the compiler's wide loop loads less than it computes.
+    """
+    (m, depth), spare = A.shape, np.zeros(C.shape[1])
     paired = depth - depth % 4
-    for i in range(A.shape[0]):
-        row = C[i, : i + 1] if lower else C[i]
+    for i in range(0, m, 2):
+        end, other = min(i + 2, C.shape[1]) if lower else C.shape[1], min(i + 1, m - 1)
+        upper, under = C[i, :end], C[other, :end] if other > i else spare[:end]
         for k in range(0, paired, 4):
             a0, a1, a2, a3 = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
+            c0, c1, c2, c3 = A[other, k], A[other, k + 1], A[other, k + 2], A[other, k + 3]
             b0, b1, b2, b3 = B[k], B[k + 1], B[k + 2], B[k + 3]
-            for j in range(row.shape[0]):
-                row[j] += (a0 * b0[j] + a1 * b1[j]) + (a2 * b2[j] + a3 * b3[j])
+            for j in range(upper.shape[0]):
+                upper[j] += (a0 * b0[j] + a1 * b1[j]) + (a2 * b2[j] + a3 * b3[j])
+                under[j] += (c0 * b0[j] + c1 * b1[j]) + (c2 * b2[j] + c3 * b3[j])
         for k in range(paired, depth):
-            a0, b0 = A[i, k], B[k]
-            for j in range(row.shape[0]):
-                row[j] += a0 * b0[j]
+            a0, c0, b0 = A[i, k], A[other, k], B[k]
+            for j in range(upper.shape[0]):
+                upper[j] += a0 * b0[j]
+                under[j] += c0 * b0[j]
+
+
+@compiled
+def product(A: Array, B: Array) -> Array:
+    """A B for A (m,k), B (k,n)."""
+    C = np.zeros((A.shape[0], B.shape[1]))
+    add_product(C, A, B, False)
     return C
 
 

@@ -19,7 +19,6 @@ Layer = tuple[Bools, Array, float]
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # as in mecp_env.slam.messages.Cell
 BARRIER_CELLS = 1.5  # floor is not joined this close to the line of a door
-SPARE = 1e-6  # what is farther away by this needs no exact look
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 NOWHERE = [math.nan, math.nan]
@@ -33,7 +32,7 @@ def floor_clusters(grid: SemanticGrid, lines: Array, config: GoalsConfig) -> tup
     """
     room = assign_rooms(grid.label, grid.room, lines, BARRIER_CELLS)
     span = max(round(config.uncovered_m / 2 / grid.resolution_m), 1)
-    middles, clear = (lines[:, 0] + lines[:, 1]) / 2.0, config.door_clear_m / grid.resolution_m
+    middles, clear = lines.mean(axis=1, keepdims=True).repeat(2, axis=1), config.door_clear_m / grid.resolution_m
     uncovered, frontier = mark_floor(grid.label, grid.polygon, room, span, middles, clear)
     return clusters(*uncovered, room, config.uncovered_cells), clusters(*frontier, room, config.frontier_cells)
 
@@ -72,21 +71,21 @@ def assign_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Room
     `lines` (d,2,2): doors and candidates, in cells; cells within `margin` of one are not passed, nor are DOOR cells.
     What was seen of a room from outside, through its door, has no room: it gets one as soon as the room has floor.
     """
-    assigned = room.copy()
+    assigned, barred = room.copy(), near_lines(label.shape, lines, margin)
     queue = np.empty((label.size + 1, 2), np.int64)
     size, head = 0, 0
     for row in range(1, label.shape[0] - 1):
         for column in range(1, label.shape[1] - 1):
-            if label[row, column] == FREE and room[row, column] < 0:
-                assigned[row, column] = _room_beside(label, room, lines, margin, row, column)
+            if label[row, column] == FREE and room[row, column] < 0 and not barred[row, column]:
+                assigned[row, column] = _room_beside(label, room, row, column)
                 queue[size, 0], queue[size, 1] = row, column
                 size += 1 if assigned[row, column] >= 0 else 0
     while head < size:
         for k in range(4):
             r, c = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
             inside = 0 < r < label.shape[0] - 1 and 0 < c < label.shape[1] - 1
-            if inside and label[r, c] == FREE and assigned[r, c] < 0:
-                assigned[r, c] = _room_beside(label, assigned, lines, margin, r, c)
+            if inside and label[r, c] == FREE and assigned[r, c] < 0 and not barred[r, c]:
+                assigned[r, c] = _room_beside(label, assigned, r, c)
                 queue[size, 0], queue[size, 1] = r, c
                 size += 1 if assigned[r, c] >= 0 else 0
         head += 1
@@ -94,29 +93,33 @@ def assign_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Room
 
 
 @compiled
-def _room_beside(label: Bytes, room: Rooms, lines: Array, margin: float, row: int, column: int) -> int:
-    """The room of a FREE neighbour of a cell; -1 without one, and for a cell near a line."""
+def _room_beside(label: Bytes, room: Rooms, row: int, column: int) -> int:
+    """The room of a FREE neighbour of a cell; -1 without one."""
     beside = -1
     for k in range(4):
         r, c = row + DROW[k], column + DCOL[k]
         if label[r, c] == FREE and room[r, c] >= 0:
             beside = int(room[r, c])
-    return -1 if beside >= 0 and _near_line(lines, column + 0.5, row + 0.5, margin) else beside
+    return beside
 
 
 @compiled
-def _near_line(lines: Array, x: float, y: float, margin: float) -> bool:
-    """True when one of the segments (d,2,2) lies within `margin` of (x, y)."""
+def near_lines(shape: tuple[int, int], lines: Array, margin: float) -> Bytes:
+    """(H,W) 1 where one of the segments (d,2,2) lies within `margin` of the middle of a cell, in cells."""
+    near = np.zeros(shape, np.uint8)
     for i in range(lines.shape[0]):
-        dx, dy = lines[i, 1, 0] - lines[i, 0, 0], lines[i, 1, 1] - lines[i, 0, 1]
-        far = margin + SPARE + 0.5 * (abs(dx) + abs(dy))
-        if abs(lines[i, 0, 0] + 0.5 * dx - x) > far or abs(lines[i, 0, 1] + 0.5 * dy - y) > far:
+        x, y, dx, dy = lines[i, 0, 0], lines[i, 0, 1], lines[i, 1, 0] - lines[i, 0, 0], lines[i, 1, 1] - lines[i, 0, 1]
+        if not (abs(x) + abs(y) + abs(dx) + abs(dy)) < math.inf:
             continue
-        share = ((x - lines[i, 0, 0]) * dx + (y - lines[i, 0, 1]) * dy) / max(dx * dx + dy * dy, 1e-9)
-        share = min(max(share, 0.0), 1.0)
-        if math.hypot(lines[i, 0, 0] + share * dx - x, lines[i, 0, 1] + share * dy - y) < margin:
-            return True
-    return False
+        low, high = min(y, y + dy) - margin - 1.0, max(y, y + dy) + margin + 1.0
+        left, right = min(x, x + dx) - margin - 1.0, max(x, x + dx) + margin + 1.0
+        for row in range(max(math.floor(low), 0), min(math.ceil(high), shape[0])):
+            for column in range(max(math.floor(left), 0), min(math.ceil(right), shape[1])):
+                px, py = column + 0.5 - x, row + 0.5 - y
+                share = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-9), 0.0), 1.0)
+                if math.hypot(share * dx - px, share * dy - py) < margin:
+                    near[row, column] = 1
+    return near
 
 
 @compiled
@@ -125,12 +128,13 @@ def mark_floor(
 ) -> tuple[tuple[Bytes, Ints], tuple[Bytes, Ints]]:
     """FREE cells of a room that are uncovered, and frontiers: each as a mask (H,W) and as rows and columns (n,2).
 
-    All keep `clear` cells from the doors' middles (d,2), in cells. Uncovered: no polygon covers the cell, nor its eight
+    All keep `clear` cells from the middles of `doors`, segments (d,2,2) of no length, in cells. Uncovered: no polygon covers the cell, nor its eight
     neighbours `span` cells away, which are FREE. Frontier: beside an UNKNOWN cell.
     """
     height, width = label.shape
     uncovered, frontier = np.zeros(label.shape, np.uint8), np.zeros(label.shape, np.uint8)
     at_uncovered, at_frontier = np.empty((label.size, 2), np.int64), np.empty((label.size, 2), np.int64)
+    kept_clear = near_lines(label.shape, doors, clear)
     n, m = 0, 0
     for row in range(1, height - 1):
         for column in range(1, width - 1):
@@ -141,11 +145,7 @@ def mark_floor(
             for k in range(8 if wide else 0):
                 r, c = row + span * DROW[k], column + span * DCOL[k]
                 wide = wide and label[r, c] == FREE and not polygon[r, c]
-            near = not (wide or beside == UNKNOWN)
-            for d in range(0 if near else doors.shape[0]):
-                dx, dy = doors[d, 0] - (column + 0.5), doors[d, 1] - (row + 0.5)
-                near |= max(abs(dx), abs(dy)) < clear + SPARE and math.hypot(dx, dy) < clear
-            if near:
+            if kept_clear[row, column] or not (wide or beside == UNKNOWN):
                 continue
             if wide:
                 uncovered[row, column] = 1

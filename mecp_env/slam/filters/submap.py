@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.linalg import mirror_lower, product
+from mecp_env.core.linalg import add_product, mirror_lower, product
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
@@ -215,14 +215,13 @@ class SubmapEkf(RightInvariantEkf):
         """
         assert self.rest is not None
         probes = numbers_of(np.flatnonzero(self.slot_ids <= FIRST_PROBE))
-        vectors, numbers = self.rest.coordinates(rows), numbers_of(rows)
-        mean = product(vectors, self.mean[probes, None].copy(), lower=False)[:, 0]
-        cross = product(vectors, self.cov[np.ix_(probes, own)], lower=False)
+        vectors = self.rest.coordinates(rows)
+        mean = product(vectors, self.mean[probes, None].copy())[:, 0]
+        cross = product(vectors, self.cov[np.ix_(probes, own)])
         among = self.cov[np.ix_(probes, probes)]
         among[np.arange(2, len(among), 2), np.arange(2, len(among), 2)] -= 1.0  # what they had at first
-        change = product(vectors, among, lower=False)
-        block = self.rest.state[1:][np.ix_(numbers, numbers)]
-        block += product(change, np.ascontiguousarray(vectors.T), lower=True)
+        block = self.rest.block(rows)
+        add_product(block, product(vectors, among), np.ascontiguousarray(vectors.T), lower=True)
         mirror_lower(block, len(block))
         return mean, cross, block
 
