@@ -104,9 +104,9 @@ def _room_beside(label: Bytes, room: Rooms, row: int, column: int) -> int:
 
 
 @compiled
-def near_lines(shape: tuple[int, int], lines: Array, margin: float) -> Bytes:
-    """(H,W) 1 where one of the segments (d,2,2) lies within `margin` of the middle of a cell, in cells."""
-    near = np.zeros(shape, np.uint8)
+def near_lines(shape: tuple[int, int], lines: Array, margin: float) -> Bools:
+    """(H,W) whether a segment (d,2,2) without nan lies within `margin` of the middle of a cell, in cells."""
+    near = np.zeros(shape, np.bool_)
     for i in range(lines.shape[0]):
         x, y, dx, dy = lines[i, 0, 0], lines[i, 0, 1], lines[i, 1, 0] - lines[i, 0, 0], lines[i, 1, 1] - lines[i, 0, 1]
         if not (abs(x) + abs(y) + abs(dx) + abs(dy)) < math.inf:
@@ -117,8 +117,7 @@ def near_lines(shape: tuple[int, int], lines: Array, margin: float) -> Bytes:
             for column in range(max(math.floor(left), 0), min(math.ceil(right), shape[1])):
                 px, py = column + 0.5 - x, row + 0.5 - y
                 share = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-9), 0.0), 1.0)
-                if math.hypot(share * dx - px, share * dy - py) < margin:
-                    near[row, column] = 1
+                near[row, column] |= math.hypot(share * dx - px, share * dy - py) < margin
     return near
 
 
@@ -128,8 +127,8 @@ def mark_floor(
 ) -> tuple[tuple[Bytes, Ints], tuple[Bytes, Ints]]:
     """FREE cells of a room that are uncovered, and frontiers: each as a mask (H,W) and as rows and columns (n,2).
 
-    All keep `clear` cells from the middles of `doors`, segments (d,2,2) of no length, in cells. Uncovered: no polygon covers the cell, nor its eight
-    neighbours `span` cells away, which are FREE. Frontier: beside an UNKNOWN cell.
+    All keep `clear` cells from the middles of `doors`, segments (d,2,2) of no length, in cells. Uncovered: no polygon
+    covers the cell, nor its eight neighbours `span` cells away, which are FREE. Frontier: beside an UNKNOWN cell.
     """
     height, width = label.shape
     uncovered, frontier = np.zeros(label.shape, np.uint8), np.zeros(label.shape, np.uint8)

@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms
+from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, near_lines
 from mecp_env.planning.goal_sources import (
     GoalContext,
     barriers,
@@ -54,6 +54,19 @@ def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
 @pytest.fixture(params=[np.zeros(3), np.array([2.0, -1.0, 2.5])])
 def toy(request: pytest.FixtureRequest) -> Toy:
     return Toy(np.array([1.0, 2.0, 0.0]), request.param)
+
+
+def test_cells_near_lines_are_those_within_the_margin() -> None:
+    rng, shape, margin = np.random.default_rng(0), (30, 40), 2.3
+    ends = rng.uniform(-4.0, 44.0, (6, 2, 2))
+    ends[4, 1], ends[5] = ends[4, 0], np.nan  # a point, and a door without its jambs
+    cells = np.stack(np.meshgrid(np.arange(40), np.arange(30)), axis=-1) + 0.5
+    near = np.zeros(shape, np.bool_)
+    for a, b in ends[:5]:
+        along = ((cells - a) @ (b - a)) / max((b - a) @ (b - a), 1e-9)
+        near |= np.linalg.norm(a + np.clip(along, 0.0, 1.0)[..., None] * (b - a) - cells, axis=-1) < margin
+    assert near.any()
+    np.testing.assert_array_equal(near_lines(shape, ends, margin), near)
 
 
 def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:

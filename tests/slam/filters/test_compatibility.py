@@ -41,6 +41,18 @@ def test_linear_joint_nis_is_the_innovation_squared(pair):
     assert pair.filter.joint_nis(z, R, pair.ids[slots]) == pytest.approx(nu @ np.linalg.solve(S, nu), rel=1e-10)
 
 
+def test_bayes_factor_is_that_of_a_loosened_copy(pair):
+    z, R, slots = pair.scan(4)
+    ids, slack = pair.ids[slots], np.array([[0.3, 0.1, 0.0], [0.1, 0.2, 0.05], [0.0, 0.05, 0.1]])
+    loose = pair.filter.copy()
+    loose.loosen(slack)
+    costs = [some.joint_nis(z, R, ids) for some in (pair.filter, loose)]
+    spreads = [np.linalg.slogdet(some.innovation(z, R, ids)[1])[1] for some in (pair.filter, loose)]
+    plain = (costs[0] + spreads[0]) - (costs[1] + spreads[1])
+    assert pair.filter.log_bayes_factor(z, R, ids, slack) == pytest.approx(plain, rel=1e-6)
+    assert pair.filter.log_bayes_factor(z, R, ids, 0.0 * slack) == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("heading_error", [0.0, 0.1, 0.5, -1.0])
 def test_iterated_joint_nis_is_the_least_cost_for_the_plain_error(heading_error):
     pair, z, R, _ = lost("ekf", heading_error)
