@@ -52,32 +52,33 @@ def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Arra
     Only true corners within `gate` metres and in sight from the pose count.
     """
     seen = to_map(T_world_robot, polar_to_points(z))
-    n, m = seen.shape[0], true.shape[0]
-    apart, identity = np.empty((n, m)), np.empty(n, np.int64)
+    n, m, kept = seen.shape[0], true.shape[0], 0
+    apart, column_of, identity = np.empty((n, m)), np.empty(m, np.int64), np.full(n, -1)
     for j in range(m):
-        hidden = False  # asked only about the corners that are near enough
+        near, x, y = False, true[j, 0], true[j, 1]
         for i in range(n):
-            apart[i, j] = np.inf
-            dx, dy = seen[i, 0] - true[j, 0], seen[i, 1] - true[j, 1]
-            if hidden or dx * dx + dy * dy >= gate * gate:
-                continue
-            hidden = not line_of_sight(segments, T_world_robot[0], T_world_robot[1], true[j : j + 1])[0]
-            if not hidden:
-                apart[i, j] = dx * dx + dy * dy
+            near |= (seen[i, 0] - x) ** 2 + (seen[i, 1] - y) ** 2 < gate * gate
+        if not near or not line_of_sight(segments, T_world_robot[0], T_world_robot[1], true[j : j + 1])[0]:
+            continue
+        for i in range(n):
+            square = (seen[i, 0] - x) ** 2 + (seen[i, 1] - y) ** 2
+            apart[i, kept] = square if square < gate * gate else np.inf
+        column_of[kept] = j
+        kept += 1
     for i in range(n):
-        identity[i] = -1
+        pair_row(apart, kept, identity, i)
     for i in range(n):
-        pair_row(apart, identity, i)
+        identity[i] = column_of[identity[i]] if identity[i] >= 0 else -1
     return identity
 
 
 @compiled
-def pair_row(apart: Array, identity: Ints, row: int) -> None:
+def pair_row(apart: Array, columns: int, identity: Ints, row: int) -> None:
     """Pair `row` with its nearest free column; a row nearer to that column than its present owner takes it."""
     while row >= 0:
         best = np.inf
         column = -1
-        for j in range(apart.shape[1]):
+        for j in range(columns):
             if apart[row, j] < best:
                 best, column = apart[row, j], j
         if column < 0:
