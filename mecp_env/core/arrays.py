@@ -9,18 +9,20 @@ from mecp_env.core.jit import compiled
 @compiled
 def find_rows(ids: Ints, wanted: Ints, rows: Ints) -> bool:
     """Write the row in `ids` (N,), which differ, of each of `wanted` (m,), -1 where missing; True: none is missing."""
-    complete = True
+    complete, last = True, -1
     for k in range(wanted.shape[0]):
-        in_order = k < ids.shape[0] and ids[k] == wanted[k]  # often, and the search is saved
-        rows[k] = k if in_order else row_of(ids, wanted[k])
-        complete = complete and rows[k] >= 0
+        rows[k] = row_of(ids, wanted[k], last + 1)
+        complete, last = complete and rows[k] >= 0, rows[k]
     return complete
 
 
 @compiled
-def row_of(ids: Ints, wanted: int) -> int:
-    """The row of `wanted` in `ids` (N,), or -1."""
-    for i in range(ids.shape[0]):
+def row_of(ids: Ints, wanted: int, first: int = 0) -> int:
+    """The row of `wanted` in `ids` (N,), which differ, or -1; looked for from the row `first` on, then before it."""
+    for i in range(first, ids.shape[0]):
+        if ids[i] == wanted:
+            return i
+    for i in range(min(first, ids.shape[0])):
         if ids[i] == wanted:
             return i
     return -1

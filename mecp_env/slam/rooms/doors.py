@@ -123,8 +123,9 @@ def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
     """(D,5) as `DoorMap.frames` of the doors with `jambs` (D,4), from the landmarks `p_map` (N,2) with `ids` (N,)."""
     frames = np.empty((jambs.shape[0], 5))
     for d in range(jambs.shape[0]):
-        right, left = row_of(ids, jambs[d, 0]), row_of(ids, jambs[d, 1])
-        right_too, left_too = row_of(ids, jambs[d, 2]), row_of(ids, jambs[d, 3])
+        right = row_of(ids, jambs[d, 0])  # the jambs of a door are often neighbours
+        left = row_of(ids, jambs[d, 1], right)
+        right_too, left_too = row_of(ids, jambs[d, 2], right), row_of(ids, jambs[d, 3], right)
         rx, ry = (p_map[right, 0] + p_map[right_too, 0]) / 2.0, (p_map[right, 1] + p_map[right_too, 1]) / 2.0
         lx, ly = (p_map[left, 0] + p_map[left_too, 0]) / 2.0, (p_map[left, 1] + p_map[left_too, 1]) / 2.0
         x, y = lx - rx, ly - ry
