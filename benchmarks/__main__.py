@@ -143,7 +143,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME[:COUNT]",
-        help="of association, loop, noise, real, soak, uncertainty and worlds: only these; written only with --json",
+        help="of benchmarks with sets (association, loop, scale, ...): only these; written only with --json",
     )
     made.add_argument(
         "--with",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, table
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, table
 from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
@@ -24,6 +24,7 @@ COUNTS = (55, 300, 688, 1000)
 QUICK = (55, 300)
 BUILDING: dict[str, Any] = {"rooms": 200, "loops": 40, "corridors": 20, "shaped_rooms": 20, "furniture": 0.5}
 BUILDINGS, ROUNDS, BLOCK = 4, 4, 250
+SETS, MOST = dict.fromkeys(FILTERS, BUILDINGS), 100
 MOST_STEPS = 100_000
 
 GATES = (
@@ -33,9 +34,10 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """Results of both filters at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
-    counts, buildings = (QUICK, 1) if options.quick else (COUNTS, BUILDINGS)
-    tasks = [(kind, max(counts), seed) for kind in FILTERS for seed in range(buildings)]
+    """Results of the filters at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
+    buildings = chosen(options.sets, SETS, MOST) or SETS
+    counts, buildings = (QUICK, dict.fromkeys(buildings, 1)) if options.quick else (COUNTS, buildings)
+    tasks = [(kind, max(counts), seed) for kind in buildings for seed in range(buildings[kind])]
     results = grouped(tasks, in_parallel(measure, dict[str, list[float]], tasks, options))
     return {kind: summarise(of_kind) for (kind, _), of_kind in results.items()}
 
