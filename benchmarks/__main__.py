@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from benchmarks import record
 from benchmarks.common import (
     RESULTS,
     UNITS,
@@ -25,14 +26,15 @@ from benchmarks.common import (
     save,
 )
 from benchmarks.trees import TreeError
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = ("association", "filters")  # compare registered parts too
+OPEN = ("association", "clutter", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
+    "clutter",
     "explorers",
     "features",
     "filters",
@@ -51,6 +53,7 @@ NAMES = (
     "features",
     "filters",
     "association",
+    "clutter",
     "kidnap",
     "loop",
     "noise",
@@ -66,6 +69,7 @@ NAMES = (
     "uncertainty",
 )
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
+WITH_RECORDS = ("association", "clutter", "kidnap", "loop", "noise", "real", "record")  # --records
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -79,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
         content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
-    except (TreeError, ConfigError) as error:
+    except (TreeError, MecpError) as error:
         print(f"python -m benchmarks: {error}", file=sys.stderr)
         return 1
     except ShardDone as done:
@@ -89,6 +93,8 @@ def main(arguments: list[str] | None = None) -> int:
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
+    if module is record:
+        return 0  # the records are the result
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
     if given.json or not (given.quick or given.sets or given.modules or given.against):
@@ -111,8 +117,13 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
     if given.sweeps and not (given.against and given.name == "speed"):
         parser().error("--sweeps: only for speed --against")
-    if given.shard != WHOLE and given.name not in IN_UNITS:
-        parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
+    for option, used in (("--shard", given.shard != WHOLE), ("--cluster", given.cluster)):
+        if used and given.name not in (*IN_UNITS, "record"):
+            parser().error(f"{option}: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
+    if given.cluster and given.jobs != 1:
+        parser().error("--jobs: with --cluster, as many processes as the cluster has CPUs")
+    if given.records and given.name not in WITH_RECORDS:
+        parser().error(f"--records: {given.name} replays no drives; {', '.join(WITH_RECORDS)} do")
     if (given.task or given.policies or given.buildings) and given.name not in OVER_POLICIES:
         parser().error(f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}")
     return Options(
@@ -123,7 +134,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         given.against,
         given.sweeps or (1, 4),
         given.shard,
-        UNITS / given.name,
+        (UNITS / given.name).absolute(),
+        (given.records or (record.FOLDER if module is record else UNITS / given.name / "records")).absolute(),
+        given.cluster,
         given.task,
         tuple(given.policies),
         given.buildings,
@@ -133,7 +146,7 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
 def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    made.add_argument("name", choices=NAMES)
+    made.add_argument("name", choices=(*NAMES, "record"))
     made.add_argument("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
     made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
     made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
@@ -167,6 +180,15 @@ def parser() -> argparse.ArgumentParser:
         default=WHOLE,
         metavar="I/N",
         help="every N-th unit only, from the I-th; then the command without --shard gives the figures",
+    )
+    made.add_argument(
+        "--records",
+        type=Path,
+        metavar="FOLDER",
+        help=f"of {', '.join(WITH_RECORDS)}: the drives that are replayed; missing ones are made there and stay",
+    )
+    made.add_argument(
+        "--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address"
     )
     made.add_argument("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
     made.add_argument(

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
-from benchmarks.drives import Drive, Replay, record_drive, replay
-from benchmarks.loop import HARD, MAX_STEPS, building
+from benchmarks.drives import Drive, Replay, replay
+from benchmarks.loop import HARD, MAX_STEPS, place
+from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import with_change
 from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
@@ -72,7 +73,8 @@ def run(options: Options) -> Figures:
     """Results of every layout and associator."""
     rows, seeds = methods(options.modules), chosen(options.sets, SEEDS, MOST) or SEEDS
     drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
-    runs = in_parallel(partial(compare, options.modules), dict[str, Figures], drives, options)
+    task = partial(compare, options.modules, records=Records(options.records))
+    runs = in_parallel(task, dict[str, Figures], drives, options)
     return {
         layout: {name: summarise([run[name] for run in of_layout]) for name in rows}
         for layout, of_layout in grouped(drives, runs).items()
@@ -87,10 +89,14 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
     return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
 
 
-def compare(modules: Sequence[str], drive_of: tuple[str, int]) -> dict[str, Figures]:
+def course(layout: str, seed: int) -> Course:
+    """What is driven."""
+    return Course(place(layout, seed), seed, {"max_steps": MAX_STEPS} if layout == HARD else {})
+
+
+def compare(modules: Sequence[str], drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    (layout, seed), rows = drive_of, methods(modules)
-    drive = record_drive(building(layout, seed), seed, **({"max_steps": MAX_STEPS} if layout == HARD else {}))
+    drive, rows = records.drive(course(*drive_of)), methods(modules)
     return {name: counts(drive, replay(drive, with_change(drive.slam, change))) for name, change in rows.items()}
 
 

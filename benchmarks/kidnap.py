@@ -20,19 +20,19 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
-from benchmarks.drives import Drive, record_drive
+from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
+from benchmarks.records import IN_MEMORY, Course, Records
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
-from mecp_env.world.schema import Layout
 
 Array = NDArray[np.float64]
 
@@ -75,14 +75,15 @@ def run(options: Options) -> Figures:
         for layout in counts
         for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
-    results = grouped(drives, in_parallel(disturb, Figures, drives, options))
+    task = partial(disturb, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, Figures, drives, options))
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def disturb(task: tuple[str, int, int]) -> Figures:
+def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures:
     """What happened in the events on the drive of one layout and seed; per kind and name a list over events."""
     layout, count, seed = task
-    first, second = (record_drive_in(layout, seed, n) for n in (seed, seed + SECOND_DRIVE))
+    first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(first.slam)
     size = len(first.scans)
     wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
@@ -105,12 +106,10 @@ def disturb(task: tuple[str, int, int]) -> Figures:
     return {**outcomes, "before": [[confidence[k], error[k]] for k in before]}
 
 
-def record_drive_in(layout: str, building: int, seed: int) -> Drive:
+def course(layout: str, building: int, seed: int) -> Course:
     """A drive in a building, from a start of its own."""
-    where: str | Layout = layout
-    if layout == HARD:
-        where = generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + building))
-    return record_drive(where, seed, estimator="truth", max_steps=MAX_STEPS)
+    place = f"{HARD}:{FIRST_BUILDING + building}" if layout == HARD else layout
+    return Course(place, seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:

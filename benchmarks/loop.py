@@ -16,14 +16,16 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
-from benchmarks.drives import Drive, record_drive
+from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
+from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
 from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose, inverse
@@ -37,8 +39,6 @@ from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
-from mecp_env.world.schema import Layout
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -107,14 +107,15 @@ def run(options: Options) -> Figures:
         for layout in counts
         for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
-    results = grouped(drives, in_parallel(compare, dict[str, dict[str, Figures]], drives, options))
+    task = partial(compare, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, dict[str, dict[str, Figures]], drives, options))
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def compare(task: tuple[str, int, int]) -> dict[str, dict[str, Figures]]:
+def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[str, dict[str, Figures]]:
     """Counts of each variant and sigma on scans of the drive of one layout and seed."""
     layout, count, seed = task
-    drive = record_drive(building(layout, seed), seed, estimator="truth", max_steps=MAX_STEPS)
+    drive = records.drive(course(layout, seed))
     finished, rng = finish(drive), np.random.default_rng(seed)
     steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
     looks = [look(drive, finished, int(step)) for step in steps]
@@ -133,11 +134,14 @@ def associator_of(variant: Variant, slam: SlamConfig) -> Associator:
     return variant.make(with_change(slam, variant.change).association)
 
 
-def building(layout: str, seed: int) -> str | Layout:
-    """The layout of a drive."""
-    if layout != HARD:
-        return layout
-    return generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + seed))
+def place(layout: str, seed: int) -> str:
+    """The building of a drive."""
+    return f"{HARD}:{FIRST_BUILDING + seed}" if layout == HARD else layout
+
+
+def course(layout: str, seed: int) -> Course:
+    """What is driven."""
+    return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def finish(drive: Drive) -> Finished:

@@ -9,7 +9,7 @@ from typing import Any
 from mecp_env.config import merge
 from mecp_env.slam.association import MecpAssociator, make_associator
 from mecp_env.slam.association.gating import PairingTable
-from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.config import METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Corners, MapView, Polygon
 from mecp_env.slam.protocols import Associator, Filter
 
@@ -35,6 +35,16 @@ class Variant:
 
     change: dict[str, Any] = field(default_factory=dict)  # fields of sections of the configuration
     make: Callable[[AssociationConfig], Associator] = make_associator
+
+
+def associators() -> dict[str, dict[str, Any]]:
+    """What to change in an estimator for each associator that is registered now, by its name."""
+    own = {
+        "mecp_paper": {"association": SlamConfig.paper().association.model_dump()},
+        "known": {"association": {"method": "known"}, "tracks": {"merge_m": 0.0}},
+    }
+    names = (*METHODS.ours, *METHODS.others)
+    return {name: own.get(name, {"association": {"method": name}}) for name in names}
 
 
 def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:

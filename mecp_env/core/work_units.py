@@ -197,18 +197,26 @@ class KeptResults:
 
 
 def run_kept(
-    task: Callable[[Unit], Any], units: Mapping[str, Unit], kept: KeptResults, jobs: int
+    task: Callable[[Unit], Any], units: Mapping[str, Unit], kept: KeptResults, jobs: int, cluster: str = ""
 ) -> Generator[tuple[str, Any]]:
     """The name of each unit with its result: first those that are kept already, then the others as they are finished.
 
-    A `FailedUnit` is not kept: the next run repeats the unit. Raises `OSError` when a result cannot be written.
+    They run on `jobs` processes here, or on the Ray cluster at the address `cluster`. A `FailedUnit` is not kept: the
+    next run repeats the unit. Raises `OSError` when a result cannot be written, `ConfigError` for a wrong cluster.
     """
     yield from [(name, kept.found[name]) for name in units if name in kept.found]
     todo = [name for name in units if name not in kept.found]
-    with closing(run_units(task, [units[name] for name in todo], jobs)) as finished:
+    waiting = [units[name] for name in todo]
+    with closing(_on_cluster(task, waiting, cluster) if cluster else run_units(task, waiting, jobs)) as finished:
         for number, result in finished:
             name = todo[number]
             yield name, result if isinstance(result, FailedUnit) else kept.keep(name, result)
+
+
+def _on_cluster(task: Callable[[Unit], Any], units: Sequence[Unit], address: str) -> Generator[tuple[int, Any]]:
+    from mecp_env.core.cluster import run_on_cluster  # which imports this module
+
+    return run_on_cluster(task, units, address)
 
 
 def _checksum(content: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import kidnap
 from benchmarks.drives import Drive
+from benchmarks.records import Records
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
 from tests.slam.drives import scripted_drive
@@ -30,7 +31,7 @@ def test_events_are_counted_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     made = scripted_drive()
     truth = GroundTruth(made.outline, 30.0)
     drive = Drive(truth, SlamConfig(), made.odometry, made.scans, made.T_world_robot)
-    monkeypatch.setattr(kidnap, "record_drive_in", lambda *_: drive)
+    monkeypatch.setattr(Records, "drive", lambda *_: drive)
     outcomes = kidnap.disturb(("two_rooms", 3, 0))
     figures = {"two_rooms": kidnap.summarise([outcomes, outcomes])}
     for kind in kidnap.KINDS:
