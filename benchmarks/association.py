@@ -1,7 +1,8 @@
 """Association in closed loop: the associators on the same breadth-first drives (derivations 3.4).
 
-`mecp_paper` follows the text of the paper literally; each row "without" disables one part of `mecp`. Parts registered
-by the modules of `--with` have rows too: an associator, or `mecp` with another filter.
+`mecp_paper` follows the text of the paper literally; each row "without" disables one part of `mecp`. The others are
+defined in docs/associators.md, and use descriptors and rooms only where their name says so. Parts registered by the
+modules of `--with` have rows too: an associator, or `mecp` with another filter.
 
 The identity of a landmark is the true corner that it was matched with most often. An *event* is the return to a room
 that was not visited for at least 30 scans and of which at least two mapped corners are visible. It succeeds when five
@@ -26,7 +27,7 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped,
 from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.variants import with_change
+from benchmarks.variants import RIVALS, with_change
 from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
@@ -41,6 +42,7 @@ METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that
     "mecp without polygons": {"use_polygons": False},
     "mecp without rooms": {"use_rooms": False},
     "mecp_paper": SlamConfig.paper().association.model_dump(),
+    **RIVALS,
     "nearest": {"method": "nearest"},
 }
 SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}

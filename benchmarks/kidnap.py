@@ -5,7 +5,8 @@ the second half, one odometry reading is wrong by 1 m along the path and 20 degr
 goes on. `carried`: after the drive, the robot is put at a random place of a second drive in the same building, which
 goes on from there; its scans are not those that the map was made of. Each event starts from the same map as the others
 of its drive, ends 30 scans later, and changes nothing for the next. `hard` are generated buildings of the test split,
-from number 600 on.
+from number 600 on. Rows that name an associator (docs/associators.md) have the same drives and events, with a map that
+this associator made.
 
 An event is noticed when `confidence` falls below 0.5 within 10 scans, or when the pose is right after every scan all
 the same: that share is `harmless`. It is relocalised when the robot is localised within 10 scans with a position error
@@ -30,6 +31,7 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped,
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import RIVALS, with_change
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
@@ -38,6 +40,7 @@ Array = NDArray[np.float64]
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
+METHODS = ("", "jcbb with descriptor")  # that of the default estimator, and a rival
 HARD, FIRST_BUILDING, MAX_STEPS = "hard", 600, 10_000
 EVENTS, QUICK_EVENTS, QUICK_DRIVES = 10, 3, 2  # events of each kind on a drive
 BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
@@ -71,8 +74,9 @@ def run(options: Options) -> Figures:
     counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     events = QUICK_EVENTS if options.quick else EVENTS
     drives = [
-        (layout, events, seed)
+        (f"{layout} {method}".strip(), events, seed)
         for layout in counts
+        for method in METHODS
         for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
     task = partial(disturb, records=Records(options.records))
@@ -81,10 +85,12 @@ def run(options: Options) -> Figures:
 
 
 def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures:
-    """What happened in the events on the drive of one layout and seed; per kind and name a list over events."""
-    layout, count, seed = task
+    """What happened in the events on the drive of one layout, associator and seed; per kind a list over events."""
+    where, count, seed = task
+    layout, _, method = where.partition(" ")
     first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
-    rng, pipeline = np.random.default_rng(seed), SlamPipeline(first.slam)
+    change = {"association": RIVALS[method]} if method else {}
+    rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
     size = len(first.scans)
     wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
     T_map_world = inverse(first.T_world_robot[0])

@@ -4,7 +4,9 @@ The default estimator maps a drive that was recorded with the true pose as the d
 filter gets the true pose with a random error of a given sigma in x, y and heading, this prior, and no correlation with
 the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs.
 The scans are among those that the map was made of. `mecp in one pass` pairs everything at the prediction, however wide
-that is.
+that is. `jcbb` and `ccda` work in one pass and without polygons (docs/associators.md). `jcbb with descriptor in two
+passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and bound in place of the greedy
+pairing.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
@@ -26,7 +28,7 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped,
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, two_pass_jcbb, with_change
 from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.evaluation.metrics import AssociationLog
@@ -50,6 +52,11 @@ VARIANTS: dict[str, Variant] = {
     "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
     "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
     "mecp in one pass": ONE_PASS,
+    "jcbb": rival("jcbb"),
+    "jcbb with descriptor": rival("jcbb with descriptor"),
+    "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
+    "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
+    "ccda with descriptor": rival("ccda with descriptor"),
     "nearest": Variant({"association": {"method": "nearest"}}),
     "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
 }

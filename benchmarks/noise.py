@@ -7,7 +7,8 @@ kept. That gives the scans of a laser with that field of view or number of beams
 sees less drives elsewhere. In the cells `slip` the wheels slip in a share of the control steps of the same drives: the
 odometry of such a step measures a distance 1 to 3 times as long as the robot drove, and a turn that is off by an error
 with a sigma of 10 degrees; its covariance is as before. The steps of 1 % are among those of 5 %. `known` pairs by the
-true correspondences; `mecp in one pass` pairs everything at the prediction, however wide that is.
+true correspondences; `mecp in one pass` pairs everything at the prediction, however wide that is. `jcbb` and `ccda` are
+in docs/associators.md.
 
 `rmse_m` and `nees` (3 expected) are means over drives, `map_rmse_m` is that of the landmarks at the end from their true
 corners, nothing fitted, and `landmarks_false` counts those of no true corner. A drive is lost when the pose is more
@@ -30,7 +31,7 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped,
 from benchmarks.drives import Drive, Replay, replay
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.evaluation.lost import is_lost
 
@@ -39,6 +40,8 @@ VARIANTS: dict[str, Variant] = {
     DEFAULT: Variant(),
     "mecp without polygons": WITHOUT_POLYGONS,
     "mecp in one pass": ONE_PASS,
+    "jcbb with descriptor": rival("jcbb with descriptor"),
+    "ccda with descriptor": rival("ccda with descriptor"),
     "known": Variant({"association": {"method": "known"}, "tracks": {"merge_m": 0.0}}),
 }
 
