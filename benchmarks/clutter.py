@@ -40,6 +40,7 @@ CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 
 DRIVES = {"paper": 20, loop.HARD: 4}
 SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
 CLEAR_M = 0.5
+TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
 METRICS = {"precision": "precision", "recall": "recall", "rmse_m": "pose RMSE, m", "lost": "share of drives lost"}
 course = loop.course
 
@@ -57,8 +58,8 @@ def run(options: Options) -> Figures:
     drives = [
         (layout, detection, spurious, seed)
         for layout, count in counts.items()
-        for detection, spurious in CELLS
         for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
+        for detection, spurious in CELLS
     ]
     task = partial(compare, options.modules, records=Records(options.records))
     figures: Figures = {layout: {} for layout in counts}
@@ -179,7 +180,7 @@ def figure(figures: Figures) -> Figure:
     for row, (metric, label) in zip(grid, METRICS.items(), strict=True):
         for axes, (layout, x) in zip(row, columns, strict=True):
             cells = [figures[layout][named(*cell)] for cell in axes_of[x]]
-            lines = {name: [cell[name][metric] for cell in cells] for name in cells[0]}
+            lines = {name: [cell[name][metric] for cell in cells] for name in cells[0] if name not in TABLE_ONLY}
             draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in axes_of[x]], lines))
             axes.set_yscale("log" if metric == "rmse_m" else "linear")
             axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "lost" else "")
