@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import record
 from benchmarks.common import (
+    RECORDS,
     RESULTS,
     UNITS,
     Figures,
@@ -68,8 +68,10 @@ NAMES = (
     "stock_ppo",
     "uncertainty",
 )
+HERE_ONLY = ("real", "scale", "soak")  # maps beside the results; the time or the memory of this machine
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
-WITH_RECORDS = ("association", "clutter", "kidnap", "loop", "noise", "real", "record")  # --records
+RECORD = "record"  # makes what others replay, and has no figures
+WITH_RECORDS = ("association", "clutter", "kidnap", "loop", "noise", "real", RECORD)  # --records
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -93,7 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
-    if module is record:
+    if given.name == RECORD:
         return 0  # the records are the result
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
@@ -117,13 +119,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
     if given.sweeps and not (given.against and given.name == "speed"):
         parser().error("--sweeps: only for speed --against")
-    for option, used in (("--shard", given.shard != WHOLE), ("--cluster", given.cluster)):
-        if used and given.name not in (*IN_UNITS, "record"):
-            parser().error(f"{option}: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
-    if given.cluster and given.jobs != 1:
-        parser().error("--jobs: with --cluster, as many processes as the cluster has CPUs")
-    if given.records and given.name not in WITH_RECORDS:
-        parser().error(f"--records: {given.name} replays no drives; {', '.join(WITH_RECORDS)} do")
+    if given.shard != WHOLE and given.name not in (*IN_UNITS, RECORD):
+        parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
+    check_places(given)
     if (given.task or given.policies or given.buildings) and given.name not in OVER_POLICIES:
         parser().error(f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}")
     return Options(
@@ -135,7 +133,7 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         given.sweeps or (1, 4),
         given.shard,
         (UNITS / given.name).absolute(),
-        (given.records or (record.FOLDER if module is record else UNITS / given.name / "records")).absolute(),
+        (given.records or (RECORDS if given.name == RECORD else UNITS / given.name / "records")).absolute(),
         given.cluster,
         given.task,
         tuple(given.policies),
@@ -143,10 +141,23 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     )
 
 
+def check_places(given: argparse.Namespace) -> None:
+    """End the process with 2 where the options say another place for units or drives than the benchmark can have."""
+    if given.cluster and (given.name in HERE_ONLY or given.name not in (*IN_UNITS, RECORD)):
+        able = ", ".join(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY)
+        parser().error(f"--cluster: {given.name} runs here; {able} run on a cluster, too")
+    if given.cluster and given.jobs != 1:
+        parser().error(f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs")
+    if given.records and given.name not in WITH_RECORDS:
+        parser().error(f"--records: {given.name} replays no drives; {', '.join(WITH_RECORDS)} do")
+    if given.records and given.records.exists() and not given.records.is_dir():
+        parser().error(f"--records: {given.records} is a file, not a folder")
+
+
 def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    made.add_argument("name", choices=(*NAMES, "record"))
+    made.add_argument("name", choices=(*NAMES, RECORD))
     made.add_argument("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
     made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
     made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")

@@ -34,6 +34,7 @@ Unit = TypeVar("Unit", bound=tuple[Any, ...])
 __all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
+RECORDS = Path("runs/records")  # drives that stay, to be replayed
 UNITS = Path("runs/benchmarks")  # results of units of work, until all of a benchmark are there
 
 

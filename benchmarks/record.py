@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from benchmarks import association, clutter, kidnap, loop, noise
 from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, table
@@ -17,7 +16,6 @@ from benchmarks.record_file import load_header
 from benchmarks.records import Course, Records
 from mecp_env.core.provenance import checksum
 
-FOLDER = Path("runs/records")
 ALL, QUICK = 1000, 2  # drives of each set
 COURSES: dict[str, Callable[[int], list[Course]]] = {  # of the benchmarks, with so many drives of each set
     "association": lambda most: courses_of(association.course, association.SEEDS, most),

@@ -61,16 +61,23 @@ class Records:
     folder: Path | None = None
 
     def drive(self, course: Course) -> Drive:
-        """The drive of a course. Raises `RecordError`, and `OSError` when it cannot be written."""
+        """The drive of a course. Raises `RecordError` for a record that is wrong, or cannot be written."""
         if self.folder is None:
             return course.drive()
         path = self.folder / course.file
         if not path.exists():
-            save_record(path, *record_of(course, course.drive()))
+            _save(path, *record_of(course, course.drive()))
         return read_drive(path, course)
 
 
 IN_MEMORY = Records()
+
+
+def _save(path: Path, header: Header, arrays: Arrays) -> None:
+    try:
+        save_record(path, header, arrays)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
