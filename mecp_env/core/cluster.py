@@ -6,6 +6,7 @@ node whose code, libraries or kind of machine differ refuses the work.
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import sys
@@ -23,6 +24,7 @@ from mecp_env.core.work_units import FailedUnit
 
 ADDRESS = re.compile(r"([\w.-]{1,253}):(\d{1,5})", re.ASCII)
 CONNECT_S = 5.0  # until a machine that does not answer has no cluster
+ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, for a cluster that runs already
 
 
 def run_on_cluster(
@@ -57,6 +59,7 @@ def connected(address: str) -> Iterator[Any]:
     found = ADDRESS.fullmatch(address)
     if not found or not 1 <= int(found[2]) <= 65535:
         raise ConfigError(f"cluster: {address!r:.80}, expected HOST:PORT, such as 10.0.0.1:6379: the head of Ray")
+    os.environ.setdefault(*ONE_TRY)
     try:
         import ray
     except ImportError:
@@ -65,7 +68,7 @@ def connected(address: str) -> Iterator[Any]:
         socket.create_connection((found[1], int(found[2])), CONNECT_S).close()
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except (OSError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"cluster: no Ray cluster at {address} ({error!s:.120})") from None
+        raise ConfigError(f"cluster: no Ray cluster at {address} ({' '.join(str(error).split()):.120})") from None
     try:
         yield ray
     finally:
