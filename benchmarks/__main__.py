@@ -33,6 +33,7 @@ OPEN = ("association", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
+    "association_time",
     "explorers",
     "features",
     "filters",
@@ -51,6 +52,7 @@ NAMES = (
     "features",
     "filters",
     "association",
+    "association_time",
     "kidnap",
     "loop",
     "noise",

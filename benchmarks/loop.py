@@ -36,7 +36,7 @@ from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Polygon
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
@@ -166,12 +166,17 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
 
 def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
     """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
+    corners, beams, wall = front_end(scan, slam)
+    return corners, find_polygons(corners, beams, slam.polygon, wall)
+
+
+def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
+    """Corners of a scan, its beams, and which of these end on a wall."""
     beams = merge_sweeps(scan, slam.sensor)
     clusters = cluster_beams(beams, slam.clustering, slam.segments, slam.sensor)
     segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
     corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    corners = corners.with_floor(slam.filter.linearisation_sigma_m)
-    return corners, find_polygons(corners, beams, slam.polygon, beams_on_walls(clusters, beams))
+    return corners.with_floor(slam.filter.linearisation_sigma_m), beams, beams_on_walls(clusters, beams)
 
 
 def count_scans(
