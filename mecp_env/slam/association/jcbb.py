@@ -125,9 +125,7 @@ def branch_and_bound(
             taken[column], paired[level] = True, column
             count[level + 1], distance[level + 1] = k + 1, joint
             if k + 1 > best_count or (k + 1 == best_count and joint < best_distance):
-                best_count, best_distance = k + 1, joint
-                for i in range(n):
-                    best[i] = paired[i] if i <= level else -1
+                best, best_count, best_distance = paired[:n].copy(), k + 1, joint
         level += 1
     return best, best_distance, tried
 

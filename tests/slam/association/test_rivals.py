@@ -187,6 +187,17 @@ def test_the_clique_search_in_plain_python_finds_the_same(monkeypatch):
         assert tried == plain(*graph, budget)[1] <= budget
 
 
+def test_what_a_clique_can_gain_is_the_number_of_groups_and_their_least_costs():
+    rng = np.random.default_rng(23)
+    group, cost, nodes = np.repeat(np.arange(5), 3), rng.uniform(size=15), np.sort(rng.permutation(15)[:9])
+    left, least = np.empty(10, np.int64), np.empty(10)
+    limit_gain(nodes, 9, group, cost, left, least)
+    for q in range(10):
+        cheapest = {g: cost[nodes[q:]][group[nodes[q:]] == g].min() for g in group[nodes[q:]].tolist()}
+        assert left[q] == len(cheapest)
+        assert least[q] == pytest.approx(sum(cheapest.values()))
+
+
 def test_without_budget_ccda_keeps_the_largest_clique_so_far():
     adjacent, group, cost = random_graph(np.random.default_rng(21), groups=10, density=0.8)
     sizes = []
