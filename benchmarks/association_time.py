@@ -6,9 +6,10 @@ another corner and its descriptor, turned by a random multiple of 90 degrees. Po
 
 Every associator decides on the same scans, one after the other for each scan; the fastest of three calls counts. `mecp`
 and `jcbb` test the same joint innovation at the same probability (association.gate_probability). `ms` are means over
-scans. `ratio` is the time of `mecp` by that of the row, both with descriptors or both without; `ratio_with_polygons`
-adds the time to find the polygons, which is another stage, to that of `mecp`. `jcbb` gives up after a million nodes:
-`budget_spent` is the share of these scans. `right`, `wrong` and `polygon` are as in `loop`.
+scans. `ratio` is the time of `mecp`, as it is, by that of the row; `ratio_with_polygons` adds the time to find the
+polygons, which is another stage; `ratio_same_corners` is that of `mecp` without descriptors where the row has none.
+`jcbb` gives up after a million nodes: `budget_spent` is the share of these scans. `right`, `wrong` and `polygon` are as
+in `loop`.
 """
 
 from __future__ import annotations
@@ -177,19 +178,18 @@ def summarise(drives: list[dict[str, dict[str, list[float]]]]) -> Figures:
 
 def figures_of(drives: list[dict[str, dict[str, list[float]]]], sigma: str, name: str) -> Figures:
     """Results of one associator at one sigma."""
-    ours, own = (np.array([drive[sigma][row] for drive in drives]).T for row in (AGAINST[name], name))
-    counts, polygons_ms = (
-        dict(zip(COLUMNS, own, strict=False)),
-        np.array([drive[POLYGONS][POLYGONS][0] for drive in drives]),
-    )
+    own, ours, alike = (np.array([drive[sigma][row] for drive in drives]).T for row in (name, DEFAULT, AGAINST[name]))
+    counts = dict(zip(COLUMNS, own, strict=True))
+    polygons_ms = np.array([drive[POLYGONS][POLYGONS][0] for drive in drives])
     shares = {key: ratio(counts[key], counts["scans"]) for key in ("ms", "right", "polygon", "budget_spent")}
-    times = {"ratio": ratio(ours[1], own[1]), "ratio_with_polygons": ratio(ours[1] + polygons_ms, own[1])}
-    return {**shares, "wrong": ratio(counts["wrong"], counts["pairs"]), **times, "scans": int(counts["scans"].sum())}
+    times = {"ratio": ours[1], "ratio_with_polygons": ours[1] + polygons_ms, "ratio_same_corners": alike[1]}
+    ratios = {key: ratio(ms, own[1]) for key, ms in times.items()}
+    return {**shares, "wrong": ratio(counts["wrong"], counts["pairs"]), **ratios, "scans": int(counts["scans"].sum())}
 
 
 def report(figures: Figures) -> str:
     """Per set a table with a row for each sigma and associator."""
-    columns = ["ms", "ratio", "ratio_with_polygons", "right", "wrong", "polygon", "budget_spent"]
+    columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
     parts = [str(__doc__).partition("\n\n")[2].strip()]
     for layout, cells in figures.items():
         scans = next(iter(cells.values()))[DEFAULT]["scans"]
