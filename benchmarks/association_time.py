@@ -51,9 +51,9 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 AGAINST = {name: PLAIN if name in (PLAIN, "jcbb", "ccda") else DEFAULT for name in METHODS}
 BUDGET = 1_000_000  # nodes; ten times the default, so that most searches end
-SEEDS = {"paper": 12, "furnished": 8, "hard": 8}  # drives
+SEEDS = {"paper": 10, "furnished": 6, "hard": 6}  # drives
 SETS, MOST = tuple(SEEDS), 500
-SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 20, 3, 1, 3
+SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 10, 3, 1, 3
 IN_FRONT = (0.2, 0.9)  # share of a beam's range at which a spurious corner may be
 COLUMNS = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
 POLYGONS = "polygons"
