@@ -63,7 +63,7 @@ class CcdaAssociator(Associator):
         """
         inside = costs <= self.gate
         rows, columns = np.nonzero(inside)
-        cheapest = np.argsort(costs[rows, columns], kind="stable")[: math.isqrt(2 * self.config.search_budget) + 1]
+        cheapest = np.argsort(costs[rows, columns], kind="stable")[: math.isqrt(2 * self.config.search_budget)]
         rows, columns = rows[cheapest], columns[cheapest]
         order = np.lexsort((rows, inside.sum(axis=1)[rows]))
         return rows[order], columns[order]
