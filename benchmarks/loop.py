@@ -69,6 +69,7 @@ RIGHT_PAIRS = 3
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
     "wrong": "Share of pairs that are wrong:",
+    "wrong_pairs": "Wrong pairs in all scans:",
     "polygon": "Share of scans with a polygon recognised:",
     "ms": "Milliseconds of association per scan:",
 }
@@ -222,6 +223,7 @@ def figures_of(drives: list[Figures]) -> Figures:
         "right": ratio(counts["right"], counts["scans"]),
         "possible": ratio(counts["possible"], counts["scans"]),
         "wrong": ratio(counts["wrong"], counts["pairs"]),
+        "wrong_pairs": int(counts["wrong"].sum()),
         "polygon": ratio(counts["polygon"], counts["scans"]),
         "ms": estimate(counts["ms"]),
         "scans": int(counts["scans"].sum()),
