@@ -34,6 +34,7 @@ OPEN = ("association", "clutter", "filters")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
+    "association_time",
     "clutter",
     "explorers",
     "features",
@@ -53,6 +54,7 @@ NAMES = (
     "features",
     "filters",
     "association",
+    "association_time",
     "clutter",
     "kidnap",
     "loop",
@@ -68,10 +70,10 @@ NAMES = (
     "stock_ppo",
     "uncertainty",
 )
-HERE_ONLY = ("real", "scale", "soak")  # maps beside the results; the time or the memory of this machine
+HERE_ONLY = ("association_time", "real", "scale", "soak")  # times and memory of this machine; maps beside results
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
 RECORD = "record"  # makes what others replay, and has no figures
-WITH_RECORDS = ("association", "clutter", "kidnap", "loop", "noise", "real", RECORD)  # --records
+WITH_RECORDS = ("association", "association_time", "clutter", "kidnap", "loop", "noise", "real", RECORD)  # --records
 
 
 def main(arguments: list[str] | None = None) -> int:

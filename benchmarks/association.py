@@ -23,11 +23,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    load_modules,
+    ratio,
+    share,
+    table,
+)
 from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.variants import RIVALS, with_change
+from benchmarks.variants import DEFAULT, RIVALS, with_change
 from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
@@ -78,7 +90,11 @@ def run(options: Options) -> Figures:
     task = partial(compare, options.modules, records=Records(options.records))
     runs = in_parallel(task, dict[str, Figures], drives, options)
     return {
-        layout: {name: summarise([run[name] for run in of_layout]) for name in rows}
+        layout: {
+            name: summarise([run[name] for run in of_layout])
+            | differences([(run[name], run[DEFAULT]) for run in of_layout])
+            for name in rows
+        }
         for layout, of_layout in grouped(drives, runs).items()
     }
 
@@ -207,8 +223,22 @@ def summarise(runs: list[Figures]) -> Figures:
     }
 
 
+def differences(pairs: Sequence[tuple[Figures, Figures]]) -> Figures:
+    """Mean difference of a method to `mecp` over the drives, with its 95 % interval."""
+    names = ("precision", "recall", "rmse_m")
+    columns = [[np.subtract(*(of_drive(one)[name] for one in pair)) for pair in pairs] for name in names]
+    return {f"{name}_minus_mecp": estimate(column) for name, column in zip(names, columns, strict=True)}
+
+
+def of_drive(row: Figures) -> Figures:
+    """Precision (1 without a match), recall and pose RMSE of one drive."""
+    right = row["tp"]
+    precision = right / (right + row["fp"]) if right + row["fp"] else 1.0
+    return {"precision": precision, "recall": right / max(right + row["fn"], 1), "rmse_m": row["rmse_m"]}
+
+
 def report(figures: Figures) -> str:
-    """One table per layout with one row per associator."""
+    """Per layout a table with one row per associator, and one of their differences to `mecp`."""
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
     columns += ("pair_nees", "lost", "associate_ms")
@@ -218,6 +248,11 @@ def report(figures: Figures) -> str:
         lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
         for method, row in methods.items():
             lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
+        lines += ["", "Mean difference to `mecp` on the same drives:", ""]
+        paired = [name for name in row if name.endswith("_minus_mecp")]
+        lines.append(
+            table(["associator", *paired], [[name, *(row[c] for c in paired)] for name, row in methods.items()])
+        )
         lines.append("")
     return "\n".join(lines)
 

@@ -38,7 +38,7 @@ from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Polygon
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 
@@ -69,6 +69,7 @@ RIGHT_PAIRS = 3
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
     "wrong": "Share of pairs that are wrong:",
+    "wrong_pairs": "Wrong pairs in all scans:",
     "polygon": "Share of scans with a polygon recognised:",
     "ms": "Milliseconds of association per scan:",
 }
@@ -170,12 +171,17 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
 
 def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
     """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
+    corners, beams, wall = front_end(scan, slam)
+    return corners, find_polygons(corners, beams, slam.polygon, wall)
+
+
+def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
+    """Corners of a scan, its beams, and which of these end on a wall."""
     beams = merge_sweeps(scan, slam.sensor)
     clusters = cluster_beams(beams, slam.clustering, slam.segments, slam.sensor)
     segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
     corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    corners = corners.with_floor(slam.filter.linearisation_sigma_m)
-    return corners, find_polygons(corners, beams, slam.polygon, beams_on_walls(clusters, beams))
+    return corners.with_floor(slam.filter.linearisation_sigma_m), beams, beams_on_walls(clusters, beams)
 
 
 def count_scans(
@@ -221,6 +227,7 @@ def figures_of(drives: list[Figures]) -> Figures:
         "right": ratio(counts["right"], counts["scans"]),
         "possible": ratio(counts["possible"], counts["scans"]),
         "wrong": ratio(counts["wrong"], counts["pairs"]),
+        "wrong_pairs": int(counts["wrong"].sum()),
         "polygon": ratio(counts["polygon"], counts["scans"]),
         "ms": estimate(counts["ms"]),
         "scans": int(counts["scans"].sum()),

@@ -209,7 +209,7 @@ class TrackConfig(Settings):
 class AssociationConfig(Settings):
     """III-B, data association."""
 
-    method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # docs/associators.md has all; or one registered
+    method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
     use_rooms: bool = True
     use_descriptor: bool = True  # paper: none

@@ -271,7 +271,7 @@ def test_the_command_ends_with_one_line_for_a_damaged_record(
     [
         (["speed", "--records", "x"], "--records: speed replays no drives"),
         (["loop", "--records", __file__], "is a file, not a folder"),
-        (["record", "--sets", "speed"], "expected one of association, clutter, kidnap"),
+        (["record", "--sets", "speed"], "expected one of association, association_time, clutter"),
         (["record", "--sets", "loop:0"], "a count from 1 to"),
         (["record", "--with", "x"], "--with: record compares no associators"),
         (["speed", "--cluster", "127.0.0.1:1"], "--cluster: speed runs here; association"),

@@ -3,7 +3,8 @@
 T. Bailey, "Mobile robot localisation and mapping in extensive outdoor environments", PhD thesis, University of Sydney,
 2002, chapter 3. Nodes of a graph are the pairs of corner and landmark that may be one. Two of them are joined if the
 distance of their corners is that of their landmarks, within the gate of both covariances: a relative constraint, which
-needs no pose. The maximum clique is the largest set of pairs all of which agree. A final joint test (Gauss-Newton where
+needs no pose. The maximum clique is the largest set of pairs all of which agree; of equally large ones, that with the
+least sum of the NIS of its pairs and distances. A final joint test (Gauss-Newton where
 the prediction is wide) must hold for all of its pairs together; while it does not, the pair that disturbs most is left
 out.
 
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
@@ -46,8 +47,8 @@ class CcdaAssociator(Associator):
         table = pairing_table(corners, view, belief, self.config, self.gate)
         rows, columns = self._nodes(table.costs)
         if len(rows):
-            adjacent = self._graph(corners, rows, columns, ids, belief)
-            clique, _ = maximum_clique(adjacent, rows, table.costs[rows, columns], self.config.search_budget)
+            edges = self._graph(corners, rows, columns, ids, belief)
+            clique, _ = maximum_clique(edges, rows, table.costs[rows, columns], self.config.search_budget)
             rows, columns = rows[clique], columns[clique]
             iterations = 1 if self.config.is_sharp(view.belief) else self.config.iterations
             fits = self._jointly_compatible(corners, rows, ids[columns], belief, iterations)
@@ -62,13 +63,13 @@ class CcdaAssociator(Associator):
         """
         inside = costs <= self.gate
         rows, columns = np.nonzero(inside)
-        cheapest = np.argsort(costs[rows, columns], kind="stable")[: math.isqrt(2 * self.config.search_budget) + 1]
+        cheapest = np.argsort(costs[rows, columns], kind="stable")[: math.isqrt(2 * self.config.search_budget)]
         rows, columns = rows[cheapest], columns[cheapest]
         order = np.lexsort((rows, inside.sum(axis=1)[rows]))
         return rows[order], columns[order]
 
-    def _graph(self, corners: Corners, rows: Ints, columns: Ints, ids: Ints, belief: Filter) -> Bools:
-        """(P,P) which pairs agree on the distance between them."""
+    def _graph(self, corners: Corners, rows: Ints, columns: Ints, ids: Ints, belief: Filter) -> Array:
+        """(P,P) as `constraint_graph`."""
         seen, row = np.unique(rows, return_inverse=True)
         known, column = np.unique(columns, return_inverse=True)
         mean, cov = belief.marginal(ids[known])
@@ -112,38 +113,42 @@ def distances(points: Array, cov: Array) -> tuple[Array, Array]:
 
 def constraint_graph(
     scan: tuple[Array, Array], of_map: tuple[Array, Array], corner: Ints, landmark: Ints, gate: float
-) -> Bools:
-    """(P,P) which pairs of `corner` and `landmark` (P,) agree, of distances and variances in the scan and in the map.
+) -> Array:
+    """(P,P) NIS of the distance between two pairs of `corner` and `landmark` (P,); inf where they disagree.
 
-    Never two of one corner or of one landmark.
+    `scan` (n,n) and `of_map` (m,m) are distances and variances. Two pairs of one corner or of one landmark disagree.
     """
     differ = (corner[:, None] != corner) & (landmark[:, None] != landmark)
     (seen, seen_var), (known, known_var) = (
         [values[np.ix_(index, index)] for values in one] for one, index in ((scan, corner), (of_map, landmark))
     )
-    agree: Bools = differ & ((seen - known) ** 2 <= gate * (seen_var + known_var))
-    return agree
+    nis = np.full(differ.shape, math.inf)
+    np.divide((seen - known) ** 2, seen_var + known_var, out=nis, where=differ)
+    nis[nis > gate] = math.inf
+    return nis
 
 
 @compiled
-def maximum_clique(adjacent: Bools, group: Ints, cost: Array, budget: int) -> tuple[Ints, int]:
-    """Nodes (k,) of the largest clique, of equally large ones that of the least total cost, and how many were tried.
+def maximum_clique(edges: Array, group: Ints, cost: Array, budget: int) -> tuple[Ints, int]:
+    """Nodes (k,) of the largest clique, of equally large ones the cheapest, and how many were tried; at most `budget`.
 
-    `adjacent` (P,P) is symmetric; the nodes of one `group` (P,) follow each other and are never adjacent, so that the
-    groups that are left limit what a clique can still gain. `cost` (P,) is not negative. At most `budget` are tried.
+    A clique costs the `cost` (P,) of its nodes and the cost of its `edges` (P,P), symmetric, inf without an edge; none
+    is negative. The nodes of one `group` (P,) follow each other and have no edge between them, so that the groups left
+    limit what a clique can still gain.
     """
     P = group.shape[0]
     levels = 2
     for p in range(1, P):
         levels += group[p] != group[p - 1]
     nodes, size, at = np.empty((levels, P), np.int64), np.zeros(levels, np.int64), np.zeros(levels, np.int64)
+    added = np.empty((levels, P))  # what a node costs that joins the clique of its level
     left, least = np.zeros((levels, P + 1), np.int64), np.zeros((levels, P + 1))  # groups from here on, least costs
     clique, total = np.empty(levels, np.int64), np.zeros(levels)
     best, best_total = np.empty(0, np.int64), 0.0
     for p in range(P):
-        nodes[0, p] = p
+        nodes[0, p], added[0, p] = p, cost[p]
     size[0] = P
-    limit_gain(nodes[0], P, group, cost, left[0], least[0])
+    limit_gain(nodes[0], P, group, added[0], left[0], least[0])
     level, tried = 0, 0
     while level >= 0 and tried < budget:
         k, most = at[level], level + left[level, at[level]]
@@ -154,28 +159,32 @@ def maximum_clique(adjacent: Bools, group: Ints, cost: Array, budget: int) -> tu
         node = nodes[level, k]
         at[level] += 1
         tried += 1
-        clique[level], total[level + 1] = node, total[level] + cost[node]
+        clique[level], total[level + 1] = node, total[level] + added[level, k]
         if level + 1 > best.shape[0] or (level + 1 == best.shape[0] and total[level + 1] < best_total):
             best, best_total = clique[: level + 1].copy(), total[level + 1]
         count = 0
         for q in range(k + 1, size[level]):
-            if adjacent[node, nodes[level, q]]:
-                nodes[level + 1, count] = nodes[level, q]
+            edge = edges[node, nodes[level, q]]
+            if edge < math.inf:
+                nodes[level + 1, count], added[level + 1, count] = nodes[level, q], added[level, q] + edge
                 count += 1
         level += 1
         at[level], size[level] = 0, count
-        limit_gain(nodes[level], count, group, cost, left[level], least[level])
+        limit_gain(nodes[level], count, group, added[level], left[level], least[level])
     return best, tried
 
 
 @compiled
-def limit_gain(nodes: Ints, count: int, group: Ints, cost: Array, left: Ints, least: Array) -> None:
-    """Write how many groups the `nodes` from each position to `count` on are of, and the sum of their least costs."""
+def limit_gain(nodes: Ints, count: int, group: Ints, added: Array, left: Ints, least: Array) -> None:
+    """Write how many groups the `nodes` from each position to `count` on are of, and the sum of their least costs.
+
+    `added` is the cost of each of the nodes.
+    """
     left[count], least[count] = 0, 0.0
     cheapest, rest = 0.0, 0.0
     for q in range(count - 1, -1, -1):
         same = q + 1 < count and group[nodes[q]] == group[nodes[q + 1]]
         rest = rest if same else least[q + 1]
-        cheapest = min(cheapest, cost[nodes[q]]) if same else cost[nodes[q]]
+        cheapest = min(cheapest, added[q]) if same else added[q]
         left[q] = left[q + 1] if same else left[q + 1] + 1
         least[q] = rest + cheapest

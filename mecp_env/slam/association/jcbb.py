@@ -49,9 +49,10 @@ class JcbbAssociator(Associator):
 
 def pair_jointly(
     builder: MatchBuilder, corners: Corners, costs: Array, ids: Ints, belief: Filter, config: AssociationConfig
-) -> None:
-    """Enter the hypothesis of JCBB among the pairs of corners and landmarks `ids` (N,) whose `costs` (n,N) are inside.
+) -> int:
+    """The number of nodes tried for the hypothesis of JCBB, which is entered into `builder`.
 
+    Its pairs are among those of corners and landmarks `ids` (N,) whose `costs` (n,N) are inside the gate of one pair.
     Corners with few choices are decided first, then those that fit best; a corner tries the landmark that fits best.
     """
     gate = chi2_gate(2, config.gate_probability)
@@ -59,13 +60,14 @@ def pair_jointly(
     order = np.lexsort((costs.min(axis=1), inside.sum(axis=1)))
     rows, columns = order[inside[order].any(axis=1)], np.flatnonzero(inside.any(axis=0))
     if not len(rows):
-        return
+        return 0
     h, HPH = predicted_measurements(belief, ids[columns])
     gates = np.array([0.0, *(chi2_gate(2 * k, config.gate_probability) for k in range(1, len(rows) + 1))])
     choices = sorted_choices(costs[np.ix_(rows, columns)], gate)
-    found, _, _ = branch_and_bound(*corners.measurements(rows), h, HPH, choices, gates, config.search_budget)
+    found, _, tried = branch_and_bound(*corners.measurements(rows), h, HPH, choices, gates, config.search_budget)
     paired, columns = rows[found >= 0], columns[found[found >= 0]]
     builder.assign(paired, Decision.LANDMARK, Reason.JOINT, ids[columns], costs[paired, columns])
+    return tried
 
 
 def predicted_measurements(belief: Filter, ids: Ints) -> tuple[Array, Array]:
@@ -123,9 +125,7 @@ def branch_and_bound(
             taken[column], paired[level] = True, column
             count[level + 1], distance[level + 1] = k + 1, joint
             if k + 1 > best_count or (k + 1 == best_count and joint < best_distance):
-                best_count, best_distance = k + 1, joint
-                for i in range(n):
-                    best[i] = paired[i] if i <= level else -1
+                best, best_count, best_distance = paired[:n].copy(), k + 1, joint
         level += 1
     return best, best_distance, tried
 

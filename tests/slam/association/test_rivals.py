@@ -155,18 +155,23 @@ def test_without_budget_jcbb_keeps_the_best_hypothesis_so_far():
 
 
 def random_graph(rng, groups=6, per_group=3, density=0.6):
-    """Adjacency, group and cost of a graph none of whose groups has an edge inside."""
+    """Costs of edges, group and cost of the nodes of a graph none of whose groups has an edge inside."""
     group = np.repeat(np.arange(groups), per_group)
-    edges = np.triu(rng.uniform(size=(len(group), len(group))) < density, 1) & (group[:, None] != group)
-    return edges | edges.T, group, rng.uniform(0.0, 5.0, len(group))
+    size = (len(group), len(group))
+    joined = (rng.uniform(size=size) < density) & (group[:, None] != group)
+    edges = np.triu(np.where(joined, rng.uniform(0.0, 2.0, size), np.inf), 1)
+    return edges + edges.T + np.diag(np.full(len(group), np.inf)), group, rng.uniform(0.0, 5.0, len(group))
 
 
-def exhaustive_clique(adjacent, group, cost):
+def exhaustive_clique(edges, group, cost):
     """The largest clique, of equally large ones the cheapest."""
+
+    def total(clique):
+        return cost[clique].sum() + sum(edges[a, b] for a, b in itertools.combinations(clique, 2))
+
     nodes = [[-1, *np.flatnonzero(group == g)] for g in np.unique(group)]
     chosen = ([v for v in clique if v >= 0] for clique in itertools.product(*nodes))
-    cliques = [c for c in chosen if all(adjacent[a, b] for a, b in itertools.combinations(c, 2))]
-    return max(cliques, key=lambda c: (len(c), -cost[c].sum()))
+    return max((c for c in chosen if total(c) < np.inf), key=lambda c: (len(c), -total(c)))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -187,12 +192,23 @@ def test_the_clique_search_in_plain_python_finds_the_same(monkeypatch):
         assert tried == plain(*graph, budget)[1] <= budget
 
 
+def test_what_a_clique_can_gain_is_the_number_of_groups_and_their_least_costs():
+    rng = np.random.default_rng(23)
+    group, cost, nodes = np.repeat(np.arange(5), 3), rng.uniform(size=15), np.sort(rng.permutation(15)[:9])
+    left, least = np.empty(10, np.int64), np.empty(10)
+    limit_gain(nodes, 9, group, cost[nodes], left, least)
+    for q in range(10):
+        cheapest = {g: cost[nodes[q:]][group[nodes[q:]] == g].min() for g in group[nodes[q:]].tolist()}
+        assert left[q] == len(cheapest)
+        assert least[q] == pytest.approx(sum(cheapest.values()))
+
+
 def test_without_budget_ccda_keeps_the_largest_clique_so_far():
-    adjacent, group, cost = random_graph(np.random.default_rng(21), groups=10, density=0.8)
+    edges, group, cost = random_graph(np.random.default_rng(21), groups=10, density=0.8)
     sizes = []
     for budget in (1, 4, MANY):
-        found, _ = maximum_clique(adjacent, group, cost, budget)
-        assert all(adjacent[a, b] for a, b in itertools.combinations(found, 2))
+        found, _ = maximum_clique(edges, group, cost, budget)
+        assert all(edges[a, b] < np.inf for a, b in itertools.combinations(found, 2))
         sizes.append(len(found))
     assert sizes == sorted(sizes)
     assert sizes[0] == 1 < sizes[-1]
@@ -214,7 +230,7 @@ def test_pairs_of_one_corner_or_one_landmark_are_never_joined():
     length = np.array([[0.0, 3.0], [3.0, 0.0]])
     corner, landmark = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
     graph = constraint_graph((length, 0.0 * length), (length, 0.01 + 0.0 * length), corner, landmark, 4.0)
-    assert np.argwhere(np.triu(graph)).tolist() == [[0, 3], [1, 2]]
+    assert np.argwhere(np.triu(graph < np.inf)).tolist() == [[0, 3], [1, 2]]
 
 
 @pytest.mark.parametrize("method", RIVALS)
