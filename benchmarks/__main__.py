@@ -30,7 +30,7 @@ from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = ("association", "clutter", "filters")  # compare registered parts too
+OPEN = ("association", "clutter", "filters", "map_size")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
@@ -41,6 +41,7 @@ IN_UNITS = (
     "filters",
     "kidnap",
     "loop",
+    "map_size",
     "noise",
     "real",
     "soak",
@@ -58,6 +59,7 @@ NAMES = (
     "clutter",
     "kidnap",
     "loop",
+    "map_size",
     "noise",
     "explorers",
     "worlds",
@@ -70,10 +72,26 @@ NAMES = (
     "stock_ppo",
     "uncertainty",
 )
-HERE_ONLY = ("association_time", "real", "scale", "soak")  # times and memory of this machine; maps beside results
+HERE_ONLY = (
+    "association_time",
+    "map_size",
+    "real",
+    "scale",
+    "soak",
+)  # times and memory of this machine; maps beside results
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
 RECORD = "record"  # makes what others replay, and has no figures
-WITH_RECORDS = ("association", "association_time", "clutter", "kidnap", "loop", "noise", "real", RECORD)  # --records
+WITH_RECORDS = (
+    "association",
+    "association_time",
+    "clutter",
+    "kidnap",
+    "loop",
+    "map_size",
+    "noise",
+    "real",
+    RECORD,
+)  # --records
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,7 +13,7 @@ from benchmarks import __main__ as command
 from benchmarks.common import Options, ShardDone
 from mecp_env.core.work_units import Shard
 
-MEASURED = {"association_time", "scale", "soak"}  # their figures are times and memory
+MEASURED = {"association_time", "map_size", "scale", "soak"}  # their figures are times and memory
 TIMES = {"associate_ms", "ms", "us", "time_us", "steps_per_s"}
 Patches = dict[str, Any]  # "module.name" -> value
 
