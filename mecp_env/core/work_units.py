@@ -19,10 +19,13 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
+from mecp_env.core.cluster import run_on_cluster
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.paths import write_atomic
-from mecp_env.core.processes import Failure, Worker, WorkerDied
+from mecp_env.core.processes import FailedUnit, Failure, Worker, WorkerDied
 from mecp_env.core.provenance import checksum
+
+__all__ = ["FailedUnit"]  # of mecp_env.core.processes
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -31,18 +34,6 @@ START = "spawn"  # a forked process would have the threads and the state of the 
 STOP_POLL_S = 0.2  # how often `stop` is called
 FORMAT, VERSION = "mecp_env result", 1
 NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
-
-
-@dataclass(frozen=True, slots=True)
-class FailedUnit:
-    """A unit of work without a result, and the reason."""
-
-    unit: Any
-    reason: str
-    error: Exception  # `WorkerDied` when its process ended
-
-    def __str__(self) -> str:
-        return f"{self.unit}: {self.reason}"
 
 
 def run_units(
@@ -207,16 +198,10 @@ def run_kept(
     yield from [(name, kept.found[name]) for name in units if name in kept.found]
     todo = [name for name in units if name not in kept.found]
     waiting = [units[name] for name in todo]
-    with closing(_on_cluster(task, waiting, cluster) if cluster else run_units(task, waiting, jobs)) as finished:
+    with closing(run_on_cluster(task, waiting, cluster) if cluster else run_units(task, waiting, jobs)) as finished:
         for number, result in finished:
             name = todo[number]
             yield name, result if isinstance(result, FailedUnit) else kept.keep(name, result)
-
-
-def _on_cluster(task: Callable[[Unit], Any], units: Sequence[Unit], address: str) -> Generator[tuple[int, Any]]:
-    from mecp_env.core.cluster import run_on_cluster  # which imports this module
-
-    return run_on_cluster(task, units, address)
 
 
 def _checksum(content: Mapping[str, Any]) -> str:
