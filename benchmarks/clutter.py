@@ -41,7 +41,8 @@ DRIVES = {"paper": 20, loop.HARD: 4}
 SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
 CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
-METRICS = {"precision": "precision", "recall": "recall", "rmse_m": "pose RMSE, m", "lost": "share of drives lost"}
+METRICS = ("precision", "recall", "rmse_m", "lost", "associate_ms")
+DRAWN = {"precision": "1 - precision", "recall": "1 - recall", "rmse_m": "pose RMSE, m"}
 course = loop.course
 
 GATES = (
@@ -164,7 +165,7 @@ def report(figures: Figures) -> str:
     for layout, cells in figures.items():
         methods = next(iter(cells.values()))
         parts.append(f"## {layout} ({methods['mecp']['rmse_m']['n']} drives)")
-        for metric in (*METRICS, "associate_ms"):
+        for metric in METRICS:
             rows = [[name, *(cells[cell][name][metric] for cell in cells)] for name in methods]
             columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
             parts.append(table([f"`{metric}`: detection, spurious", *columns], rows))
@@ -172,18 +173,29 @@ def report(figures: Figures) -> str:
 
 
 def figure(figures: Figures) -> Figure:
-    """A row of panels per metric: over detection and over spurious corners, in each layout."""
+    """A row of panels per metric: over detection and over spurious corners, in each layout; all on a log scale."""
     axes_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
     columns = [(layout, x) for layout in figures for x in axes_of]
-    drawn = Figure(figsize=(3.0 * len(columns) + 1.0, 2.3 * len(METRICS)), layout="constrained")
-    grid = drawn.subplots(len(METRICS), len(columns), sharey="row", squeeze=False)
-    for row, (metric, label) in zip(grid, METRICS.items(), strict=True):
+    drawn = Figure(figsize=(3.2 * len(columns) + 1.0, 2.6 * len(DRAWN) + 0.5), layout="constrained")
+    grid = drawn.subplots(len(DRAWN), len(columns), sharey="row", squeeze=False)
+    for row, (metric, label) in zip(grid, DRAWN.items(), strict=True):
         for axes, (layout, x) in zip(row, columns, strict=True):
             cells = [figures[layout][named(*cell)] for cell in axes_of[x]]
-            lines = {name: [cell[name][metric] for cell in cells] for name in cells[0] if name not in TABLE_ONLY}
+            shown = {name: [drawable(cell[name], metric) for cell in cells] for name in cells[0]}
+            lines = {name: line for name, line in shown.items() if name not in TABLE_ONLY}
             draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in axes_of[x]], lines))
-            axes.set_yscale("log" if metric == "rmse_m" else "linear")
-            axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "lost" else "")
+            axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "rmse_m" else "")
+            if any(estimate["value"] for line in lines.values() for estimate in line):
+                axes.set_yscale("log")
         row[0].set_ylabel(label)
-    drawn.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    handles = grid[0][0].get_legend_handles_labels()
+    drawn.legend(*handles, loc="outside lower center", ncols=2 * len(columns) - 1, frameon=False, fontsize=8)
     return drawn
+
+
+def drawable(row: Figures, metric: str) -> Figures:
+    """A share as what is missing from it, which a log scale shows; anything else as it is."""
+    figure: Figures = row[metric]
+    if metric == "rmse_m" or figure["value"] is None:
+        return figure
+    return {"value": 1.0 - figure["value"], "low": 1.0 - figure["high"], "high": 1.0 - figure["low"]}
