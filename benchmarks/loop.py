@@ -50,6 +50,7 @@ from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
+from mecp_env.world.schema import Layout
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -160,6 +161,11 @@ def place(layout: str, seed: int) -> str:
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
     return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
+
+
+def building(layout: str, seed: int) -> Layout:
+    """The building of a drive."""
+    return course(layout, seed).building()
 
 
 def finish(drive: Drive) -> Finished:
