@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import (
+    RECORDS,
     RESULTS,
     UNITS,
     Figures,
@@ -25,19 +26,22 @@ from benchmarks.common import (
     save,
 )
 from benchmarks.trees import TreeError
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = ("association", "filters")  # compare registered parts too
+OPEN = ("association", "clutter", "filters", "map_size")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
+    "association_time",
+    "clutter",
     "explorers",
     "features",
     "filters",
     "kidnap",
     "loop",
+    "map_size",
     "noise",
     "real",
     "soak",
@@ -51,8 +55,11 @@ NAMES = (
     "features",
     "filters",
     "association",
+    "association_time",
+    "clutter",
     "kidnap",
     "loop",
+    "map_size",
     "noise",
     "explorers",
     "worlds",
@@ -65,7 +72,26 @@ NAMES = (
     "stock_ppo",
     "uncertainty",
 )
+HERE_ONLY = (
+    "association_time",
+    "map_size",
+    "real",
+    "scale",
+    "soak",
+)  # times and memory of this machine; maps beside results
 OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
+RECORD = "record"  # makes what others replay, and has no figures
+WITH_RECORDS = (
+    "association",
+    "association_time",
+    "clutter",
+    "kidnap",
+    "loop",
+    "map_size",
+    "noise",
+    "real",
+    RECORD,
+)  # --records
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -79,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
         content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
-    except (TreeError, ConfigError) as error:
+    except (TreeError, MecpError) as error:
         print(f"python -m benchmarks: {error}", file=sys.stderr)
         return 1
     except ShardDone as done:
@@ -89,6 +115,8 @@ def main(arguments: list[str] | None = None) -> int:
     report = getattr(module, "report", None)
     page = markdown(content, report(content["figures"]) if report else None)
     print(page)
+    if given.name == RECORD:
+        return 0  # the records are the result
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
     if given.json or not (given.quick or given.sets or given.modules or given.against):
@@ -111,8 +139,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
     if given.sweeps and not (given.against and given.name == "speed"):
         parser().error("--sweeps: only for speed --against")
-    if given.shard != WHOLE and given.name not in IN_UNITS:
+    if given.shard != WHOLE and given.name not in (*IN_UNITS, RECORD):
         parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
+    check_places(given)
     if (given.task or given.policies or given.buildings) and given.name not in OVER_POLICIES:
         parser().error(f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}")
     return Options(
@@ -123,17 +152,32 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
         given.against,
         given.sweeps or (1, 4),
         given.shard,
-        UNITS / given.name,
+        (UNITS / given.name).absolute(),
+        (given.records or (RECORDS if given.name == RECORD else UNITS / given.name / "records")).absolute(),
+        given.cluster,
         given.task,
         tuple(given.policies),
         given.buildings,
     )
 
 
+def check_places(given: argparse.Namespace) -> None:
+    """End the process with 2 where the options say another place for units or drives than the benchmark can have."""
+    if given.cluster and (given.name in HERE_ONLY or given.name not in (*IN_UNITS, RECORD)):
+        able = ", ".join(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY)
+        parser().error(f"--cluster: {given.name} runs here; {able} run on a cluster, too")
+    if given.cluster and given.jobs != 1:
+        parser().error(f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs")
+    if given.records and given.name not in WITH_RECORDS:
+        parser().error(f"--records: {given.name} replays no drives; {', '.join(WITH_RECORDS)} do")
+    if given.records and given.records.exists() and not given.records.is_dir():
+        parser().error(f"--records: {given.records} is a file, not a folder")
+
+
 def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    made.add_argument("name", choices=NAMES)
+    made.add_argument("name", choices=(*NAMES, RECORD))
     made.add_argument("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
     made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
     made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
@@ -167,6 +211,15 @@ def parser() -> argparse.ArgumentParser:
         default=WHOLE,
         metavar="I/N",
         help="every N-th unit only, from the I-th; then the command without --shard gives the figures",
+    )
+    made.add_argument(
+        "--records",
+        type=Path,
+        metavar="FOLDER",
+        help=f"of {', '.join(WITH_RECORDS)}: the drives that are replayed; missing ones are made there and stay",
+    )
+    made.add_argument(
+        "--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address"
     )
     made.add_argument("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
     made.add_argument(

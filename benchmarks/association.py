@@ -1,7 +1,8 @@
 """Association in closed loop: the associators on the same breadth-first drives (derivations 3.4).
 
-`mecp_paper` follows the text of the paper literally; each row "without" disables one part of `mecp`. Parts registered
-by the modules of `--with` have rows too: an associator, or `mecp` with another filter.
+`mecp_paper` follows the text of the paper literally; each row "without" disables one part of `mecp`. The others are
+defined in docs/associators.md, and use descriptors and rooms only where their name says so. Parts registered by the
+modules of `--with` have rows too: an associator, or `mecp` with another filter.
 
 The identity of a landmark is the true corner that it was matched with most often. An *event* is the return to a room
 that was not visited for at least 30 scans and of which at least two mapped corners are visible. It succeeds when five
@@ -22,10 +23,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, load_modules, ratio, share
-from benchmarks.drives import Drive, Replay, record_drive, replay
-from benchmarks.loop import HARD, MAX_STEPS, building
-from benchmarks.variants import with_change
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    load_modules,
+    ratio,
+    share,
+    table,
+)
+from benchmarks.drives import Drive, Replay, replay
+from benchmarks.loop import HARD, MAX_STEPS, place
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import DEFAULT, RIVALS, with_change
 from mecp_env.evaluation.lost import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
@@ -40,6 +54,7 @@ METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that
     "mecp without polygons": {"use_polygons": False},
     "mecp without rooms": {"use_rooms": False},
     "mecp_paper": SlamConfig.paper().association.model_dump(),
+    **RIVALS,
     "nearest": {"method": "nearest"},
 }
 SEEDS = {"paper": 60, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
@@ -72,9 +87,14 @@ def run(options: Options) -> Figures:
     """Results of every layout and associator."""
     rows, seeds = methods(options.modules), chosen(options.sets, SEEDS, MOST) or SEEDS
     drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
-    runs = in_parallel(partial(compare, options.modules), dict[str, Figures], drives, options)
+    task = partial(compare, options.modules, records=Records(options.records))
+    runs = in_parallel(task, dict[str, Figures], drives, options)
     return {
-        layout: {name: summarise([run[name] for run in of_layout]) for name in rows}
+        layout: {
+            name: summarise([run[name] for run in of_layout])
+            | differences([(run[name], run[DEFAULT]) for run in of_layout])
+            for name in rows
+        }
         for layout, of_layout in grouped(drives, runs).items()
     }
 
@@ -87,10 +107,14 @@ def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
     return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
 
 
-def compare(modules: Sequence[str], drive_of: tuple[str, int]) -> dict[str, Figures]:
+def course(layout: str, seed: int) -> Course:
+    """What is driven."""
+    return Course(place(layout, seed), seed, {"max_steps": MAX_STEPS} if layout == HARD else {})
+
+
+def compare(modules: Sequence[str], drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    (layout, seed), rows = drive_of, methods(modules)
-    drive = record_drive(building(layout, seed), seed, **({"max_steps": MAX_STEPS} if layout == HARD else {}))
+    drive, rows = records.drive(course(*drive_of)), methods(modules)
     return {name: counts(drive, replay(drive, with_change(drive.slam, change))) for name, change in rows.items()}
 
 
@@ -199,8 +223,22 @@ def summarise(runs: list[Figures]) -> Figures:
     }
 
 
+def differences(pairs: Sequence[tuple[Figures, Figures]]) -> Figures:
+    """Mean difference of a method to `mecp` over the drives, with its 95 % interval."""
+    names = ("precision", "recall", "rmse_m")
+    columns = [[np.subtract(*(of_drive(one)[name] for one in pair)) for pair in pairs] for name in names]
+    return {f"{name}_minus_mecp": estimate(column) for name, column in zip(names, columns, strict=True)}
+
+
+def of_drive(row: Figures) -> Figures:
+    """Precision (1 without a match), recall and pose RMSE of one drive."""
+    right = row["tp"]
+    precision = right / (right + row["fp"]) if right + row["fp"] else 1.0
+    return {"precision": precision, "recall": right / max(right + row["fn"], 1), "rmse_m": row["rmse_m"]}
+
+
 def report(figures: Figures) -> str:
-    """One table per layout with one row per associator."""
+    """Per layout a table with one row per associator, and one of their differences to `mecp`."""
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
     columns += ("pair_nees", "lost", "associate_ms")
@@ -210,6 +248,11 @@ def report(figures: Figures) -> str:
         lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
         for method, row in methods.items():
             lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
+        lines += ["", "Mean difference to `mecp` on the same drives:", ""]
+        paired = [name for name in row if name.endswith("_minus_mecp")]
+        lines.append(
+            table(["associator", *paired], [[name, *(row[c] for c in paired)] for name, row in methods.items()])
+        )
         lines.append("")
     return "\n".join(lines)
 

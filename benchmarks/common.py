@@ -34,6 +34,7 @@ Unit = TypeVar("Unit", bound=tuple[Any, ...])
 __all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
+RECORDS = Path("runs/records")  # drives that stay, to be replayed
 UNITS = Path("runs/benchmarks")  # results of units of work, until all of a benchmark are there
 
 
@@ -49,6 +50,8 @@ class Options:
     sweeps: tuple[int, ...] = (1, 4)  # per scan, in that comparison
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
+    records: Path | None = None  # folder of the drives that are replayed; None: they are driven again each time
+    cluster: str = ""  # the address of a Ray cluster that the units run on
     task: str = ""  # of active SLAM
     policies: tuple[str, ...] = ()
     buildings: int = 0  # at each point; 0: as many as the benchmark has by itself
@@ -108,13 +111,12 @@ def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], o
     Results are kept in `options.folder`, so that the same command continues after a kill. Raises `ShardDone` after a
     part of the units, and the error of a unit that failed after all others are finished.
     """
-    modules = {name: checksum(Path(str(sys.modules[name].__file__)).read_bytes()) for name in options.modules}
-    kept = KeptResults(options.folder, kind, {"--with": modules, **dependencies(Path(__file__).parent)})
+    kept = KeptResults(options.folder, kind, run_key(options))
     named = {" ".join(map(str, unit)): unit for unit in options.shard.part(units)}
     results, errors = dict[str, Any](), list[Exception]()
     todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
     first = len(named) - todo
-    for name, result in run_kept(task, named, kept, options.jobs):
+    for name, result in run_kept(task, named, kept, options.jobs, options.cluster):
         results[name] = result
         show_progress(len(results) - first, todo, time.monotonic() - begun)
         if isinstance(result, FailedUnit):
@@ -125,6 +127,13 @@ def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], o
     if options.shard != WHOLE:
         raise ShardDone(f"{len(named)} units of shard {options.shard} are in {options.folder}")
     return [results[name] for name in named]
+
+
+def run_key(options: Options) -> dict[str, Any]:
+    """What results belong to: only those of one key are combined."""
+    modules = {name: checksum(Path(str(sys.modules[name].__file__)).read_bytes()) for name in options.modules}
+    own = options.records is None or options.records.parent == options.folder  # made for this run
+    return {"--with": modules, "--records": "" if own else str(options.records), **dependencies(Path(__file__).parent)}
 
 
 def show_progress(done: int, todo: int, seconds: float) -> None:

@@ -122,10 +122,15 @@ def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
     return inner.drive
 
 
-def replay(drive: Drive, slam: SlamConfig, make: Callable[[AssociationConfig], Associator] = make_associator) -> Replay:
+def replay(
+    drive: Drive,
+    slam: SlamConfig,
+    make: Callable[[AssociationConfig], Associator] = make_associator,
+    estimator: Callable[..., SlamPipeline] = SlamPipeline,
+) -> Replay:
     """Run an estimator on a drive; its decisions feed back into its filter (closed loop)."""
     associator = TimedAssociator(make(slam.association))
-    pipeline = SlamPipeline(slam, associator=associator)
+    pipeline = estimator(slam, associator=associator)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])
     errors, nees, polygons, far = [], [], [], np.zeros(2, np.int64)

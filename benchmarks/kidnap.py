@@ -5,7 +5,8 @@ the second half, one odometry reading is wrong by 1 m along the path and 20 degr
 goes on. `carried`: after the drive, the robot is put at a random place of a second drive in the same building, which
 goes on from there; its scans are not those that the map was made of. Each event starts from the same map as the others
 of its drive, ends 30 scans later, and changes nothing for the next. `hard` are generated buildings of the test split,
-from number 600 on.
+from number 600 on. Rows that name an associator (docs/associators.md) have the same drives and events, with a map that
+this associator made.
 
 An event is noticed when `confidence` falls below 0.5 within 10 scans, or when the pose is right after every scan all
 the same: that share is `harmless`. It is relocalised when the robot is localised within 10 scans with a position error
@@ -20,24 +21,26 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
-from benchmarks.drives import Drive, record_drive
+from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import RIVALS, with_change
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
-from mecp_env.world.schema import Layout
 
 Array = NDArray[np.float64]
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
+METHODS = ("", "jcbb with descriptor")  # that of the default estimator, and a rival
 HARD, FIRST_BUILDING, MAX_STEPS = "hard", 600, 10_000
 EVENTS, QUICK_EVENTS, QUICK_DRIVES = 10, 3, 2  # events of each kind on a drive
 BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
@@ -71,19 +74,23 @@ def run(options: Options) -> Figures:
     counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     events = QUICK_EVENTS if options.quick else EVENTS
     drives = [
-        (layout, events, seed)
+        (f"{layout} {method}".strip(), events, seed)
         for layout in counts
+        for method in METHODS
         for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
-    results = grouped(drives, in_parallel(disturb, Figures, drives, options))
+    task = partial(disturb, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, Figures, drives, options))
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def disturb(task: tuple[str, int, int]) -> Figures:
-    """What happened in the events on the drive of one layout and seed; per kind and name a list over events."""
-    layout, count, seed = task
-    first, second = (record_drive_in(layout, seed, n) for n in (seed, seed + SECOND_DRIVE))
-    rng, pipeline = np.random.default_rng(seed), SlamPipeline(first.slam)
+def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures:
+    """What happened in the events on the drive of one layout, associator and seed; per kind a list over events."""
+    where, count, seed = task
+    layout, _, method = where.partition(" ")
+    first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
+    change = {"association": RIVALS[method]} if method else {}
+    rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
     size = len(first.scans)
     wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
     T_map_world = inverse(first.T_world_robot[0])
@@ -105,12 +112,10 @@ def disturb(task: tuple[str, int, int]) -> Figures:
     return {**outcomes, "before": [[confidence[k], error[k]] for k in before]}
 
 
-def record_drive_in(layout: str, building: int, seed: int) -> Drive:
+def course(layout: str, building: int, seed: int) -> Course:
     """A drive in a building, from a start of its own."""
-    where: str | Layout = layout
-    if layout == HARD:
-        where = generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + building))
-    return record_drive(where, seed, estimator="truth", max_steps=MAX_STEPS)
+    place = f"{HARD}:{FIRST_BUILDING + building}" if layout == HARD else layout
+    return Course(place, seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:

@@ -4,7 +4,9 @@ The default estimator maps a drive that was recorded with the true pose as the d
 filter gets the true pose with a random error of a given sigma in x, y and heading, this prior, and no correlation with
 the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs.
 The scans are among those that the map was made of. `mecp in one pass` pairs everything at the prediction, however wide
-that is.
+that is. `jcbb` and `ccda` work in one pass and without polygons (docs/associators.md). `jcbb with descriptor in two
+passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and bound in place of the greedy
+pairing. `mecp with the clique of ccda` takes the pose of its first pass from that where no polygon is recognised.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
@@ -16,15 +18,26 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
-from benchmarks.drives import Drive, record_drive
+from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import (
+    DEFAULT,
+    ONE_PASS,
+    WITH_CLIQUE,
+    WITHOUT_POLYGONS,
+    Variant,
+    rival,
+    two_pass_jcbb,
+    with_change,
+)
 from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.evaluation.metrics import AssociationLog
@@ -34,10 +47,9 @@ from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Polygon
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.schema import Layout
 
 Array = NDArray[np.float64]
@@ -50,6 +62,12 @@ VARIANTS: dict[str, Variant] = {
     "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
     "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
     "mecp in one pass": ONE_PASS,
+    "jcbb": rival("jcbb"),
+    "jcbb with descriptor": rival("jcbb with descriptor"),
+    "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
+    "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
+    "ccda with descriptor": rival("ccda with descriptor"),
+    "mecp with the clique of ccda": WITH_CLIQUE,
     "nearest": Variant({"association": {"method": "nearest"}}),
     "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
 }
@@ -62,6 +80,7 @@ RIGHT_PAIRS = 3
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
     "wrong": "Share of pairs that are wrong:",
+    "wrong_pairs": "Wrong pairs in all scans:",
     "polygon": "Share of scans with a polygon recognised:",
     "ms": "Milliseconds of association per scan:",
 }
@@ -107,14 +126,15 @@ def run(options: Options) -> Figures:
         for layout in counts
         for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
-    results = grouped(drives, in_parallel(compare, dict[str, dict[str, Figures]], drives, options))
+    task = partial(compare, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, dict[str, dict[str, Figures]], drives, options))
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def compare(task: tuple[str, int, int]) -> dict[str, dict[str, Figures]]:
+def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[str, dict[str, Figures]]:
     """Counts of each variant and sigma on scans of the drive of one layout and seed."""
     layout, count, seed = task
-    drive = record_drive(building(layout, seed), seed, estimator="truth", max_steps=MAX_STEPS)
+    drive = records.drive(course(layout, seed))
     finished, rng = finish(drive), np.random.default_rng(seed)
     steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
     looks = [look(drive, finished, int(step)) for step in steps]
@@ -133,11 +153,19 @@ def associator_of(variant: Variant, slam: SlamConfig) -> Associator:
     return variant.make(with_change(slam, variant.change).association)
 
 
-def building(layout: str, seed: int) -> str | Layout:
-    """The layout of a drive."""
-    if layout != HARD:
-        return layout
-    return generate(GeneratorSpec.preset(HARD), split_seed("test", FIRST_BUILDING + seed))
+def place(layout: str, seed: int) -> str:
+    """The building of a drive."""
+    return f"{HARD}:{FIRST_BUILDING + seed}" if layout == HARD else layout
+
+
+def course(layout: str, seed: int) -> Course:
+    """What is driven."""
+    return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
+
+
+def building(layout: str, seed: int) -> Layout:
+    """The building of a drive."""
+    return course(layout, seed).building()
 
 
 def finish(drive: Drive) -> Finished:
@@ -159,12 +187,17 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
 
 def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
     """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
+    corners, beams, wall = front_end(scan, slam)
+    return corners, find_polygons(corners, beams, slam.polygon, wall)
+
+
+def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
+    """Corners of a scan, its beams, and which of these end on a wall."""
     beams = merge_sweeps(scan, slam.sensor)
     clusters = cluster_beams(beams, slam.clustering, slam.segments, slam.sensor)
     segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
     corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    corners = corners.with_floor(slam.filter.linearisation_sigma_m)
-    return corners, find_polygons(corners, beams, slam.polygon, beams_on_walls(clusters, beams))
+    return corners.with_floor(slam.filter.linearisation_sigma_m), beams, beams_on_walls(clusters, beams)
 
 
 def count_scans(
@@ -210,6 +243,7 @@ def figures_of(drives: list[Figures]) -> Figures:
         "right": ratio(counts["right"], counts["scans"]),
         "possible": ratio(counts["possible"], counts["scans"]),
         "wrong": ratio(counts["wrong"], counts["pairs"]),
+        "wrong_pairs": int(counts["wrong"].sum()),
         "polygon": ratio(counts["polygon"], counts["scans"]),
         "ms": estimate(counts["ms"]),
         "scans": int(counts["scans"].sum()),

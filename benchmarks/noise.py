@@ -7,7 +7,8 @@ kept. That gives the scans of a laser with that field of view or number of beams
 sees less drives elsewhere. In the cells `slip` the wheels slip in a share of the control steps of the same drives: the
 odometry of such a step measures a distance 1 to 3 times as long as the robot drove, and a turn that is off by an error
 with a sigma of 10 degrees; its covariance is as before. The steps of 1 % are among those of 5 %. `known` pairs by the
-true correspondences; `mecp in one pass` pairs everything at the prediction, however wide that is.
+true correspondences; `mecp in one pass` pairs everything at the prediction, however wide that is. `jcbb` and `ccda` are
+in docs/associators.md.
 
 `rmse_m` and `nees` (3 expected) are means over drives, `map_rmse_m` is that of the landmarks at the end from their true
 corners, nothing fitted, and `landmarks_false` counts those of no true corner. A drive is lost when the pose is more
@@ -27,9 +28,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
-from benchmarks.drives import Drive, Replay, record_drive, replay
+from benchmarks.drives import Drive, Replay, replay
 from benchmarks.plots import Panel, line_panels
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, with_change
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.evaluation.lost import is_lost
 
@@ -38,6 +40,8 @@ VARIANTS: dict[str, Variant] = {
     DEFAULT: Variant(),
     "mecp without polygons": WITHOUT_POLYGONS,
     "mecp in one pass": ONE_PASS,
+    "jcbb with descriptor": rival("jcbb with descriptor"),
+    "ccda with descriptor": rival("ccda with descriptor"),
     "known": Variant({"association": {"method": "known"}, "tracks": {"merge_m": 0.0}}),
 }
 
@@ -119,14 +123,15 @@ def run(options: Options) -> Figures:
         for seed in range(min(QUICK_DRIVES, counts[cell]) if options.quick else counts[cell])
     ]
     drives.sort(key=lambda drive: (drive[1], source(drive[0])))  # the cells of one recording one after the other
-    results = grouped(drives, in_parallel(compare, dict[str, Figures], drives, options))
+    task = partial(compare, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
     return {cell: {name: summarise([of[name] for of in results[cell]]) for name in VARIANTS} for cell in counts}
 
 
-def compare(task: tuple[str, int]) -> dict[str, Figures]:
+def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each variant on one drive of a cell."""
     cell, seed = task
-    drive = recorded(source(cell), seed)
+    drive = recorded(source(cell), seed, records)
     if cell in CHANGED:
         drive = CHANGED[cell](drive, seed)
     return {
@@ -141,9 +146,14 @@ def source(cell: str) -> str:
 
 
 @lru_cache(1)
-def recorded(cell: str, seed: int) -> Drive:
+def recorded(cell: str, seed: int, records: Records = IN_MEMORY) -> Drive:
     """A drive with the sensors of a cell."""
-    return record_drive(LAYOUT, seed, estimator="truth", **RECORDED[cell])
+    return records.drive(course(cell, seed))
+
+
+def course(cell: str, seed: int) -> Course:
+    """What is driven with the sensors of a cell."""
+    return Course(LAYOUT, seed, {"estimator": "truth", **RECORDED[cell]})
 
 
 def counts(outcome: Replay) -> Figures:

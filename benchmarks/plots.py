@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.common import Figures
 
-MARKERS = "osD^vPX"
+MARKERS = "osD^vPX<>h"
 DASHES = ("-", "--", ":", "-.", (0, (1, 3)), (0, (5, 4)), (0, (3, 1, 1, 1, 1, 1)))
 GREYS = ("0.0", "0.35", "0.55", "0.15", "0.45", "0.25", "0.6")
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ from benchmarks.plan_scores import score_rooms
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, small_multiples
+from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
 from mecp_env.floorplans import load_plan
@@ -82,7 +84,8 @@ def run(options: Options) -> Figures:
         print(f"{name}: skipped, {reason}", file=sys.stderr)
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
     results: dict[str, dict[str, list[Figures]]] = {}
-    for (name, what), of_one in grouped(tasks, in_parallel(measure, dict[str, Any], tasks, options)).items():
+    task = partial(measure, records=Records(options.records))
+    for (name, what), of_one in grouped(tasks, in_parallel(task, dict[str, Any], tasks, options)).items():
         results.setdefault(name, {})[what] = of_one
     figures = {name: SUMMARIES[name](of_set) for name, of_set in results.items()}
     return figures | ({"skipped": skipped} if skipped else {})
@@ -118,7 +121,7 @@ def is_labelled(plan: str) -> bool:
     return plans()[plan].with_suffix(".rooms.png").is_file()
 
 
-def measure(task: Task) -> Figures:
+def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     """The figures of one unit of work."""
     name, what, seed = task
     if name == PLANS:
@@ -127,7 +130,7 @@ def measure(task: Task) -> Figures:
         return explore(what, seed)
     if name in LOGS:
         return run_on_log(name, seed, None if what == "all" else int(what))
-    return look_ahead(seed) if name == VIEW else explore_with_urg(name, seed)
+    return look_ahead(seed, records) if name == VIEW else explore_with_urg(name, seed)
 
 
 def score(path: Path) -> Figures:
@@ -178,9 +181,9 @@ def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
     return metrics
 
 
-def look_ahead(seed: int) -> Figures:
+def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
     """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
-    drive = noise.recorded(noise.BASE, seed)
+    drive = noise.recorded(noise.BASE, seed, records)
     cut = replace(drive, scans=[noise.narrowed(scan, VIEW_DEG) for scan in drive.scans])
     outcome = replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}}))
     return noise.counts(outcome) | {"polygon_share": outcome.polygon_share}

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from mecp_env.config import merge
-from mecp_env.slam.association import MecpAssociator, make_associator
+from mecp_env.core.array_types import Array
+from mecp_env.slam.association import CcdaAssociator, MecpAssociator, make_associator
 from mecp_env.slam.association.gating import PairingTable
-from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.messages import Corners, MapView, Polygon
+from mecp_env.slam.association.jcbb import pair_jointly
+from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.mecp import OPEN
+from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher, PolygonTest
+from mecp_env.slam.config import METHODS, AssociationConfig, SlamConfig
+from mecp_env.slam.messages import Belief, Corners, MapView, Polygon
 from mecp_env.slam.protocols import Associator, Filter
 
 
@@ -29,6 +35,46 @@ class OnePassAssociator(MecpAssociator):
         return belief
 
 
+class TwoPassJcbbAssociator(MecpAssociator):
+    """`mecp` with the search of `jcbb` in both passes, among the pairs that a recognised polygon leaves."""
+
+    __slots__ = ()
+
+    def _pair(
+        self,
+        builder: MatchBuilder,
+        corners: Corners,
+        costs: Array,
+        found: PolygonMatch | None,
+        predicted: Belief,
+        belief: Filter,
+    ) -> None:
+        """Enter the hypothesis of JCBB; the corners of a polygon have no other choice."""
+        if found is not None:
+            builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
+            costs[found.corners] = math.inf
+            costs[found.corners, predicted.rows(found.ids)] = 0.0
+        pair_jointly(builder, corners, costs, predicted.ids, belief, self.config)
+
+
+class CliqueAssociator(MecpAssociator):
+    """`mecp` whose first pass takes the pairs of `ccda`, with descriptor, where no polygon is recognised."""
+
+    __slots__ = ()
+
+    def _corrected(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
+    ) -> Filter:
+        """A copy of the filter, updated with the polygon or the clique."""
+        test = PolygonTest(OPEN, OPEN, self.config.iterations)
+        if PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons) is not None:
+            return super()._corrected(corners, polygons, view, belief, table)
+        match = CcdaAssociator(self.config).associate(corners, (), view, belief)
+        anchors, corrected = match.recognised(), belief.copy()
+        corrected.update(*corners.measurements(anchors), match.ids[anchors], iterate=True)
+        return corrected
+
+
 @dataclass(frozen=True, slots=True)
 class Variant:
     """What differs from the estimator of a drive."""
@@ -45,3 +91,38 @@ def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
 DEFAULT = "mecp"
 WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
 ONE_PASS = Variant(make=OnePassAssociator)
+WITH_CLIQUE = Variant(make=CliqueAssociator)
+
+RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none uses polygons
+    "jcbb": {"method": "jcbb", "use_rooms": False, "use_descriptor": False},
+    "jcbb with descriptor": {"method": "jcbb", "use_rooms": False},
+    "jcbb with descriptor and rooms": {"method": "jcbb"},
+    "ccda": {"method": "ccda", "use_rooms": False, "use_descriptor": False},
+    "ccda with descriptor": {"method": "ccda", "use_rooms": False},
+    "joint_descriptor": {"method": "joint_descriptor", "use_rooms": False},
+    "nearest_room": {"method": "nearest_room"},
+    "nearest_descriptor": {"method": "nearest_descriptor"},
+}
+
+
+def associators() -> dict[str, dict[str, Any]]:
+    """What to change in an estimator for each associator that is registered now: one row or several of each."""
+    rows: dict[str, dict[str, Any]] = {
+        "mecp_paper": {"association": SlamConfig.paper().association.model_dump()},
+        "known": {"association": {"method": "known"}, "tracks": {"merge_m": 0.0}},
+    }
+    rows |= {name: {"association": fields} for name, fields in RIVALS.items()}
+    names = (*METHODS.ours, *METHODS.others)
+    rows = {name: {"association": {"method": name}} for name in names} | rows
+    method = {name: change["association"]["method"] for name, change in rows.items()}
+    return {name: rows[name] for known in names for name in rows if method[name] == known}
+
+
+def rival(name: str) -> Variant:
+    """One of the RIVALS as it is."""
+    return Variant({"association": RIVALS[name]})
+
+
+def two_pass_jcbb(use_polygons: bool) -> Variant:
+    """JCBB with descriptor in the two passes of `mecp`, with its polygons or without."""
+    return Variant({"association": {"use_polygons": use_polygons, "use_rooms": False}}, TwoPassJcbbAssociator)

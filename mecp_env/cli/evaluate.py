@@ -44,6 +44,7 @@ FIXES = {  # option -> those that have no meaning beside it
     "plans": ("layout", "difficulty", "split"),
     "layout": ("difficulty", "split"),
     "task": ("difficulty",),
+    "cluster": ("jobs",),
 }
 READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.name}")}
 
@@ -79,6 +80,7 @@ class Evaluate(Command):
     # buildings, one episode in each; episode i starts by the seed i, with --plans in plan i mod the number of plans
     episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 100
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
+    cluster: str = ""  # run the episodes on the Ray cluster at HOST:PORT (extra `cluster`), one on each of its CPUs
     shard: str = "1/1"  # run every n-th building only, from the i-th, given as i/n; the results are written without it
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
     truth: bool = True  # run each policy once more with the ground-truth pose
@@ -107,7 +109,7 @@ class Evaluate(Command):
         evaluation = Evaluation(*parts, shard)
         self._check(evaluation)
         kept = evaluation.kept(self.out / "episodes")
-        collect(evaluation, kept, self.jobs)
+        collect(evaluation, kept, self.jobs, self.cluster)
         if shard.count > 1:
             echo(f"{len(evaluation.results)} episodes of shard {shard} are in {kept.folder}")
         elif evaluation.results:
@@ -160,7 +162,8 @@ class Evaluate(Command):
             parts = (self.policies, setting, suite.episodes, self.truth, self.known, self.reference, self.trust)
             evaluation = Evaluation(*parts, shard)
             self._check(evaluation)
-            collect(evaluation, evaluation.kept(self.out / (setting.task or setting.difficulty)), self.jobs)
+            kept = evaluation.kept(self.out / (setting.task or setting.difficulty))
+            collect(evaluation, kept, self.jobs, self.cluster)
             if evaluation.interrupted or evaluation.failures:
                 return INTERRUPTED if evaluation.interrupted else FAILED
             done.append((setting, evaluation.rows()))
@@ -243,7 +246,7 @@ def check_word(name: str, word: str, known: Mapping[str, object]) -> None:
         raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(known)}{guess(word, known)}")
 
 
-def collect(evaluation: Evaluation, kept: KeptResults, jobs: int) -> None:
+def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) -> None:
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -251,7 +254,7 @@ def collect(evaluation: Evaluation, kept: KeptResults, jobs: int) -> None:
     console, total = Console(stderr=True), len(evaluation.tasks())
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar, closing(evaluation.run(kept, jobs)) as results:
+    with bar, closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
             for done, result in enumerate(bar.track(results, total, description="episodes"), start=1):
                 report(result, done, total)

@@ -59,6 +59,18 @@ class Failure:
         return cls(sent, note, f"{text} ({raised.name}, line {raised.lineno})")
 
 
+@dataclass(frozen=True, slots=True)
+class FailedUnit:
+    """A unit of work without a result, and the reason."""
+
+    unit: Any
+    reason: str
+    error: Exception  # `WorkerDied` when its process ended
+
+    def __str__(self) -> str:
+        return f"{self.unit}: {self.reason}"
+
+
 def start_method(wanted: str | None = None) -> str:
     """How to start workers: "fork" where this process has no other thread, else "forkserver" or "spawn".
 

@@ -67,11 +67,11 @@ def _unpacked(data: bytes, kind: FileKind) -> Any:
         if size > MOST_BYTES:
             raise StateError(f"it has {size} bytes unpacked, at most {MOST_BYTES}")
         content = json.loads(archive.read(STRUCTURE))
-        _check_header(content, kind)
+        check_header(content, kind)
         return _with_arrays(content["state"], archive.read(ARRAYS))
 
 
-def _check_header(content: Any, kind: FileKind) -> None:
+def check_header(content: Any, kind: FileKind) -> None:
     """Raise `StateError` unless the file has this format and version."""
     if not isinstance(content, dict) or content.get("format") != kind.format:
         given = content.get("format") if isinstance(content, dict) else content

@@ -19,10 +19,13 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from pydantic import TypeAdapter
 
+from mecp_env.core.cluster import run_on_cluster
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.paths import write_atomic
-from mecp_env.core.processes import Failure, Worker, WorkerDied
+from mecp_env.core.processes import FailedUnit, Failure, Worker, WorkerDied
 from mecp_env.core.provenance import checksum
+
+__all__ = ["FailedUnit"]  # of mecp_env.core.processes
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -31,18 +34,6 @@ START = "spawn"  # a forked process would have the threads and the state of the 
 STOP_POLL_S = 0.2  # how often `stop` is called
 FORMAT, VERSION = "mecp_env result", 1
 NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
-
-
-@dataclass(frozen=True, slots=True)
-class FailedUnit:
-    """A unit of work without a result, and the reason."""
-
-    unit: Any
-    reason: str
-    error: Exception  # `WorkerDied` when its process ended
-
-    def __str__(self) -> str:
-        return f"{self.unit}: {self.reason}"
 
 
 def run_units(
@@ -197,15 +188,17 @@ class KeptResults:
 
 
 def run_kept(
-    task: Callable[[Unit], Any], units: Mapping[str, Unit], kept: KeptResults, jobs: int
+    task: Callable[[Unit], Any], units: Mapping[str, Unit], kept: KeptResults, jobs: int, cluster: str = ""
 ) -> Generator[tuple[str, Any]]:
     """The name of each unit with its result: first those that are kept already, then the others as they are finished.
 
-    A `FailedUnit` is not kept: the next run repeats the unit. Raises `OSError` when a result cannot be written.
+    They run on `jobs` processes here, or on the Ray cluster at the address `cluster`. A `FailedUnit` is not kept: the
+    next run repeats the unit. Raises `OSError` when a result cannot be written, `ConfigError` for a wrong cluster.
     """
     yield from [(name, kept.found[name]) for name in units if name in kept.found]
     todo = [name for name in units if name not in kept.found]
-    with closing(run_units(task, [units[name] for name in todo], jobs)) as finished:
+    waiting = [units[name] for name in todo]
+    with closing(run_on_cluster(task, waiting, cluster) if cluster else run_units(task, waiting, jobs)) as finished:
         for number, result in finished:
             name = todo[number]
             yield name, result if isinstance(result, FailedUnit) else kept.keep(name, result)

@@ -64,10 +64,10 @@ class Evaluation:
         """The finished episodes in a folder. Raises `ConfigError` for those of other code or another setting."""
         return KeptResults(folder, EpisodeResult, {**self.setting.run_key(), **dependencies()})
 
-    def run(self, kept: KeptResults, jobs: int) -> Generator[EpisodeResult | FailedUnit]:
-        """Each episode: first those that are kept already, then the others as `jobs` processes finish them."""
+    def run(self, kept: KeptResults, jobs: int, cluster: str = "") -> Generator[EpisodeResult | FailedUnit]:
+        """Each episode: first those that are kept already, then the others as they are finished (see `run_kept`)."""
         tasks = {task.name: task for task in self.tasks()}
-        with closing(run_kept(run_episode, tasks, kept, jobs)) as finished:
+        with closing(run_kept(run_episode, tasks, kept, jobs, cluster)) as finished:
             for _, result in finished:
                 (self.failures if isinstance(result, FailedUnit) else self.results).append(result)
                 yield result

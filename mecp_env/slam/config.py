@@ -28,7 +28,19 @@ def chi2_of_point(probability: float) -> float:
     return -2.0 * math.log(1.0 - probability)
 
 
-METHODS = Names("mecp", "mecp_paper", "nearest", "known")  # `register_associator` adds others
+METHODS = Names(  # `register_associator` adds others
+    *(
+        "mecp",
+        "mecp_paper",
+        "jcbb",
+        "ccda",
+        "joint_descriptor",
+        "nearest",
+        "nearest_room",
+        "nearest_descriptor",
+        "known",
+    )
+)
 KINDS = Names("riekf", "riekf_submaps", "ekf")  # `register_filter` does
 
 
@@ -197,7 +209,7 @@ class TrackConfig(Settings):
 class AssociationConfig(Settings):
     """III-B, data association."""
 
-    method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # mecp_paper, nearest, known, or one registered
+    method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
     use_rooms: bool = True
     use_descriptor: bool = True  # paper: none
@@ -213,6 +225,8 @@ class AssociationConfig(Settings):
     iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
     most_seeds: int = Field(8, ge=1, le=64)
     most_pairs: int = Field(48, ge=4, le=256)
+    search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
+    # the best set of pairs so far counts
 
     def is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that one linearisation is enough."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from benchmarks import kidnap
+from benchmarks.common import Options
 from benchmarks.drives import Drive
+from benchmarks.records import Records
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
 from tests.slam.drives import scripted_drive
@@ -30,16 +33,27 @@ def test_events_are_counted_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     made = scripted_drive()
     truth = GroundTruth(made.outline, 30.0)
     drive = Drive(truth, SlamConfig(), made.odometry, made.scans, made.T_world_robot)
-    monkeypatch.setattr(kidnap, "record_drive_in", lambda *_: drive)
-    outcomes = kidnap.disturb(("two_rooms", 3, 0))
-    figures = {"two_rooms": kidnap.summarise([outcomes, outcomes])}
-    for kind in kidnap.KINDS:
-        cell = figures["two_rooms"][kind]
+    monkeypatch.setattr(Records, "drive", lambda *_: drive)
+    rows = [f"two_rooms {method}".strip() for method in kidnap.METHODS]
+    figures = {row: kidnap.summarise([kidnap.disturb((row, 3, 0))] * 2) for row in rows}
+    for row, kind in itertools.product(rows, kidnap.KINDS):
+        cell = figures[row][kind]
         assert cell["events"] == 6
         assert cell["noticed"]["value"] == 1.0
         assert cell["right_at_end"]["value"] == 1.0
         assert cell["wrong_poses"] == 0
         assert len(cell["right_after"]) == len(kidnap.SHOWN)
     assert figures["two_rooms"]["confidence"]["false_alarms"]["value"] == 0.0
-    assert "| two_rooms | carried |" in kidnap.report(figures)
+    assert all(f"| {row} | carried |" in kidnap.report(figures) for row in rows)
     assert len(kidnap.figure(figures).axes) == 2
+
+
+def test_every_associator_has_the_same_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(
+        kidnap, "in_parallel", lambda task, kind, units, options: asked.extend(units) or [{}] * len(units)
+    )
+    monkeypatch.setattr(kidnap, "summarise", lambda drives: {"drives": len(drives)})
+    figures = kidnap.run(Options(sets=("paper:3",)))
+    assert figures == {"paper": {"drives": 3}, "paper jcbb with descriptor": {"drives": 3}}
+    assert asked == [(row, kidnap.EVENTS, seed) for row in figures for seed in range(3)]

@@ -3,10 +3,15 @@
 from collections.abc import Callable
 
 from mecp_env.core.registry import register
+from mecp_env.slam.association.ccda import CcdaAssociator
+from mecp_env.slam.association.jcbb import JcbbAssociator
+from mecp_env.slam.association.joint_descriptor import JointDescriptorAssociator
 from mecp_env.slam.association.match_builder import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
 from mecp_env.slam.association.nearest import NearestAssociator
+from mecp_env.slam.association.nearest_descriptor import NearestDescriptorAssociator
+from mecp_env.slam.association.nearest_room import NearestRoomAssociator
 from mecp_env.slam.association.oracle import OracleAssociator
 from mecp_env.slam.config import METHODS, AssociationConfig
 from mecp_env.slam.protocols import Associator
@@ -14,7 +19,12 @@ from mecp_env.slam.protocols import Associator
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
     "mecp_paper": MecpPaperAssociator,
+    "jcbb": JcbbAssociator,
+    "ccda": CcdaAssociator,
+    "joint_descriptor": JointDescriptorAssociator,
     "nearest": NearestAssociator,
+    "nearest_room": NearestRoomAssociator,
+    "nearest_descriptor": NearestDescriptorAssociator,
     "known": OracleAssociator,
 }
 
@@ -37,10 +47,15 @@ def make_associator(config: AssociationConfig) -> Associator:
 __all__ = [
     "ASSOCIATORS",
     "Associator",
+    "CcdaAssociator",
+    "JcbbAssociator",
+    "JointDescriptorAssociator",
     "MatchBuilder",
     "MecpAssociator",
     "MecpPaperAssociator",
     "NearestAssociator",
+    "NearestDescriptorAssociator",
+    "NearestRoomAssociator",
     "OracleAssociator",
     "ignored",
     "make_associator",

@@ -1,0 +1,200 @@
+"""Time of association for scans of 20 corners, of which four are spurious: polygons against branch and bound.
+
+Maps, scans, poses and errors are those of `loop`, in scans with 16 to 20 mapped corners. Of these 16 are kept, vertices
+of polygons first. Four spurious ones are added, each on a random beam in front of what it hit, with the covariance of
+another corner and its descriptor, turned by a random multiple of 90 degrees. Polygons are those of the 20 corners.
+
+Every associator decides on the same scans, one after the other for each scan; the fastest of three calls counts. `mecp`
+and `jcbb` test the same joint innovation at the same probability (association.gate_probability). `ms` are means over
+scans. `ratio` is the time of `mecp`, as it is, by that of the row; `ratio_with_polygons` adds the time to find the
+polygons, which is another stage; `ratio_same_corners` is that of `mecp` without descriptors where the row has none.
+`jcbb` gives up after a million nodes: `budget_spent` is the share of these scans. `right`, `wrong` and `polygon` are as
+in `loop`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import Figures, Options, best_of, chosen, grouped, in_parallel, ratio, table
+from benchmarks.drives import Drive
+from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
+from benchmarks.records import IN_MEMORY, Records
+from benchmarks.variants import DEFAULT, RIVALS
+from mecp_env.slam.association import MatchBuilder, make_associator
+from mecp_env.slam.association.gating import chi2_gate, pairing_table
+from mecp_env.slam.association.jcbb import pair_jointly
+from mecp_env.slam.config import AssociationConfig
+from mecp_env.slam.mecp.polygons import find_polygons
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
+from mecp_env.slam.protocols import Filter
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CORNERS, SPURIOUS = 20, 4
+SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
+PLAIN = "mecp without descriptor"
+METHODS: dict[str, dict[str, Any]] = {
+    DEFAULT: {},
+    "jcbb with descriptor": RIVALS["jcbb with descriptor"],
+    "ccda with descriptor": RIVALS["ccda with descriptor"],
+    PLAIN: {"use_descriptor": False},
+    "jcbb": RIVALS["jcbb"],
+    "ccda": RIVALS["ccda"],
+}
+AGAINST = {name: PLAIN if name in (PLAIN, "jcbb", "ccda") else DEFAULT for name in METHODS}
+BUDGET = 1_000_000  # nodes; ten times the default, so that most searches end
+SEEDS = {"paper": 10, "furnished": 6, "hard": 6}  # drives
+SETS, MOST = tuple(SEEDS), 500
+SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 10, 3, 1, 3
+IN_FRONT = (0.2, 0.9)  # share of a beam's range at which a spurious corner may be
+COLUMNS = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
+POLYGONS = "polygons"
+
+
+def run(options: Options) -> Figures:
+    """Results of every set, sigma and associator."""
+    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
+    scans = QUICK_SCANS if options.quick else SCANS
+    drives = [
+        (layout, scans, seed)
+        for layout in counts
+        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
+    ]
+    task = partial(compare, records=Records(options.records))
+    results = grouped(drives, in_parallel(task, dict[str, dict[str, list[float]]], drives, options))
+    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+
+
+def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[str, dict[str, list[float]]]:
+    """Sums of COLUMNS over the scans of the drive of one layout and seed, for each sigma and associator."""
+    layout, count, seed = task
+    drive = records.drive(course(layout, seed))
+    finished, rng = finish(drive), np.random.default_rng(seed)
+    looks, polygons_ms = cluttered_looks(drive, finished, count, rng)
+    sums: dict[str, dict[str, list[float]]] = {POLYGONS: {POLYGONS: [polygons_ms]}}
+    for sigma_m, sigma_deg in SIGMAS:
+        sigmas = np.array([sigma_m, sigma_m, math.radians(sigma_deg)])
+        rows = [
+            race(finished, seen, np.array([rng.normal(size=3) * sigmas, sigmas]), drive.slam.association)
+            for seen in looks
+        ]
+        total = {name: np.sum([row[name] for row in rows], axis=0).tolist() for name in METHODS if rows}
+        sums[named((sigma_m, sigma_deg))] = total or {name: [0.0] * len(COLUMNS) for name in METHODS}
+    return sums
+
+
+def cluttered_looks(drive: Drive, finished: Finished, count: int, rng: np.random.Generator) -> tuple[list[Look], float]:
+    """Up to `count` scans with clutter, and the milliseconds that finding their polygons takes in total."""
+    mapped, looks, ms = finished.identity[finished.pipeline.filter.ids], list[Look](), 0.0
+    for step in rng.permutation(np.arange(FIRST_SCAN, len(drive.scans))).tolist():
+        seen = look(drive, finished, step)
+        real = np.flatnonzero(np.isin(seen.true, mapped) & (seen.true >= 0))
+        if CORNERS - SPURIOUS <= len(real) <= CORNERS and len(looks) < count:
+            corners, beams, wall = front_end(drive.scans[step], drive.slam)
+            corners, source = with_spurious(corners, beams, vertices_first(real, seen.polygons, rng), rng)
+            find = partial(find_polygons, corners, beams, drive.slam.polygon, wall)
+            true = np.where(source < 0, -1, seen.true[source])
+            looks.append(Look(corners, find(), true, seen.T_map_robot))
+            ms += fastest_ms(find)
+    return looks, ms
+
+
+def vertices_first(real: Ints, polygons: tuple[Polygon, ...], rng: np.random.Generator) -> Ints:
+    """As many of the corners `real` as are kept: vertices of polygons, then others at random."""
+    vertices = np.concatenate([np.empty(0, np.int64), *(polygon.corners for polygon in polygons)])
+    order = np.lexsort((rng.random(len(real)), ~np.isin(real, vertices)))
+    kept: Ints = real[order[: CORNERS - SPURIOUS]]
+    return kept
+
+
+def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.random.Generator) -> tuple[Corners, Ints]:
+    """The corners `kept` and spurious ones in order of bearing, and of which corner (n,) each is; -1: spurious."""
+    hit = rng.choice(np.flatnonzero(beams.hit), SPURIOUS, replace=False)
+    range_m = beams.ranges[hit] * rng.uniform(*IN_FRONT, SPURIOUS)
+    z = np.concatenate([corners.z[kept], np.column_stack([range_m, beams.bearings[hit]])])
+    order = np.argsort(z[:, 1])
+    source, spurious = np.concatenate([kept, rng.choice(kept, SPURIOUS)])[order], order >= len(kept)
+    turned = np.where(spurious, rng.integers(0, 4, len(order)) * (math.pi / 2.0), 0.0)[:, None]
+    normals = (corners.normals[source] + turned + math.pi) % (2.0 * math.pi) - math.pi
+    kind = np.where(spurious, int(CornerKind.CROSSING), corners.kind[source])
+    beyond = np.where(spurious, -1, corners.beyond[source])
+    marks = kind, corners.convex[source], normals, beyond, spurious | corners.sites[source]
+    doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
+    cov = independent(corners.measurements(source)[1], spurious)
+    return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
+
+
+def independent(cov: Array, alone: NDArray[np.bool_]) -> Array:
+    """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
+    correlated = np.repeat(~alone, 2)
+    own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
+    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
+    return kept
+
+
+def race(finished: Finished, seen: Look, error: Array, section: AssociationConfig) -> dict[str, list[float]]:
+    """COLUMNS of every associator on one scan, with a pose off by `error`, a row of x, y, heading and their sigmas."""
+    pipeline, (off, sigmas) = finished.pipeline, error
+    belief = pipeline.filter.copy()
+    belief.set_pose(seen.T_map_robot + off, np.diag(sigmas**2))
+    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
+    view = pipeline.map.view(belief.belief(), graph, np.full(len(seen.corners), -1), pipeline.step_count + 1)
+    rows = {}
+    for name, fields in METHODS.items():
+        config = section.model_copy(update=fields | {"search_budget": BUDGET})
+        decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
+        match = decide()
+        paired = match.recognised()
+        claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
+        correct = int(((claimed == true) & (true >= 0)).sum())
+        right, wrong = correct >= RIGHT_PAIRS and correct == len(paired), len(paired) - correct
+        spent = config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= config.search_budget
+        rows[name] = [1.0, fastest_ms(decide), right, len(paired), wrong, match.polygon >= 0, spent]
+    return rows
+
+
+def nodes(corners: Corners, view: MapView, belief: Filter, config: AssociationConfig) -> int:
+    """How many nodes JCBB tries."""
+    table = pairing_table(corners, view, belief, config, chi2_gate(2, config.gate_probability))
+    return pair_jointly(MatchBuilder(len(corners)), corners, table.costs, view.belief.ids, belief, config)
+
+
+def fastest_ms(call: Callable[[], object]) -> float:
+    """Milliseconds of the fastest of some calls."""
+    return 1e3 * best_of(call, CALLS)
+
+
+def summarise(drives: list[dict[str, dict[str, list[float]]]]) -> Figures:
+    """Results of all drives of a set, with 95 % intervals over drives."""
+    return {sigma: {name: figures_of(drives, sigma, name) for name in METHODS} for sigma in map(named, SIGMAS)}
+
+
+def figures_of(drives: list[dict[str, dict[str, list[float]]]], sigma: str, name: str) -> Figures:
+    """Results of one associator at one sigma."""
+    own, ours, alike = (np.array([drive[sigma][row] for drive in drives]).T for row in (name, DEFAULT, AGAINST[name]))
+    counts = dict(zip(COLUMNS, own, strict=True))
+    polygons_ms = np.array([drive[POLYGONS][POLYGONS][0] for drive in drives])
+    shares = {key: ratio(counts[key], counts["scans"]) for key in ("ms", "right", "polygon", "budget_spent")}
+    times = {"ratio": ours[1], "ratio_with_polygons": ours[1] + polygons_ms, "ratio_same_corners": alike[1]}
+    ratios = {key: ratio(ms, own[1]) for key, ms in times.items()}
+    return {**shares, "wrong": ratio(counts["wrong"], counts["pairs"]), **ratios, "scans": int(counts["scans"].sum())}
+
+
+def report(figures: Figures) -> str:
+    """Per set a table with a row for each sigma and associator."""
+    columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for layout, cells in figures.items():
+        scans = next(iter(cells.values()))[DEFAULT]["scans"]
+        rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
+        parts.append(f"## {layout} ({scans} scans per row)\n\n{table(['pose', 'associator', *columns], rows)}")
+    return "\n\n".join(parts)

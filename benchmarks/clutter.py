@@ -1,0 +1,201 @@
+"""Corners that are missed and corners that do not exist, between front end and association, on recorded drives.
+
+Every corner that the front end finds is kept with the probability `detection`; for a share `spurious` of them, another
+one is added: a copy of it, with its covariance and descriptor, turned to a random beam and put where that beam ends, at
+least 0.5 m from every corner found. Front end, drives and draws are the same for every associator, and a corner that is
+missed at a detection of 0.95 is missed at 0.9, too. A jamb that is missed takes its door sighting with it. `known`
+pairs by the true correspondences, and is what an associator could reach.
+
+The drives were recorded with the true pose as the driver (`hard`: generated buildings of the test split, those of
+`loop`). Precision and recall count all corners, with the identity that each landmark has at the end: a spurious corner
+paired with a landmark is wrong; recall is that of corners whose landmark there was. `rmse_m` is that of the pose, means
+over drives. A drive is lost when the pose is more than 1 m or 10 degrees off for 20 control steps in a row or at the
+end, or has diverged. `associate_ms` are milliseconds of association per scan, the median of a drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks import loop, noise
+from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, load_modules, table
+from benchmarks.drives import replay
+from benchmarks.plots import Panel, draw_bands
+from benchmarks.records import IN_MEMORY, Records
+from benchmarks.variants import associators, with_change
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.se2 import polar_to_points, wrap_angle
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
+
+DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
+CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))
+DRIVES = {"paper": 20, loop.HARD: 4}
+SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
+CLEAR_M = 0.5
+TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
+METRICS = ("precision", "recall", "rmse_m", "lost", "associate_ms")
+DRAWN = {"precision": "1 - precision", "recall": "1 - recall", "rmse_m": "pose RMSE, m"}
+course = loop.course
+
+GATES = (
+    Gate("paper/detection 0.9, spurious 20 %/mecp/precision", "share", 0.003),
+    Gate("paper/detection 0.9, spurious 20 %/mecp/recall", "share", 0.01),
+    Gate("paper/detection 0.9, spurious 20 %/mecp/rmse_m", "error", 1.5),
+)
+
+
+def run(options: Options) -> Figures:
+    """Results of every layout, cell and associator."""
+    load_modules(options.modules)
+    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
+    drives = [
+        (layout, detection, spurious, seed)
+        for layout, count in counts.items()
+        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
+        for detection, spurious in CELLS
+    ]
+    task = partial(compare, options.modules, records=Records(options.records))
+    figures: Figures = {layout: {} for layout in counts}
+    for (layout, *cell), runs in grouped(drives, in_parallel(task, dict[str, Figures], drives, options)).items():
+        figures[layout][named(*cell)] = {name: noise.summarise([one[name] for one in runs]) for name in runs[0]}
+    return figures
+
+
+def named(detection: float, spurious: int) -> str:
+    """A cell as a key."""
+    return f"detection {detection:g}, spurious {spurious} %"
+
+
+def compare(
+    modules: Sequence[str], task: tuple[str, float, int, int], records: Records = IN_MEMORY
+) -> dict[str, Figures]:
+    """Counts of each associator on one drive of a cell."""
+    load_modules(modules)
+    layout, detection, spurious, seed = task
+    drive = records.drive(course(layout, seed))
+    made = partial(ClutteredPipeline, chances=(detection, spurious / 100.0), seed=seed)
+    return {
+        name: noise.counts(replay(drive, with_change(drive.slam, change), estimator=made))
+        for name, change in associators().items()
+    }
+
+
+class ClutteredRooms(RoomGraphEstimator):
+    """The room graph, to which the corners of a scan go before any other stage: it is given others."""
+
+    corners: Corners
+
+    def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
+        """As the room graph does, with the other corners."""
+        return super().mark_beyond(self.corners, belief)
+
+
+class ClutteredPipeline(SlamPipeline):
+    """The estimator behind a front end that misses corners and invents some; the same ones for every associator."""
+
+    rooms: ClutteredRooms
+
+    def __init__(self, config: SlamConfig, chances: tuple[float, float], seed: int, **parts: Any) -> None:
+        super().__init__(config, **parts)
+        self.rooms = ClutteredRooms(self.config.rooms)
+        self.chances, self.seed = chances, seed
+
+    def register(self, scan: ScanFeatures) -> bool:
+        """The corners change here, where the features of a scan are first used."""
+        rng = np.random.default_rng((self.seed, self.step_count))
+        corners = cluttered(scan.corners, scan.beams, *self.chances, rng)
+        self.rooms.corners = corners.with_floor(self.config.filter.linearisation_sigma_m)
+        return super().register(scan.with_corners(corners))
+
+
+def cluttered(
+    corners: Corners, beams: MergedScan, detection: float, spurious: float, rng: np.random.Generator
+) -> Corners:
+    """The corners that are detected, and for a share of all another one elsewhere, in order of bearing."""
+    kept, donors, ends = rng.random(len(corners)), rng.random(len(corners)), rng.random(len(corners))
+    clear = clear_hits(corners, beams)
+    old = np.flatnonzero(kept < detection)
+    donor = np.flatnonzero(donors < spurious) if len(clear) else old[:0]
+    at = clear[(ends[donor] * len(clear)).astype(np.int64)]
+    z = np.concatenate([corners.z[old], np.stack([beams.ranges[at], beams.bearings[at]], axis=1)])
+    order, source = np.argsort(z[:, 1], kind="stable"), np.concatenate([old, donor])
+    turn = np.concatenate([np.zeros(len(old)), beams.bearings[at] - corners.z[donor, 1]])[order]
+    false, place = (order >= len(old)), np.full(len(corners), -1)
+    place[old[order[~false]]] = np.flatnonzero(~false)
+    return _picked(corners, z[order], source[order], turn, false, place)
+
+
+def clear_hits(corners: Corners, beams: MergedScan) -> Ints:
+    """The beams that hit something far from every corner."""
+    hits = np.flatnonzero(beams.hit)
+    points = polar_to_points(np.stack([beams.ranges[hits], beams.bearings[hits]], axis=1))
+    apart = np.hypot(*np.moveaxis(points[:, None] - polar_to_points(corners.z), 2, 0))
+    return hits[(apart > CLEAR_M).all(axis=1)]
+
+
+def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, place: Ints) -> Corners:
+    """Corners at `z` (n,2) that are those of `source` (n,), turned; `place` (old n,): where the old ones are now."""
+    cov = np.zeros((2 * len(z), 2 * len(z)))
+    for i, j in np.ndindex(len(z), len(z)):
+        if i == j or not (false[i] or false[j]):
+            a, b = 2 * source[i], 2 * source[j]
+            cov[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = corners.cov[a : a + 2, b : b + 2]
+    ways, jambs = corners.doorways, place[corners.doorways.jambs.reshape(-1, 2)]
+    there = (jambs >= 0).all(axis=1)
+    number = np.append(np.where(there, np.cumsum(there) - 1, -1), -1)  # of each doorway now; the last: of none
+    kind = np.where(false & (corners.kind[source] == CornerKind.JAMB), CornerKind.FREE_END, corners.kind[source])
+    normals = np.array([[wrap_angle(a) for a in row] for row in (corners.normals[source] + turn[:, None]).tolist()])
+    beyond = np.where(false, -1, number[corners.beyond[source]])
+    marks = corners.convex[source], normals.reshape(-1, 2), beyond, corners.sites[source]
+    doorways = Doorways(jambs[there], ways.width[there], ways.confirmable[there])
+    return Corners(z, cov, kind.astype(np.int64), *marks, doorways)
+
+
+def report(figures: Figures) -> str:
+    """Per layout a table of each metric, with a row per associator and a column per cell."""
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for layout, cells in figures.items():
+        methods = next(iter(cells.values()))
+        parts.append(f"## {layout} ({methods['mecp']['rmse_m']['n']} drives)")
+        for metric in METRICS:
+            rows = [[name, *(cells[cell][name][metric] for cell in cells)] for name in methods]
+            columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
+            parts.append(table([f"`{metric}`: detection, spurious", *columns], rows))
+    return "\n\n".join(parts)
+
+
+def figure(figures: Figures) -> Figure:
+    """A row of panels per metric: over detection and over spurious corners, in each layout; all on a log scale."""
+    axes_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
+    columns = [(layout, x) for layout in figures for x in axes_of]
+    drawn = Figure(figsize=(3.2 * len(columns) + 1.0, 2.6 * len(DRAWN) + 0.5), layout="constrained")
+    grid = drawn.subplots(len(DRAWN), len(columns), sharey="row", squeeze=False)
+    for row, (metric, label) in zip(grid, DRAWN.items(), strict=True):
+        for axes, (layout, x) in zip(row, columns, strict=True):
+            cells = [figures[layout][named(*cell)] for cell in axes_of[x]]
+            shown = {name: [drawable(cell[name], metric) for cell in cells] for name in cells[0]}
+            lines = {name: line for name, line in shown.items() if name not in TABLE_ONLY}
+            draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in axes_of[x]], lines))
+            axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "rmse_m" else "")
+            if any(estimate["value"] for line in lines.values() for estimate in line):
+                axes.set_yscale("log")
+        row[0].set_ylabel(label)
+    handles = grid[0][0].get_legend_handles_labels()
+    drawn.legend(*handles, loc="outside lower center", ncols=2 * len(columns) - 1, frameon=False, fontsize=8)
+    return drawn
+
+
+def drawable(row: Figures, metric: str) -> Figures:
+    """A share as what is missing from it, which a log scale shows; anything else as it is."""
+    figure: Figures = row[metric]
+    if metric == "rmse_m" or figure["value"] is None:
+        return figure
+    return {"value": 1.0 - figure["value"], "low": 1.0 - figure["high"], "high": 1.0 - figure["low"]}

@@ -1,0 +1,167 @@
+"""Time per step of every filter and every associator in maps of 25 to 2,000 landmarks.
+
+The map is that of a drive on `paper` at its first 25 landmarks; larger maps have copies of it, rooms and polygons too,
+each 50 m beside the other. The next 12 scans of the drive are timed. `filters`: whole steps of the estimator with that
+filter, CPU time of the thread; the robot stays among the first landmarks, so that `riekf_submaps` takes no other
+submap (`scale` measures explorations, where it does). `associators`: the decision alone, with the default filter and a
+spurious corner for every fourth corner (see `clutter`); the pose is off by 0.3 m and 3 degrees (sigmas), its covariance
+says so, and the room is unknown; the fastest of three calls counts. Means over scans, with their 95 % intervals.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks import loop
+from benchmarks.clutter import cluttered
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules, table
+from benchmarks.drives import Drive
+from benchmarks.plots import Panel, draw_bands
+from benchmarks.records import IN_MEMORY, Records
+from benchmarks.variants import associators, with_change
+from mecp_env.core.se2 import compose, inverse, to_robot
+from mecp_env.slam.association import make_associator
+from mecp_env.slam.config import KINDS, SlamConfig
+from mecp_env.slam.mecp.polygons import find_polygons
+from mecp_env.slam.messages import UNKNOWN_ROOM, MapPolygon
+from mecp_env.slam.pipeline import SlamPipeline
+
+COUNTS, QUICK = (25, 50, 100, 200, 500, 1000, 2000), (25, 50)
+FILTERS, ASSOCIATORS = "filters", "associators"
+FIRST, SCANS, APART_M = 25, 12, 50.0
+SPURIOUS = 0.25  # per corner: a fifth of all
+SIGMAS = np.array([0.3, 0.3, math.radians(3.0)])
+ROOMS, CALLS = 1000, 3  # numbers of rooms between copies; of which the fastest counts
+NOT_TIMED = ("known",)  # looks up the truth
+SEED, SIGMA_M = 0, 0.01
+
+GATES = (
+    Gate(f"{ASSOCIATORS}/mecp/500", "time", 1.5),
+    Gate(f"{FILTERS}/riekf_submaps/500", "time", 1.5),
+)
+
+
+def run(options: Options) -> Figures:
+    """Milliseconds by part, name and number of landmarks."""
+    load_modules(options.modules)
+    kinds = [*KINDS.ours, *KINDS.others]
+    methods = [name for name in associators() if name not in NOT_TIMED]
+    tasks = [
+        (part, name, count)
+        for count in (QUICK if options.quick else COUNTS)
+        for part, names in ((FILTERS, kinds), (ASSOCIATORS, methods))
+        for name in names
+    ]
+    task = partial(measure, options.modules, records=Records(options.records))
+    figures: Figures = {FILTERS: {name: {} for name in kinds}, ASSOCIATORS: {name: {} for name in methods}}
+    for (part, name, count), ms in zip(tasks, in_parallel(task, list[float], tasks, options), strict=True):
+        figures[part][name][str(count)] = estimate(ms)
+    return figures
+
+
+def measure(modules: Iterable[str], task: tuple[str, str, int], records: Records = IN_MEMORY) -> list[float]:
+    """Milliseconds of each scan."""
+    load_modules(modules)
+    part, name, count = task
+    return TIMED[part](records.drive(loop.course("paper", SEED)), name, count)
+
+
+def step_ms(drive: Drive, name: str, count: int) -> list[float]:
+    """Milliseconds of each step with a filter, CPU time of this thread."""
+    pipeline, first = enlarged(drive, with_change(drive.slam, {"filter": {"kind": name}}), count)
+    ms = []
+    for odometry, scan in zip(drive.odometry[first : first + SCANS], drive.scans[first : first + SCANS], strict=True):
+        assert odometry is not None
+        start = time.thread_time()
+        pipeline.step(odometry, scan)
+        ms.append(1e3 * (time.thread_time() - start))
+    return ms
+
+
+def association_ms(drive: Drive, name: str, count: int) -> list[float]:
+    """Milliseconds of each decision in a map of so many landmarks."""
+    pipeline, first = enlarged(drive, drive.slam, count)
+    associator = make_associator(with_change(drive.slam, associators()[name]).association)
+    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
+    rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
+    for number in range(first, first + SCANS):
+        corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)
+        corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
+        polygons = find_polygons(corners, beams, drive.slam.polygon, wall)
+        belief, T_map_robot = pipeline.filter.copy(), compose(T_map_world, drive.T_world_robot[number])
+        belief.set_pose(T_map_robot + rng.normal(size=3) * SIGMAS, np.diag(SIGMAS**2))
+        view = pipeline.map.view(belief.belief(), graph, np.full(len(corners), -1), pipeline.step_count + 1)
+        ms.append(1e3 * best_of(partial(associator.associate, corners, polygons, view, belief), CALLS))
+    return ms
+
+
+def enlarged(drive: Drive, slam: SlamConfig, count: int) -> tuple[SlamPipeline, int]:
+    """An estimator on the drive with so many landmarks, and the number of the scan that comes next."""
+    pipeline, large = SlamPipeline(slam), False
+    for number, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
+        if large:
+            return pipeline, number
+        large = len(pipeline.filter.ids) >= FIRST
+        if large:
+            enlarge(pipeline, count)
+        _ = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)  # divides a map into submaps
+    raise ValueError(f"the drive has {len(pipeline.filter.ids)} landmarks, {FIRST} expected")
+
+
+def enlarge(pipeline: SlamPipeline, count: int) -> None:
+    """Add copies of the map, each in its own place and rooms, until it has `count` landmarks."""
+    first, own = pipeline.filter.belief(), tuple(pipeline.map.polygons.polygons)
+    for number in range(1, -(-count // FIRST)):
+        belief = pipeline.filter.belief()
+        old = first.ids[: count - len(belief.ids)]
+        rows = pipeline.map.features.rows[old].copy()
+        rows["room"] += ROOMS * number
+        new = pipeline.map.features.append(rows)
+        p_robot = to_robot(belief.T_map_robot, first.p_map[: len(old)] + np.array([APART_M * number, 0.0]))
+        z = np.stack([np.hypot(*p_robot.T), np.arctan2(p_robot[:, 1], p_robot[:, 0])], axis=1)
+        sigmas = np.stack([np.full(len(z), SIGMA_M), SIGMA_M / z[:, 0]], axis=1)
+        pipeline.filter.augment(z, np.diag(sigmas.ravel() ** 2), new)
+        copy_polygons(pipeline, own, dict(zip(old.tolist(), new.tolist(), strict=True)), ROOMS * number)
+
+
+def copy_polygons(pipeline: SlamPipeline, own: tuple[MapPolygon, ...], to: dict[int, int], rooms: int) -> None:
+    """Add the polygons of the first map, with the vertices that its landmarks have become."""
+    store = pipeline.map.polygons
+    for polygon in own:
+        if to.keys() >= set(polygon.ids.tolist()):
+            ring = np.array([to[vertex] for vertex in polygon.ids.tolist()])
+            store.polygons.append(replace(polygon, ids=ring, room=polygon.room + rooms))
+    store.row, store.outdated = {}, True  # indexed again
+    store.prune(pipeline.map.features, pipeline.rooms.resolve)
+
+
+TIMED = {FILTERS: step_ms, ASSOCIATORS: association_ms}
+
+
+def report(figures: Figures) -> str:
+    """One table of filters, one of associators."""
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for part, rows in figures.items():
+        counts = list(next(iter(rows.values())))
+        parts.append(
+            table([f"{part}: ms, landmarks", *counts], [[n, *(of[c] for c in counts)] for n, of in rows.items()])
+        )
+    return "\n\n".join(parts)
+
+
+def figure(figures: Figures) -> Figure:
+    """Milliseconds by the number of landmarks, both on a logarithmic scale."""
+    drawn = Figure(figsize=(10.5, 5.2), layout="constrained")
+    for axes, (part, rows) in zip(drawn.subplots(1, 2), figures.items(), strict=True):
+        counts = list(next(iter(rows.values())))
+        draw_bands(axes, Panel(counts, {name: [of[count] for count in counts] for name, of in rows.items()}))
+        axes.set(title=part, xlabel="landmarks", ylabel="ms", yscale="log")
+        axes.legend(fontsize=7, frameon=False, handlelength=3.0)
+    return drawn

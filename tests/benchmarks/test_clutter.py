@@ -1,0 +1,168 @@
+"""The benchmark `clutter`: corners that are missed or invented, the same ones for every associator."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import clutter, noise
+from benchmarks.clutter import ClutteredPipeline, cluttered
+from benchmarks.common import Figures, OptionError, Options, flatten
+from benchmarks.drives import Drive, replay
+from benchmarks.loop import features
+from benchmarks.records import Course
+from benchmarks.variants import associators, with_change
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam import config
+from mecp_env.slam.association import NearestAssociator, register_associator
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.messages import CornerKind, Corners, MergedScan
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Course("paper", 0, {"estimator": "truth", "max_steps": 60}).drive()
+
+
+@pytest.fixture(scope="module")
+def scans(drive: Drive) -> list[tuple[Corners, MergedScan]]:
+    return [(features(scan, drive.slam)[0], merge_sweeps(scan, drive.slam.sensor)) for scan in drive.scans]
+
+
+def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:
+    plain = replay(drive, drive.slam)
+    changed = replay(
+        drive, drive.slam, estimator=lambda slam, **parts: ClutteredPipeline(slam, (1.0, 0.0), seed=0, **parts)
+    )
+    for name in ("error_m", "error_rad", "nees"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(changed, name), strict=True)
+    rows = [json.dumps(noise.counts(outcome) | {"associate_ms": 0.0}) for outcome in (plain, changed)]
+    assert rows[0] == rows[1]
+
+
+def test_corners_that_are_kept_are_as_they_were(scans: list[tuple[Corners, MergedScan]]) -> None:
+    for number, (corners, beams) in enumerate(scans):
+        same = cluttered(corners, beams, 1.0, 0.0, np.random.default_rng(number))
+        for name in ("z", "cov", "kind", "convex", "normals", "beyond", "sites"):
+            np.testing.assert_array_equal(getattr(same, name), getattr(corners, name), strict=True)
+        for name in ("jambs", "width", "confirmable"):
+            np.testing.assert_array_equal(getattr(same.doorways, name), getattr(corners.doorways, name))
+
+
+def test_missed_corners_nest_and_their_share_is_as_asked(scans: list[tuple[Corners, MergedScan]]) -> None:
+    left = dict.fromkeys(clutter.DETECTION, 0)
+    for number, (corners, beams) in enumerate(scans):
+        kept = {d: cluttered(corners, beams, d, 0.0, np.random.default_rng(number)).z for d in clutter.DETECTION}
+        bearings = {d: set(z[:, 1].tolist()) for d, z in kept.items()}
+        assert bearings[0.8] <= bearings[0.9] <= bearings[0.95] <= bearings[1.0]
+        left = {d: n + len(kept[d]) for d, n in left.items()}
+    for detection, count in left.items():
+        assert abs(count / left[1.0] - detection) < 0.05
+
+
+def test_invented_corners_lie_where_beams_end_away_from_all_others(scans: list[tuple[Corners, MergedScan]]) -> None:
+    invented = 0
+    for number, (corners, beams) in enumerate(scans):
+        found = cluttered(corners, beams, 1.0, 0.3, np.random.default_rng(number))
+        assert (np.diff(found.z[:, 1]) >= 0.0).all()
+        np.linalg.cholesky(found.cov)
+        false = ~np.isin(found.z[:, 1], corners.z[:, 1])
+        invented += int(false.sum())
+        at = np.searchsorted(beams.bearings, found.z[false, 1])
+        np.testing.assert_array_equal(beams.bearings[at], found.z[false, 1])
+        np.testing.assert_array_equal(beams.ranges[at], found.z[false, 0])
+        assert beams.hit[at].all()
+        apart = polar_to_points(found.z[false])[:, None] - polar_to_points(corners.z)
+        assert (np.hypot(*np.moveaxis(apart, 2, 0)) > clutter.CLEAR_M).all()
+        assert not (found.kind[false] == CornerKind.JAMB).any()
+        assert (found.beyond[false] == -1).all()
+        for i in np.flatnonzero(false).tolist():
+            others = np.delete(np.arange(2 * len(found)), [2 * i, 2 * i + 1])
+            assert not found.cov[2 * i : 2 * i + 2, others].any()
+    assert abs(invented / sum(len(corners) for corners, _ in scans) - 0.3) < 0.05
+
+
+def test_doors_name_their_jambs_after_corners_are_gone(scans: list[tuple[Corners, MergedScan]]) -> None:
+    doors, lost = 0, 0
+    for number, (corners, beams) in enumerate(scans):
+        found = cluttered(corners, beams, 0.8, 0.3, np.random.default_rng(number))
+        pairs = {tuple(pair) for pair in corners.z[corners.doorways.jambs.reshape(-1, 2), 1].tolist()}
+        kept = {tuple(pair) for pair in found.z[found.doorways.jambs.reshape(-1, 2), 1].tolist()}
+        assert kept <= pairs
+        doors, lost = doors + len(kept), lost + len(pairs) - len(kept)
+        assert found.beyond.max(initial=-1) < len(found.doorways.width) == len(found.doorways.jambs)
+        for i in np.flatnonzero(found.beyond >= 0).tolist():
+            before = int(np.flatnonzero(corners.z[:, 1] == found.z[i, 1])[0])
+            door = corners.doorways.jambs[corners.beyond[before]]
+            now = found.doorways.jambs[found.beyond[i]]
+            assert found.z[now, 1].tolist() == corners.z[door, 1].tolist()
+    assert doors
+    assert lost
+
+
+def test_a_scan_without_corners_or_hits_stays_without(scans: list[tuple[Corners, MergedScan]]) -> None:
+    corners, beams = scans[0]
+    rng = np.random.default_rng(0)
+    assert len(cluttered(corners, beams, 0.0, 0.0, rng)) == 0
+    blind = MergedScan(beams.ranges, beams.bearings, *no_hits(beams))
+    assert len(cluttered(corners, blind, 1.0, 1.0, rng)) == len(corners)
+
+
+def no_hits(beams: MergedScan) -> tuple[object, ...]:
+    return np.zeros_like(beams.hit), beams.count, beams.max_range_m, beams.raw_ranges, beams.raw_bearings
+
+
+def test_every_associator_gets_the_same_corners(drive: Drive) -> None:
+    seen: dict[str, list[list[float]]] = {}
+    for name in ("mecp", "nearest"):
+        made = ClutteredPipeline(with_change(drive.slam, associators()[name]), (0.9, 0.2), seed=3)
+        for odometry, scan in zip(drive.odometry[:20], drive.scans[:20], strict=True):
+            output = made.start(scan) if odometry is None else made.step(odometry, scan)
+            seen.setdefault(name, []).append(output.corners.z.ravel().tolist())
+    assert seen["mecp"] == seen["nearest"]
+
+
+class Own(NearestAssociator):
+    """An associator that a module of `--with` registers."""
+
+
+def test_registered_associators_have_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config.METHODS, "others", [])
+    before = associators()
+    assert {change["association"]["method"] for change in before.values()} == set(config.METHODS.ours)
+    register_associator("own_rival", Own)
+    assert associators() == before | {"own_rival": {"association": {"method": "own_rival"}}}
+
+
+@pytest.fixture(scope="module")
+def figures() -> Figures:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("DRIVES", "CELLS"):
+            patch.setattr(clutter, name, {"DRIVES": {"two_rooms": 2}, "CELLS": clutter.CELLS}[name])
+        patch.setattr(clutter, "associators", lambda: {name: associators()[name] for name in ("mecp", "known")})
+        patch.setattr(clutter, "in_parallel", lambda task, kind, units, options: [task(unit) for unit in units])
+        return clutter.run(Options())
+
+
+@pytest.mark.slow
+def test_every_cell_has_its_figures_a_table_and_a_place_in_the_figure(figures: Figures) -> None:
+    cells = figures["two_rooms"]
+    assert list(cells) == [clutter.named(*cell) for cell in clutter.CELLS]
+    clean, worst = cells["detection 1, spurious 0 %"], cells["detection 0.8, spurious 30 %"]
+    assert clean["known"]["precision"]["value"] == 1.0
+    assert worst["mecp"]["recall"]["n"] == 2
+    page = clutter.report(figures)
+    assert "## two_rooms (2 drives)" in page
+    assert all(f"| `{metric}`: detection, spurious | 1, 0 % |" in page for metric in clutter.METRICS)
+    assert len(clutter.figure(figures).axes) == 2 * len(clutter.DRAWN)
+    gated = {gate.path.split("/", 1)[1] for gate in clutter.GATES}
+    assert gated <= flatten(cells).keys()
+
+
+def test_wrong_sets_and_modules_are_named() -> None:
+    with pytest.raises(OptionError, match="--sets office: expected one of paper, hard"):
+        clutter.run(Options(sets=("office",)))
+    with pytest.raises(OptionError, match="--with no_such_module"):
+        clutter.run(Options(modules=("no_such_module",)))

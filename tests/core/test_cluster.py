@@ -1,0 +1,161 @@
+"""Units on a Ray cluster: the results of processes here, to the bit; every fault in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import clutter, common
+from benchmarks.common import Figures, Options
+from benchmarks.records import Records
+from mecp_env.cli import main as cli
+from mecp_env.core import cluster
+from mecp_env.core.cluster import code_of, connected, run_on_cluster
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.work_units import FailedUnit, KeptResults, Shard, run_units
+
+ROOT = Path(__file__).parents[2]
+HERE, HEAD, OTHER = "127.0.0.1", "127.0.0.2", "127.0.0.3"  # all loopback; Ray takes the first for the outer address
+MOST_S = 90  # for a cluster that hangs; on a free machine all tests take less than 40 s
+
+
+@pytest.fixture(scope="module")
+def two_nodes() -> Iterator[str]:
+    """The address of a cluster of two nodes with one CPU each, on the loopback interface of this machine."""
+    pytest.importorskip("ray", reason="the extra `cluster` is not installed")
+    from ray.cluster_utils import Cluster
+
+    patch = pytest.MonkeyPatch()
+    patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    patch.setenv("PYTHONPATH", str(ROOT))  # as with `python -m benchmarks` in a shared folder
+    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+    nodes = Cluster(initialize_head=True, head_node_args=node | {"node_ip_address": HEAD, "include_dashboard": False})
+    nodes.add_node(**node, node_ip_address=OTHER)
+    try:
+        yield nodes.address
+    finally:
+        nodes.shutdown()
+        patch.undo()
+
+
+@pytest.fixture
+def bounded() -> Iterator[None]:
+    """An alarm for a test that waits for ever."""
+
+    def ring(*_: object) -> None:
+        raise TimeoutError(f"more than {MOST_S} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(MOST_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def root(number: int) -> dict[str, Any]:
+    """A square root with the process that found it; negative numbers fail, and 13 ends its process."""
+    if number == 13:
+        os._exit(1)
+    if number < 0:
+        raise ValueError(f"no root of {number}")
+    return {"root": number**0.5, "process": os.getpid()}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("bounded")
+def test_a_cluster_of_two_nodes_gives_the_results_of_this_machine_to_the_bit(two_nodes: str, tmp_path: Path) -> None:
+    units = [("two_rooms", detection, 30, seed) for seed in range(2) for detection in (1.0, 0.8)]
+    task = partial(clutter.compare, (), records=Records(tmp_path / "records"))
+
+    def merged(name: str, **options: Any) -> str:
+        of_units = common.in_parallel(task, dict[str, Figures], units, Options(folder=tmp_path / name, **options))
+        return json.dumps([{name: row | {"associate_ms": 0.0} for name, row in rows.items()} for rows in of_units])
+
+    with pytest.raises(common.ShardDone):
+        merged("both", shard=Shard(2, 2))
+    kept = KeptResults(tmp_path / "both", dict[str, Figures], common.run_key(Options()))
+    assert len(kept.found) == 2  # the cluster runs the other two
+    assert merged("both", cluster=two_nodes) == merged("here")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("bounded")
+def test_a_failed_unit_does_not_end_the_others(two_nodes: str) -> None:
+    results = dict(run_on_cluster(root, [4, -1, 13, 9, 16, 25, 36], two_nodes))
+    failed = {number: result for number, result in results.items() if isinstance(result, FailedUnit)}
+    assert set(results) == set(range(7))
+    assert {number: failure.unit for number, failure in failed.items()} == {1: -1, 2: 13}
+    assert failed[1].reason.startswith("ValueError: no root of -1 (root, line ")
+    assert isinstance(failed[1].error, ValueError)
+    assert "\n" not in failed[2].reason
+    rest = [results[number] for number in (0, 3, 4, 5, 6)]
+    assert [one["root"] for one in rest] == [2.0, 3.0, 4.0, 5.0, 6.0]
+    assert os.getpid() not in {one["process"] for one in rest}
+    assert not sys.modules["ray"].is_initialized()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("bounded")
+def test_an_evaluation_on_the_cluster_is_that_of_this_machine(two_nodes: str, tmp_path: Path) -> None:
+    line = ["evaluate", "nearest", "--episodes", "2", "--max-steps", "20", "--no-truth", "--difficulty", "easy"]
+    for name, where in (("cluster", ["--cluster", two_nodes]), ("here", [])):
+        assert cli.main([*line, *where, "--out", str(tmp_path / name)]) == 0
+    csv = [(tmp_path / name / "episodes.csv").read_bytes() for name in ("cluster", "here")]
+    assert csv[0] == csv[1]
+    rows = [json.loads((tmp_path / name / "results.json").read_text())["rows"] for name in ("cluster", "here")]
+    assert json.dumps(rows[0]) == json.dumps(rows[1])
+
+
+@pytest.mark.parametrize(
+    "address", ["auto", "local", "ray://127.0.0.1:10001", "127.0.0.1", "127.0.0.1:0", "a:99999", "x y:1"]
+)
+def test_only_the_address_of_a_running_cluster_is_taken(address: str) -> None:
+    with pytest.raises(ConfigError, match=r"cluster: .*, expected HOST:PORT"), connected(address):
+        pass
+
+
+def test_nothing_is_started_where_no_cluster_answers() -> None:
+    pytest.importorskip("ray", reason="the extra `cluster` is not installed")
+    address = f"{HERE}:{closed_port()}"
+    with pytest.raises(ConfigError, match=f"cluster: no Ray cluster at {address}"), connected(address):
+        pass
+
+
+def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ConfigError, match="Ray is not installed; the extra `cluster` has it"), connected(f"{HERE}:1"):
+        pass
+
+
+def test_a_failure_on_a_node_comes_back_in_one_line() -> None:
+    failed = cluster.attempt(root, -4, code_of(root))
+    assert failed.reason == next(iter(dict(run_units(root, [-4], 1)).values())).reason
+
+
+def test_a_node_with_other_code_refuses_the_work() -> None:
+    failed = cluster.attempt(root, 4, code_of(root) | {"numpy": "0.1"})
+    assert failed.reason.startswith("ConfigError: cluster: a node has numpy ")
+    assert ", not 0.1 (attempt, line" in failed.reason
+
+
+def test_evaluate_refuses_jobs_beside_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["evaluate", "nearest", "--jobs", "2", "--cluster", f"{HERE}:1", "--out", str(tmp_path / "out")]
+    assert cli.main(line) == 2
+    assert "--jobs 2: --cluster 127.0.0.1:1 fixes it; leave out one of the two" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def closed_port() -> int:
+    """A port of this machine on which nothing listens."""
+    with socket.socket() as one:
+        one.bind((HERE, 0))
+        return int(one.getsockname()[1])

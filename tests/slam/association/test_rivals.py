@@ -1,0 +1,327 @@
+"""The associators that `mecp` is compared with: against exhaustive search, and in closed loop."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.slam.association import ASSOCIATORS, make_associator
+from mecp_env.slam.association.ccda import cartesian, constraint_graph, distances, limit_gain, maximum_clique
+from mecp_env.slam.association.gating import chi2_gate
+from mecp_env.slam.association.jcbb import add_pair, branch_and_bound, predicted_measurements, sorted_choices
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.messages import (
+    UNKNOWN_ROOM,
+    Corners,
+    Doorways,
+    FeatureState,
+    FeatureTable,
+    MapView,
+    RoomGraph,
+)
+from tests.slam.association.test_association import features_of, polar
+from tests.slam.drives import scripted_drive
+
+RIVALS = ("jcbb", "ccda", "joint_descriptor", "nearest_room", "nearest_descriptor")
+MANY = 10**6
+FACES = (0.0, 1.5)  # rad, normals of the two faces of every corner
+WHOLE_TURN = 2.0 * np.pi
+
+
+class Scene:
+    """Landmarks around a robot whose pose is known to `sigma` m and rad, off by `error` of them, and corners seen."""
+
+    def __init__(self, rng, landmarks=6, spurious=1, sigma=0.05, p_robot=None):
+        self.rng = rng
+        p_robot = rng.uniform(-6.0, 6.0, (landmarks, 2)) if p_robot is None else np.array(p_robot)
+        n, exact, self.turned = len(p_robot), np.array([0.01, 0.003]), 0.0
+        self.belief = make_filter(FilterConfig(kind="riekf"))
+        self.belief.augment(polar(p_robot), np.diag(np.tile(exact, n) ** 2), np.arange(n))
+        error = rng.normal(size=3) * sigma * (1.0, 1.0, 0.5)
+        self.belief.set_pose(error, np.diag([sigma, sigma, 0.5 * sigma]) ** 2)
+        seen = np.concatenate([p_robot, rng.uniform(-6.0, 6.0, (spurious, 2))])
+        self.true = np.concatenate([np.arange(n), np.full(spurious, -1)])
+        z = polar(seen) + rng.normal(size=seen.shape) * exact
+        z[:, 1] = np.pi - (np.pi - z[:, 1]) % WHOLE_TURN
+        order = np.argsort(z[:, 1])
+        self.z, self.true, self.R = z[order], self.true[order], np.diag(np.tile(exact, len(z)) ** 2)
+
+    @property
+    def corners(self):
+        """What the scan shows: outer corners, all with the same faces, `turned` by so many radians."""
+        n, mark = len(self.z), np.zeros(len(self.z), np.int64)
+        doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
+        faces = np.tile(FACES, (n, 1)) + self.turned
+        return Corners(self.z, self.R, mark, np.ones(n, np.bool_), faces, mark - 1, mark == 0, doorways)
+
+    def associated(self, **fields):
+        """The match of an associator."""
+        m, nowhere = len(self.belief.ids), np.full(len(self.z), -1)
+        rows = features_of(m, state=FeatureState.LANDMARK, normals=np.tile(FACES, (m, 1)), convex=1)
+        graph = RoomGraph(UNKNOWN_ROOM, False, (), (), (), {})
+        view = MapView(1, self.belief.belief(), FeatureTable(rows), {}, graph, nowhere)
+        return make_associator(AssociationConfig(**fields)).associate(self.corners, (), view, self.belief)
+
+    def search(self, gate_probability, budget=MANY):
+        """What `branch_and_bound` takes, every pair inside its gate a choice."""
+        gate, ids = chi2_gate(2, gate_probability), self.belief.ids
+        costs = self.belief.individual_nis(self.z, self.corners.R, ids)
+        gates = np.array([0.0, *(chi2_gate(2 * k, gate_probability) for k in range(1, len(self.z) + 1))])
+        choices = sorted_choices(costs, gate)
+        return self.z, self.R, *predicted_measurements(self.belief, ids), choices, gates, budget
+
+
+def joint_distance(z, R, h, HPH, pairs):
+    """nu^T S^-1 nu of pairs (corner, landmark), in plain linear algebra."""
+    i, j = np.array(pairs).T
+    nu = z[i] - h[j]
+    nu[:, 1] = np.arctan2(np.sin(nu[:, 1]), np.cos(nu[:, 1]))
+    corner, landmark = (np.ravel(2 * index[:, None] + [0, 1]) for index in (i, j))
+    S = HPH[np.ix_(landmark, landmark)] + R[np.ix_(corner, corner)]
+    return float(nu.ravel() @ np.linalg.solve(S, nu.ravel()))
+
+
+def exhaustive(z, R, h, HPH, choices, gates, _):
+    """(number of pairs, joint distance) of the best hypothesis, of all that stay inside every gate on their way."""
+    best = (0, 0.0)
+    for columns in itertools.product(*([-1, *row[row >= 0]] for row in choices)):
+        pairs = [(i, j) for i, j in enumerate(columns) if j >= 0]
+        if not pairs or len({j for _, j in pairs}) < len(pairs):
+            continue
+        on_the_way = [joint_distance(z, R, h, HPH, pairs[: k + 1]) for k in range(len(pairs))]
+        if all(distance <= gates[k + 1] for k, distance in enumerate(on_the_way)):
+            best = max(best, (len(pairs), -on_the_way[-1]))
+    return best[0], -best[1]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_jcbb_finds_as_many_pairs_at_the_same_distance_as_an_exhaustive_search(seed):
+    rng = np.random.default_rng(seed)
+    search = Scene(rng, landmarks=5, spurious=seed % 3, sigma=(0.05, 0.5, 1.0)[seed % 3]).search(0.99)
+    count, distance = exhaustive(*search)
+    found, joint, _ = branch_and_bound(*search)
+    pairs = [(i, j) for i, j in enumerate(found.tolist()) if j >= 0]
+    assert len(pairs) == count > 0
+    assert joint == pytest.approx(distance, rel=1e-9)
+    assert joint == pytest.approx(joint_distance(*search[:4], pairs), rel=1e-9)
+    assert all(j in search[4][i] for i, j in pairs)
+
+
+def test_branch_and_bound_in_plain_python_finds_the_same(monkeypatch):
+    search = Scene(np.random.default_rng(3), landmarks=5, spurious=2, sigma=0.5).search(0.99)
+    compiled_result = branch_and_bound(*search)
+    plain = branch_and_bound.py_func
+    monkeypatch.setitem(plain.__globals__, "add_pair", add_pair.py_func)
+    assert compiled_result[0].tolist() == plain(*search)[0].tolist()
+    assert compiled_result[1:] == plain(*search)[1:]
+
+
+def test_the_distance_grows_pair_by_pair_as_in_plain_linear_algebra():
+    z, R, h, HPH, *_ = Scene(np.random.default_rng(4), landmarks=4, spurious=0).search(0.99)
+    pairs, L, total = np.array([[0, 1, 2, 3], [3, 1, 0, 2]]), np.empty((8, 9)), 0.0
+    for k in range(4):
+        total += add_pair(L, k, pairs, z, R, h, HPH)
+        assert total == pytest.approx(joint_distance(z, R, h, HPH, pairs[:, : k + 1].T), rel=1e-9)
+    assert add_pair(L, 0, pairs, z, -R, h, 0.0 * HPH) == np.inf
+
+
+def test_every_landmark_has_the_innovation_that_the_filter_gives_for_the_pair():
+    scene = Scene(np.random.default_rng(5), landmarks=4, spurious=0)
+    h, HPH = predicted_measurements(scene.belief, np.array([2, 0]))
+    R = np.eye(4)
+    nu, S = scene.belief.innovation(scene.z[:2], R, np.array([2, 0]))
+    turn = (scene.z[:2] - h).ravel() - nu
+    np.testing.assert_allclose(turn - WHOLE_TURN * np.round(turn / WHOLE_TURN), 0.0, atol=1e-12)
+    np.testing.assert_allclose(HPH + R, S, rtol=1e-12)
+
+
+def test_without_budget_jcbb_keeps_the_best_hypothesis_so_far():
+    search = Scene(np.random.default_rng(6), landmarks=8, spurious=3, sigma=1.0).search(0.9999)
+    counts = []
+    for budget in (1, 3, 12, MANY):
+        found, joint, tried = branch_and_bound(*search[:6], budget)
+        pairs = [(i, j) for i, j in enumerate(found.tolist()) if j >= 0]
+        assert tried <= budget
+        assert len({j for _, j in pairs}) == len(pairs)
+        assert joint == pytest.approx(joint_distance(*search[:4], pairs) if pairs else 0.0, rel=1e-9)
+        counts.append(len(pairs))
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1]
+    assert tried < MANY
+
+
+def random_graph(rng, groups=6, per_group=3, density=0.6):
+    """Costs of edges, group and cost of the nodes of a graph none of whose groups has an edge inside."""
+    group = np.repeat(np.arange(groups), per_group)
+    size = (len(group), len(group))
+    joined = (rng.uniform(size=size) < density) & (group[:, None] != group)
+    edges = np.triu(np.where(joined, rng.uniform(0.0, 2.0, size), np.inf), 1)
+    return edges + edges.T + np.diag(np.full(len(group), np.inf)), group, rng.uniform(0.0, 5.0, len(group))
+
+
+def exhaustive_clique(edges, group, cost):
+    """The largest clique, of equally large ones the cheapest."""
+
+    def total(clique):
+        return cost[clique].sum() + sum(edges[a, b] for a, b in itertools.combinations(clique, 2))
+
+    nodes = [[-1, *np.flatnonzero(group == g)] for g in np.unique(group)]
+    chosen = ([v for v in clique if v >= 0] for clique in itertools.product(*nodes))
+    return max((c for c in chosen if total(c) < np.inf), key=lambda c: (len(c), -total(c)))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_ccda_finds_the_clique_of_an_exhaustive_search(seed):
+    graph = random_graph(np.random.default_rng(seed), density=(0.3, 0.6, 0.9)[seed % 3])
+    found, tried = maximum_clique(*graph, MANY)
+    assert sorted(found.tolist()) == exhaustive_clique(*graph)
+    assert tried < MANY
+
+
+def test_the_clique_search_in_plain_python_finds_the_same(monkeypatch):
+    graph = random_graph(np.random.default_rng(20))
+    plain = maximum_clique.py_func
+    monkeypatch.setitem(plain.__globals__, "limit_gain", limit_gain.py_func)
+    for budget in (4, MANY):
+        found, tried = maximum_clique(*graph, budget)
+        assert found.tolist() == plain(*graph, budget)[0].tolist()
+        assert tried == plain(*graph, budget)[1] <= budget
+
+
+def test_what_a_clique_can_gain_is_the_number_of_groups_and_their_least_costs():
+    rng = np.random.default_rng(23)
+    group, cost, nodes = np.repeat(np.arange(5), 3), rng.uniform(size=15), np.sort(rng.permutation(15)[:9])
+    left, least = np.empty(10, np.int64), np.empty(10)
+    limit_gain(nodes, 9, group, cost[nodes], left, least)
+    for q in range(10):
+        cheapest = {g: cost[nodes[q:]][group[nodes[q:]] == g].min() for g in group[nodes[q:]].tolist()}
+        assert left[q] == len(cheapest)
+        assert least[q] == pytest.approx(sum(cheapest.values()))
+
+
+def test_without_budget_ccda_keeps_the_largest_clique_so_far():
+    edges, group, cost = random_graph(np.random.default_rng(21), groups=10, density=0.8)
+    sizes = []
+    for budget in (1, 4, MANY):
+        found, _ = maximum_clique(edges, group, cost, budget)
+        assert all(edges[a, b] < np.inf for a, b in itertools.combinations(found, 2))
+        sizes.append(len(found))
+    assert sizes == sorted(sizes)
+    assert sizes[0] == 1 < sizes[-1]
+
+
+def test_distances_and_their_variances_are_those_of_samples():
+    rng = np.random.default_rng(22)
+    z, A = np.array([[4.0, 3.1], [5.0, -3.0], [2.0, 0.4]]), 0.002 * rng.normal(size=(6, 6))
+    cov = A @ A.T
+    drawn = rng.multivariate_normal(z.ravel(), cov, 20_000).reshape(-1, 3, 2)
+    p = np.stack([drawn[..., 0] * np.cos(drawn[..., 1]), drawn[..., 0] * np.sin(drawn[..., 1])], axis=-1)
+    sampled = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
+    length, variance = distances(*cartesian(z, cov))
+    np.testing.assert_allclose(length, sampled.mean(axis=0), atol=1e-3)
+    np.testing.assert_allclose(variance, sampled.var(axis=0), rtol=0.05, atol=1e-12)
+
+
+def test_pairs_of_one_corner_or_one_landmark_are_never_joined():
+    length = np.array([[0.0, 3.0], [3.0, 0.0]])
+    corner, landmark = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+    graph = constraint_graph((length, 0.0 * length), (length, 0.01 + 0.0 * length), corner, landmark, 4.0)
+    assert np.argwhere(np.triu(graph < np.inf)).tolist() == [[0, 3], [1, 2]]
+
+
+@pytest.mark.parametrize("method", RIVALS)
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_are_one_to_one_and_right_where_the_pose_is_known(method, seed):
+    scene = Scene(np.random.default_rng(seed), landmarks=7, spurious=2, sigma=0.02)
+    match = scene.associated(method=method)
+    paired = match.recognised()
+    assert len(set(match.ids[paired].tolist())) == len(paired) >= 6
+    assert (match.ids[paired] == scene.true[paired]).all()
+    assert (match.nis[paired] >= 0.0).all()
+
+
+@pytest.mark.parametrize("method", RIVALS)
+def test_bearings_on_both_sides_of_pi_are_near(method):
+    """Behind the robot, where its heading error puts measured and predicted bearing on different sides of the cut."""
+    behind = [(-5.0, 0.01), (-3.0, -0.01), (-4.0, 1.0), (-4.0, -1.0), (3.0, 0.0)]
+    for seed in range(4):
+        scene = Scene(np.random.default_rng(seed), spurious=0, sigma=0.1, p_robot=behind)
+        match = scene.associated(method=method)
+        assert sorted(match.ids[match.recognised()].tolist()) == [0, 1, 2, 3, 4]
+        assert (match.ids == scene.true).all()
+
+
+@pytest.mark.parametrize("method", ["jcbb", "ccda"])
+def test_a_wide_pose_is_no_reason_for_wrong_pairs(method):
+    wrong = paired = 0
+    for seed in range(20):
+        scene = Scene(np.random.default_rng(seed), landmarks=8, spurious=2, sigma=0.4)
+        match = scene.associated(method=method)
+        recognised = match.recognised()
+        wrong += int((match.ids[recognised] != scene.true[recognised]).sum())
+        paired += len(recognised)
+    assert paired > 120
+    assert wrong <= 0.02 * paired
+
+
+def test_a_budget_of_one_node_still_gives_a_sound_match():
+    for method in ("jcbb", "ccda"):
+        match = Scene(np.random.default_rng(8), sigma=0.3).associated(method=method, search_budget=1)
+        assert len(match.recognised()) <= 1
+    with pytest.raises(ConfigError, match=r"search_budget: Input should be greater than or equal to 1 \(given: 0\)"):
+        AssociationConfig(search_budget=0)
+
+
+def test_the_joint_test_of_ccda_leaves_out_the_pair_that_disturbs():
+    scene = Scene(np.random.default_rng(9), landmarks=6, spurious=0, sigma=0.02)
+    ccda = make_associator(AssociationConfig(method="ccda"))
+    for moved, kept in ((0.0, [0, 1, 2, 3, 4, 5]), (0.1, [0, 1, 3, 4, 5])):
+        scene.z[2, 0] += moved
+        fits = ccda._jointly_compatible(scene.corners, np.arange(6), scene.true, scene.belief, 1)
+        assert fits.tolist() == kept
+
+
+@pytest.mark.parametrize("method", RIVALS)
+def test_only_the_descriptor_tells_corners_apart_whose_faces_are_turned(method):
+    scene = Scene(np.random.default_rng(10), landmarks=6, spurious=0, sigma=0.02)
+    scene.turned = 1.0
+    with_descriptor = len(scene.associated(method=method).recognised())
+    without = len(scene.associated(method=method, use_descriptor=False).recognised())
+    fixed = {"nearest_room": (6, 6), "nearest_descriptor": (0, 0)}  # the name decides
+    assert (with_descriptor, without) == fixed.get(method, (0, 6))
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(ConfigError, match=r"'mecp', 'mecp_paper', 'jcbb', 'ccda', .* or 'known'; did you mean 'jcbb'"):
+        AssociationConfig(method="jcb")
+    assert set(RIVALS) < set(ASSOCIATORS)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return scripted_drive()
+
+
+@pytest.mark.parametrize("method", RIVALS)
+def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
+    config = SlamConfig(association=AssociationConfig(method=method))
+    right, wrong, identity = 0, 0, {}
+    for _, output, true, error in drive.run(config):  # noqa: B007  (the last error counts)
+        for i in output.match.recognised():
+            known = identity.setdefault(int(output.match.ids[i]), int(true[i]))
+            right, wrong = right + (known == true[i] >= 0), wrong + (known != true[i])
+    assert np.hypot(*error[:2]) < 0.1
+    assert right > 300
+    if method != "nearest_room":  # confuses the two faces of a wall, as `nearest`
+        assert wrong < 0.02 * right
+
+
+def test_before_anything_is_mapped_no_corner_is_paired():
+    scene = Scene(np.random.default_rng(11), landmarks=3, spurious=1)
+    scene.belief = make_filter(FilterConfig(kind="riekf"))
+    for method in RIVALS:
+        assert not len(scene.associated(method=method).recognised())
