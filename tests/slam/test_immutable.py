@@ -49,10 +49,13 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, str]]:
     return kept
 
 
+METHODS = ("nearest", "mecp_paper", "jcbb", "ccda", "joint_descriptor")
+
+
 @pytest.mark.parametrize(
     "keywords",
-    [{}, CROWD, {"slam": {"association": {"method": "nearest"}}}, {"slam": {"association": {"method": "mecp_paper"}}}],
-    ids=["default", "crowd", "nearest", "mecp_paper"],
+    [{}, CROWD, *({"slam": {"association": {"method": method}}} for method in METHODS)],
+    ids=["default", "crowd", *METHODS],
 )
 def test_no_stage_writes_to_a_message(made: list[tuple[Any, str]], keywords: dict[str, Any]) -> None:
     env = gym.make("mecp_env/Layout-v0", layout="two_rooms", laser={"preset": "paper"}, **keywords)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
 from mecp_env.slam.association.ccda import cartesian, constraint_graph, distances, limit_gain, maximum_clique
@@ -318,6 +320,19 @@ def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
     assert right > 300
     if method != "nearest_room":  # confuses the two faces of a wall, as `nearest`
         assert wrong < 0.02 * right
+
+
+@pytest.mark.parametrize("method", RIVALS)
+def test_an_episode_with_a_rival_continues_from_its_state(method):
+    first, second = (
+        gym.make("mecp_env/PaperMap-v0", slam={"association": {"method": method}}).unwrapped for _ in range(2)
+    )
+    first.reset(seed=1)
+    for _ in range(10):
+        first.step(np.array([0.5, 0.1]))
+    second.set_state(first.get_state())
+    seen, again = (env.step(np.array([0.3, -0.2]))[0] for env in (first, second))
+    assert all(np.array_equal(seen[key], again[key]) for key in seen)
 
 
 def test_before_anything_is_mapped_no_corner_is_paired():
