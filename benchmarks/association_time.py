@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Options, best_of, chosen, grouped, in_parallel, ratio, table
+from benchmarks.common import Figures, Gate, Options, best_of, chosen, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive
 from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
 from benchmarks.records import IN_MEMORY, Records
@@ -58,6 +58,12 @@ SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 10, 3, 1, 3
 IN_FRONT = (0.2, 0.9)  # share of a beam's range at which a spurious corner may be
 COLUMNS = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
 POLYGONS = "polygons"
+
+GATES = (
+    Gate("paper/1 m 10 deg/jcbb/ratio", "bound", 0.2),
+    Gate("paper/1 m 10 deg/jcbb/ratio_same_corners", "bound", 0.2),
+    Gate(f"paper/1 m 10 deg/{DEFAULT}/right", "share", 0.1),
+)
 
 
 def run(options: Options) -> Figures:

@@ -11,7 +11,8 @@ MOST = {
     "import levels": 11,
     "files to change corner extraction": 9,
     "code lines of slam/pipeline.py": 150,
-    "compiled functions": 261,  # six for the tasks of active SLAM (record 64), four for jcbb and ccda (record 69)
+    # six for the tasks of active SLAM (record 64), four for jcbb and ccda (record 69), two for large maps (record 73)
+    "compiled functions": 263,
     "compiled functions with more than 8 arguments": 0,
     "tunable numbers of the estimator": 121,  # one for the searches of jcbb and ccda (record 69)
 }
