@@ -16,6 +16,7 @@ from mecp_env.learning import models
 from mecp_env.learning.callbacks import EvaluationCallback, SafeCheckpointCallback, StatisticsCallback
 from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.config import TrainConfig
+from mecp_env.learning.curves import draw_training
 from mecp_env.learning.environments import make_env, make_many
 from mecp_env.learning.run_folder import RunFolder
 from mecp_env.learning.run_log import RunLog
@@ -34,7 +35,9 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
         run_folder.resume() if resume else run_folder.start()
         log = RunLog(folder, config.steps, config.log.tensorboard)
         with TrainingRun(run_folder, log) as run, log, stopped_by_ctrl_c(run):  # the log starts threads after the forks
-            return run.train(resume)
+            done = run.train(resume)
+        draw_training(folder)
+        return done
 
 
 def check(config: TrainConfig) -> None:

@@ -23,6 +23,7 @@ from mecp_env.policies.comparison import Row, compare, rows_of, timing
 from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
+from mecp_env.policies.returns import returns_of
 from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, plan_names
 
@@ -105,6 +106,7 @@ class Evaluation:
             "interrupted": self.interrupted,
             "failures": sorted(str(failure) for failure in self.failures),
             "rows": compare(rows, self.reference),
+            "returns": returns_of([row for row in rows if row.estimator == self.setting.estimator]),
             "timing": timing(rows),
         }
 

@@ -54,6 +54,13 @@ DIFFERENCES: tuple[Column, ...] = (
     ("steps to 90 %", "periods_to_90%", "+.0f", 1.0),
     ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
 )
+RETURNS: tuple[Column, ...] = (
+    ("lost", "lost", PLAIN, 1.0),
+    ("others", "others", PLAIN, 1.0),
+    ("lost - others", "difference", "+.1f", 1.0),
+    ("lost / others", "ratio", ".2f", 1.0),
+    ("correlation with correct coverage", "correlation", ".2f", 1.0),
+)
 
 
 def page(result: Figures) -> str:
@@ -73,6 +80,7 @@ def page(result: Figures) -> str:
         section(
             "The effect of known correspondences", table(DIFFERENCES, labelled(rows, "with_known_correspondences"))
         ),
+        section("Return of lost episodes and of the others, in the same buildings", returns_table(result)),
         section("Decisions per second of CPU time", rates(result["timing"])),
         section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
     ]
@@ -130,6 +138,17 @@ def number(value: float, form: str) -> str:
     """A number as text; a value that is rounded to 0 has no sign."""
     text = f"{value:{form}}"
     return text if float(text) else text.lstrip("+-")
+
+
+def returns_table(result: Figures) -> str:
+    """Returns against the map, over all policies with the estimator; nothing of a result from before it was measured.
+
+    A ratio without a positive return of the others has no meaning and is a dash.
+    """
+    returns = result.get("returns")
+    if returns is None or returns["lost"]["value"] is None:
+        return ""
+    return table(RETURNS, [(f"{returns['lost']['n']} buildings with both", returns)])
 
 
 def rates(timing: dict[str, float]) -> str:

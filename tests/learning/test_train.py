@@ -46,6 +46,7 @@ def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path
     assert [int(float(row["decisions"])) for row in updates] == [12, 24]
     assert all(float(row["periods_per_s"]) > 0 and 0 <= float(row["waiting_share"]) <= 1 for row in updates)
     assert all(float(row[name]) == float(row[name]) for row in evaluations for name in FIGURES)
+    assert (folder / "curves.png").stat().st_size > 1000
     policy = load(folder)
     env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions=policy.actions)
     observation, _ = env.reset(seed=0)

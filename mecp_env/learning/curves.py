@@ -1,0 +1,71 @@
+"""The curves of a training as a PNG: return, correct coverage and lost episodes over the decisions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mecp_env.core.array_types import Array
+from mecp_env.learning.run_log import EVALUATION, TRAINING, CsvTable
+
+CURVES = "curves.png"
+PANELS = (  # column, title, factor
+    ("reward", "return", 1.0),
+    ("correct_coverage", "correct coverage at the end, %", 100.0),
+    ("lost", "lost, %", 100.0),
+)
+SMOOTHED = 7  # updates in a running mean; the episodes of a single one are few
+TRAINED, VALIDATED = "#1f5ac8", "#e08c00"
+
+
+def draw_training(folder: Path) -> Path | None:
+    """Draw the curves of the run in a folder from its tables. Their file, or None before the first update.
+
+    Points are the means of the episodes that finished in an update (actions are sampled), the line their running mean;
+    squares are the evaluations on the validation split (the most probable action).
+    """
+    updates, evaluations = (
+        CsvTable(folder / name, columns).rows()
+        for name, columns in (("progress.csv", TRAINING), ("evaluation.csv", EVALUATION))
+    )
+    if not updates:
+        return None
+    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
+    for axes, (name, title, factor) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
+        decisions, values = measured(updates, name)
+        axes.plot(decisions, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
+        axes.plot(decisions, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
+        decisions, values = measured(evaluations, name)
+        axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=5, label="validation")
+        dress(axes, title)
+    figure.axes[0].legend(frameon=False, fontsize=8)
+    figure.savefig(folder / CURVES, dpi=110, metadata={"Software": None})
+    return folder / CURVES
+
+
+def measured(rows: Sequence[Mapping[str, str]], name: str) -> tuple[Array, Array]:
+    """(n,) decisions and (n,) values of a column, of the rows that have a number there."""
+    pairs = [(float(row["decisions"]), float(row.get(name) or math.nan)) for row in rows]
+    table = np.array(pairs, float).reshape(-1, 2)
+    table = table[np.isfinite(table[:, 1])]
+    return table[:, 0], table[:, 1]
+
+
+def running_mean(values: Array) -> Array:
+    """(n,) the mean of up to `SMOOTHED` values around each; fewer at the ends."""
+    half = SMOOTHED // 2
+    return np.array([values[max(0, i - half) : i + half + 1].mean() for i in range(len(values))])
+
+
+def dress(axes: Axes, title: str) -> None:
+    """Title, label and grid."""
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.set_xlabel("decisions", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
