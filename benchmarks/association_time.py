@@ -32,7 +32,7 @@ from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.jcbb import pair_jointly
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.mecp.polygons import find_polygons
+from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
 
@@ -107,7 +107,7 @@ def cluttered_looks(drive: Drive, finished: Finished, count: int, rng: np.random
         if CORNERS - SPURIOUS <= len(real) <= CORNERS and len(looks) < count:
             corners, beams, wall = front_end(drive.scans[step], drive.slam)
             corners, source = with_spurious(corners, beams, vertices_first(real, seen.polygons, rng), rng)
-            find = partial(find_polygons, corners, beams, drive.slam.polygon, wall)
+            find = partial(find_structure, corners, beams, drive.slam.polygon, wall)
             true = np.where(source < 0, -1, seen.true[source])
             looks.append(Look(corners, find(), true, seen.T_map_robot))
             ms += fastest_ms(find)

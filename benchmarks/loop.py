@@ -46,7 +46,8 @@ from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
-from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.mecp.polygons import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
@@ -188,7 +189,7 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
 def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
     """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
     corners, beams, wall = front_end(scan, slam)
-    return corners, find_polygons(corners, beams, slam.polygon, wall)
+    return corners, find_structure(corners, beams, slam.polygon, wall)
 
 
 def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:

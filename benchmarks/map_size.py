@@ -29,7 +29,7 @@ from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import KINDS, SlamConfig
-from mecp_env.slam.mecp.polygons import find_polygons
+from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -94,7 +94,7 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     for number in range(first, first + SCANS):
         corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)
         corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
-        polygons = find_polygons(corners, beams, drive.slam.polygon, wall)
+        polygons = find_structure(corners, beams, drive.slam.polygon, wall)
         belief, T_map_robot = pipeline.filter.copy(), compose(T_map_world, drive.T_world_robot[number])
         belief.set_pose(T_map_robot + rng.normal(size=3) * SIGMAS, np.diag(SIGMAS**2))
         view = pipeline.map.view(belief.belief(), graph, np.full(len(corners), -1), pipeline.step_count + 1)

@@ -58,7 +58,7 @@ def measure(sets: int = 100) -> Figures:
 
 def search(sites: Array) -> object:
     """Search and wall-crossing check on sites sorted by bearing."""
-    return best_free_cycles(sites, SIGMAS[: len(sites)], BEAMS, LIMITS)
+    return best_free_cycles(sites, SIGMAS[: len(sites)], BEAMS, LIMITS, False)
 
 
 def uniform(n: int, sets: int) -> list[Array]:

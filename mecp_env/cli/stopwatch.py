@@ -36,7 +36,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("clustering", pipeline, "cluster_beams"),
     ("segments", pipeline, "extract_segments"),
     ("corners", pipeline, "extract_corners"),
-    ("polygons", pipeline, "find_polygons"),
+    ("polygons", pipeline, "find_structure"),
     ("association", MecpAssociator, "associate"),
     ("association", MecpPaperAssociator, "associate"),
     ("association", NearestAssociator, "associate"),

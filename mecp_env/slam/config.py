@@ -42,6 +42,7 @@ METHODS = Names(  # `register_associator` adds others
     )
 )
 KINDS = Names("riekf", "riekf_submaps", "ekf")  # `register_filter` does
+STRUCTURE_NAMES = Names("mecp", "largest_area")  # and `register_structure`
 
 
 class SensorModel(LaserNoise):
@@ -123,8 +124,9 @@ class CornerConfig(Settings):
 
 
 class PolygonConfig(Settings):
-    """III-A.2, the Maximum Empty Convex Polygon."""
+    """III-A.2, the Maximum Empty Convex Polygon, or another spatial structure (VI)."""
 
+    structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or largest_area, or one registered
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
     crossing_beams: int = Field(3, ge=1, le=100)  # neighbours that end in front of an edge: a wall crosses it

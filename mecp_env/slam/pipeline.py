@@ -12,7 +12,8 @@ from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.localisation.map_agreement import Evidence
-from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.mecp.polygons import beams_on_walls
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting, SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
@@ -61,7 +62,7 @@ class SlamPipeline(SlamParts):
         predicted, graph = self.filter.belief(), self.rooms.graph()
         corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)
         around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
-        around = around.with_polygons(find_polygons(*around.place, config.polygon, around.wall))  # III-A.2
+        around = around.with_polygons(find_structure(*around.place, config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         untouched = self.filter
         associated, updated, evidence = self._localise(around, view, tracked)  # III-B

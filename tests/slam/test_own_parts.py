@@ -18,7 +18,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
 from mecp_env.core.errors import ConfigError
-from mecp_env.slam import association, config, filters
+from mecp_env.slam import association, config, filters, mecp
 from mecp_env.slam.association import register_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
@@ -26,7 +26,11 @@ from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
 
 PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
-OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "one_shot"}}
+OWN = {
+    "association": {"method": "global_nearest"},
+    "filter": {"kind": "one_shot"},
+    "polygon": {"structure": "both"},
+}
 
 
 @pytest.fixture
@@ -37,7 +41,8 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, M
         (tmp_path / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     yield {name: importlib.import_module(name) for _, name in code}
-    for names, makers in ((config.METHODS, association.ASSOCIATORS), (config.KINDS, filters.FILTERS)):
+    registries = (config.METHODS, association.ASSOCIATORS), (config.KINDS, filters.FILTERS)
+    for names, makers in (*registries, (config.STRUCTURE_NAMES, mecp.STRUCTURES)):
         for name in names.others:
             del makers[name]
         names.others.clear()

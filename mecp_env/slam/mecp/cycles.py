@@ -121,7 +121,7 @@ def quietest_gap(allowed: Bools) -> int:
 
 
 @compiled
-def _graph(points: Array, allowed: Bools, cut: int, tolerance: float) -> Graph:
+def graph_of(points: Array, allowed: Bools, cut: int, tolerance: float) -> Graph:
     """The sites counted from position `cut`, with the edges that do not cross the ray before it."""
     n = points.shape[0]
     turned, first, site = np.empty((n, 2)), np.zeros(n + 1, np.int64), np.empty(n, np.int64)
@@ -178,7 +178,7 @@ def best_cycles(points: Array, allowed: Bools, tolerance: float, keep: int) -> t
     if n < 3:
         return sizes, rings
     cut = quietest_gap(allowed)
-    graph = _graph(points, allowed, cut, tolerance)
+    graph = graph_of(points, allowed, cut, tolerance)
     edges = graph.ends.shape[0]
     chains = Ranking(np.empty(edges, np.int64), np.empty((edges, keep)), np.empty((edges, keep), np.int64))
     best = Ranking(np.zeros(1, np.int64), np.full((1, keep), -math.inf), np.zeros((1, keep), np.int64))

@@ -29,12 +29,31 @@ def find_polygons(
     Differs from the paper: strict turns with tolerance, area decides between equals, jambs only where the other corners
     are too few, the wall-crossing check (derivations 1).
     """
+    return _polygons(corners, beams, config, wall, by_area=False)
+
+
+def find_largest(
+    corners: Corners, beams: MergedScan, config: PolygonConfig, wall: Bools | None = None
+) -> tuple[Polygon, ...]:
+    """The empty convex polygon around the robot that covers most floor, however many vertices it has; one, or none.
+
+    All else is as in `find_polygons`: sites, tolerance, jambs, the wall-crossing check, intervals. No two polygons of a
+    scan have equal areas, so `keep_ties` means nothing here. Not in the paper, which leaves other structures to future
+    work (VI).
+    """
+    return _polygons(corners, beams, config, wall, by_area=True)
+
+
+def _polygons(
+    corners: Corners, beams: MergedScan, config: PolygonConfig, wall: Bools | None, by_area: bool
+) -> tuple[Polygon, ...]:
     if wall is None or not config.check_walls:
         wall = np.full(len(beams.ranges), config.check_walls)
     ids, intervals, ends = polygons_of_scan(
         (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
         (beams.ranges, beams.bearings, wall, beams.step),
         config.record,
+        by_area,
     )
     found, at, row = [], 0, 0
     for end, last_row in ends.tolist():

@@ -301,7 +301,7 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
             edge = edge_between(points[i], points[j], max(sigmas[i], sigmas[j]), view, LIMITS)
             free[i, j] = not edge_is_cut(edge, view, LIMITS)
         expected = best_cycles(points, free, tolerance, 2)
-        found = best_free_cycles(points, sigmas, view, LIMITS)
+        found = best_free_cycles(points, sigmas, view, LIMITS, False)
         np.testing.assert_array_equal(found[0], expected[0])
         np.testing.assert_array_equal(found[1], expected[1])
         resolved += not np.array_equal(expected[1], best_cycles(points, allowed, tolerance, 2)[1])
