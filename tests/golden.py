@@ -186,6 +186,7 @@ CASES = {
     "pushed": Case(ROOMS, {"difficulty": "easy"} | PUSHED, partial(random_walk, steps=200)),
     "floor_plan": Case(FLOOR_PLAN, {"start": "random", "observation": {"map": True, "scan": True}}),
     "ekf": _explored(slam={"filter": {"kind": "ekf"}}),
+    "fej": _explored(slam={"filter": {"kind": "fej"}}),
     "one_sweep": _explored(laser={"sweeps": 1}),
     "nearest": _explored(slam={"association": {"method": "nearest"}}),
     "mecp_paper": _explored(slam={"association": {"method": "mecp_paper"}}),

@@ -41,7 +41,7 @@ METHODS = Names(  # `register_associator` adds others
         "known",
     )
 )
-KINDS = Names("riekf", "riekf_submaps", "ekf")  # `register_filter` does
+KINDS = Names("riekf", "riekf_submaps", "ekf", "fej")  # `register_filter` does
 STRUCTURE_NAMES = Names("mecp", "largest_area")  # and `register_structure`
 
 
@@ -242,7 +242,7 @@ class FilterConfig(Settings):
 
     GONE: ClassVar = frozenset({"closure_gap_steps"})
 
-    kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf_submaps"  # riekf, riekf_submaps, ekf, or one registered
+    kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf_submaps"  # riekf, ekf, fej, or one registered
     prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
     prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)

@@ -69,6 +69,7 @@ SHAPES: Shapes = {
     "Candidate": {"ends": "2 2"},
     "Rest": {"slot_ids": "n", "state": "4+2n 3+2n", "at_work": "a in 0:n", "factor": "3+2a 3+2a", "belief.ids": "m"}
     | {"is_at_rest": "m", "variance": "m"},
+    "FirstEstimateEkf": {"slot_ids": "n", "first": f"3+2n in {NEAR}"},
     "RecentScan": {"marks": "2", "ids": "n in -1:F", "still": "n"},
     "Surfaces": {"points": f"n 2 in {NEAR}", "normals": "n 2", "sigmas": "n"},
     "PoseGuard": {"correction": f"3 in {NEAR}"},

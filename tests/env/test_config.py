@@ -92,7 +92,7 @@ def test_wrong_values_are_refused_with_field_and_value(fields):
     [
         (
             {"slam": {"filter": {"kind": "ekff"}}},
-            "EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_submaps' or 'ekf'; did",
+            "EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_submaps', 'ekf' or 'fej'; did",
         ),
         ({"crowd": {"people": "4"}}, "EnvConfig.crowd.people: Input should be a number (given: '4')"),
         ({"slam": {"filter": {"kind": 1}, "rooms": {"wall_thickness_m": "x"}}}, "EnvConfig.slam.filter.kind: "),

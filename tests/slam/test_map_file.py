@@ -88,7 +88,7 @@ def test_a_map_is_empty_before_the_first_scan_and_can_be_saved_then(tmp_path: Pa
 
 
 @pytest.mark.parametrize("first", [10, 35, 60])
-@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
 def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(first: int, kind: str, drive: Drive) -> None:
     """At another place of the drive than where it ended, in either room, with half a metre of error."""
     pipeline = SlamPipeline({"filter": {"kind": kind}})

@@ -146,7 +146,7 @@ def test_wrong_options_are_named(arguments: list[str], said: str, capsys: pytest
         (register_associator, "mecp", r"name: 'mecp' is one of ours \(mecp, mecp_paper, jcbb, ccda, .*known\)"),
         (register_associator, "two words", r"name: 'two words', letters, digits and _ expected"),
         (register_associator, 7, r"name: 7, letters, digits and _ expected"),
-        (register_filter, "ekf", r"name: 'ekf' is one of ours \(riekf, riekf_submaps, ekf\)"),
+        (register_filter, "ekf", r"name: 'ekf' is one of ours \(riekf, riekf_submaps, ekf, fej\)"),
     ],
 )
 def test_names_that_cannot_be_registered(register, name, said) -> None:
@@ -157,5 +157,5 @@ def test_names_that_cannot_be_registered(register, name, said) -> None:
 def test_a_name_that_nobody_registered_is_told_with_those_there_are() -> None:
     with pytest.raises(ConfigError, match=r"association\.method: .*'nearest_descriptor' or 'known'.*mean 'nearest'"):
         SlamConfig(association={"method": "nearst"})
-    with pytest.raises(ConfigError, match=r"filter\.kind: .*'riekf', 'riekf_submaps' or 'ekf'.*mean 'ekf'"):
+    with pytest.raises(ConfigError, match=r"filter\.kind: .*'riekf', 'riekf_submaps', 'ekf' or 'fej'.*mean 'ekf'"):
         SlamConfig(filter={"kind": "ekff"})

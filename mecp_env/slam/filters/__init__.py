@@ -7,6 +7,7 @@ from collections.abc import Callable
 from mecp_env.core.registry import register
 from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
+from mecp_env.slam.filters.first_estimates import FirstEstimateEkf
 from mecp_env.slam.filters.submap import SubmapEkf
 from mecp_env.slam.protocols import Filter, FilterError
 
@@ -15,6 +16,7 @@ __all__ = [
     "Ekf",
     "Filter",
     "FilterError",
+    "FirstEstimateEkf",
     "RightInvariantEkf",
     "SubmapEkf",
     "make_filter",
@@ -25,6 +27,7 @@ FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {
     "riekf": RightInvariantEkf,
     "riekf_submaps": SubmapEkf,
     "ekf": Ekf,
+    "fej": FirstEstimateEkf,
 }
 
 

@@ -87,12 +87,12 @@ class LandmarkFilter:
         """Move the pose by the increments of one step; a bumper contact adds lateral and heading variance."""
         slip = 1.0 if odometry.bumper else 0.0
         lateral_var, heading_var = slip * self.lateral_var, slip * self.heading_var
-        increments, covs = _array(odometry.increments), _array(odometry.cov)
+        increments, covs = as_floats(odometry.increments), as_floats(odometry.cov)
         predict(self.state, self.size, increments, covs, lateral_var, heading_var, self.invariant)
 
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by all pairs z[i] - ids[i] at once; z (n,2), R (2n,2n), ids (n,); FilterError: S is not positive."""
-        z, R, ids = _observations(z, R, ids)
+        z, R, ids = observations(z, R, ids)
         if len(ids) == 0:
             return
         steps = self.update_iterations if iterate else 1
@@ -105,7 +105,7 @@ class LandmarkFilter:
 
         The first ones that are dropped are reported by a `FullFilterWarning`.
         """
-        z, R, ids = _observations(z, R, ids)
+        z, R, ids = observations(z, R, ids)
         room = min(len(ids), self.max_landmarks - self.held)
         if not self.dropped and room < len(ids):
             warnings.warn(f"{self.max_landmarks} landmarks: new ones are dropped", FullFilterWarning, stacklevel=2)
@@ -120,7 +120,7 @@ class LandmarkFilter:
 
     def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
         """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
-        z, R, ids = _observations(z, R, ids)
+        z, R, ids = observations(z, R, ids)
         size = 2 * len(ids)
         nu, S = np.empty(size), np.empty((size, size))
         if not innovation(*self._part(ids), ids, z, R, self.invariant, nu, S):
@@ -129,7 +129,7 @@ class LandmarkFilter:
 
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
-        z, R, ids = _array(z), _array(R), integers(ids)
+        z, R, ids = as_floats(z), as_floats(R), integers(ids)
         nis = np.empty((len(z), len(ids)))
         if not pairwise_nis(*self._part(ids), ids, z, R, self.invariant, nis):
             self._refuse_unknown(ids)
@@ -137,14 +137,14 @@ class LandmarkFilter:
 
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
-        z, R, ids = _observations(z, R, ids)
+        z, R, ids = observations(z, R, ids)
         nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, iterations)
         return self._finite(nis, "joint_nis", ids)
 
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
         """Twice the log of how much likelier the pairs are with a covariance (3,3) of x, y, heading more."""
-        z, R, ids = _observations(z, R, ids)
-        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, _array(pose_cov))
+        z, R, ids = observations(z, R, ids)
+        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, as_floats(pose_cov))
         return self._finite(factor, "log_bayes_factor", ids)
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
@@ -152,7 +152,7 @@ class LandmarkFilter:
 
         Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
         """
-        z, R, ids = _observations(z, R, ids)
+        z, R, ids = observations(z, R, ids)
         nis = centre_nis(*self._part(ids), ids, z, R, self.invariant, paper_S)
         return self._finite(nis, "mean_of_gaussians_nis", ids)
 
@@ -296,7 +296,8 @@ def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
     return slots
 
 
-def _array(values: Array) -> Array:
+def as_floats(values: Array) -> Array:
+    """An array as the compiled functions take it."""
     return np.ascontiguousarray(values, np.float64)
 
 
@@ -305,8 +306,9 @@ def integers(values: Ints) -> Ints:
     return np.ascontiguousarray(values, np.int64)
 
 
-def _observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
-    z, R, ids, n = _array(z), _array(R), integers(ids), len(ids)
+def observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
+    """The same as the compiled functions take them. Raises `FilterError` for shapes that do not fit."""
+    z, R, ids, n = as_floats(z), as_floats(R), integers(ids), len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids

@@ -13,7 +13,7 @@ from mecp_env.slam.filters import make_filter
 from tests.slam.filters.twin import Twin, expected
 
 
-@pytest.fixture(params=["riekf", "ekf"])
+@pytest.fixture(params=["riekf", "ekf", "fej"])
 def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

@@ -124,7 +124,7 @@ def test_mean_of_gaussians(kind, paper_S):
     R = random_cov(pair.rng, np.tile([0.05, 0.01], 4))
     noisy = z + pair.rng.multivariate_normal(np.zeros(8), R).reshape(4, 2)
     nis = pair.filter.mean_of_gaussians_nis(noisy, R, pair.ids[slots], paper_S)
-    tolerance = 1e-9 if paper_S or kind == "ekf" else 0.02  # the invariant H leaves out J nu, zero for the true pair
+    tolerance = 1e-9 if paper_S or kind == "ekf" else 0.02  # the others leave out J nu, zero for the true pair
     assert nis == pytest.approx(centre_twin(pair, noisy, R, slots, paper_S), rel=tolerance)
     shifted = pair.filter.mean_of_gaussians_nis(np.roll(noisy, 1, axis=0), np.eye(8) * 1e-4, pair.ids[slots])
     unshifted = pair.filter.mean_of_gaussians_nis(noisy, np.eye(8) * 1e-4, pair.ids[slots])

@@ -70,7 +70,7 @@ def assert_covariance(cov: Any) -> None:
     assert np.linalg.eigvalsh(cov / np.outer(scale, scale)).min() > -1e-9  # of the correlations: free of units
 
 
-@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEQUENCES, st.integers(0, 10**6))
 def test_any_life_of_a_filter_keeps_a_covariance(kind, sequence, seed):
@@ -87,7 +87,7 @@ def test_any_life_of_a_filter_keeps_a_covariance(kind, sequence, seed):
             assert_covariance(cov)
 
 
-@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
 def test_an_update_adds_no_uncertainty_and_a_prediction_removes_none(kind, seed):

@@ -47,6 +47,19 @@ class Twin:
         self.slip = np.diag([config.bumper_lateral_sigma_m**2, np.radians(config.bumper_heading_sigma_deg) ** 2])
         self.x = np.zeros(3)
         self.P = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
+        self.keeps_first, self.first = kind == "fej", self.x  # where Jacobians are taken
+
+    def at(self) -> Array:
+        """The state at which Jacobians are taken."""
+        return self.first if self.keeps_first else self.x
+
+    def move_pose(self, x: Array) -> Array:
+        """F (n,n) of the plain error as the pose moves to that of x, which becomes the state."""
+        F = np.eye(len(x))
+        F[1:3, 0] = J @ (x[1:3] - self.at()[1:3])
+        self.x = x
+        self.first = np.concatenate([x[:3], self.first[3:]])
+        return F
 
     def retract(self, xi: Array) -> None:
         self.x = exp_map(self.x, xi) if self.invariant else self.x + xi
@@ -64,23 +77,24 @@ class Twin:
                           [np.sin(w / 2), d / 2 * np.cos(w / 2), np.cos(w / 2)], [0, 1, 0]])  # fmt: skip
             R, turn = rotation(self.x[0]), np.array([0.0, 1.0, 0.0])
             step = R @ (d * L[:2, 0])
-            self.x[0], self.x[1:3] = wrap(self.x[0] + w), self.x[1:3] + step
-            F, G = np.eye(len(self.x)), np.zeros((len(self.x), 3))
+            moved, G = self.x.copy(), np.zeros((len(self.x), 3))
+            moved[0], moved[1:3] = wrap(self.x[0] + w), self.x[1:3] + step
+            F = self.move_pose(moved)
             G[0], G[1:3] = turn, R @ L[:2]
             if self.invariant:
+                F = np.eye(len(self.x))
                 for i in range(1, len(self.x), 2):
                     G[i : i + 2] -= np.outer(J @ self.x[i : i + 2], turn)
-            else:
-                F[1:3, 0] = J @ step
             self.P = F @ self.P @ F.T + G @ noise @ G.T
 
     def jacobian(self, slots: Array) -> Array:
         """H (2m,n)"""
-        H = np.zeros((2 * len(slots), len(self.x)))
-        R = rotation(self.x[0])
+        x = self.at()
+        H = np.zeros((2 * len(slots), len(x)))
+        R = rotation(x[0])
         for k, slot in enumerate(slots):
             i = 3 + 2 * slot
-            d = self.x[i : i + 2] - self.x[1:3]
+            d = x[i : i + 2] - x[1:3]
             y, r = R.T @ d, np.hypot(*d)
             A = np.array([[y[0] / r, y[1] / r], [-y[1] / r**2, y[0] / r**2]]) @ R.T
             rows = slice(2 * k, 2 * k + 2)
@@ -110,6 +124,9 @@ class Twin:
 
     def augment(self, z: Array, R: Array) -> None:
         n, m = len(self.x), len(z)
+        if self.keeps_first:
+            F = self.move_pose(self.x)
+            self.P = F @ self.P @ F.T
         grow, noise = np.zeros((n + 2 * m, n)), np.zeros((n + 2 * m, 2 * m))
         grow[:n] = np.eye(n)
         new = []
@@ -123,7 +140,7 @@ class Twin:
             noise[rows, 2 * k : 2 * k + 2] = rotation(self.x[0]) @ Jz
             new.append(point)
         self.P = grow @ self.P @ grow.T + noise @ R @ noise.T
-        self.x = np.concatenate([self.x, *new])
+        self.x, self.first = np.concatenate([self.x, *new]), np.concatenate([self.first, *new])
 
     def world_cov(self) -> Array:
         """P of world coordinates, order x, y, heading, landmarks."""

@@ -27,7 +27,7 @@ def drive(landmark_filter, increments, sigma_m=0.03, sigma_rad=0.02):
     landmark_filter.predict(Odometry(np.array(increments), cov, False))
 
 
-@pytest.mark.parametrize("kind", ["riekf", "ekf"])
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
 def test_a_clone_knows_the_motion_since(kind):
     drives = [[(0.5, 0.3), (0.4, -0.6)], [(0.2, 1.0)]]
     since = make_filter(FilterConfig(kind=kind, prior_sigma_m=1e-5, prior_sigma_rad=1e-6))
