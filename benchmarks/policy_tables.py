@@ -1,6 +1,7 @@
 """The tables of README.md and of docs/policies.md and tasks.md, from results: `python -m benchmarks.policy_tables`.
 
-results/policies.json has the coverage of generated buildings, results/task_*.json the tasks of active SLAM.
+results/policies.json has the coverage of generated buildings, results/task_*.json the tasks of active SLAM and
+results/kth_plans.json real floor plans.
 
 They are between `<!-- policies: NAME -->` and `<!-- end -->`; no figure is copied by hand.
 """
@@ -14,11 +15,13 @@ from collections.abc import Sequence
 
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
-from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, labelled, table
+from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, labelled, returns_table, table
 
 ROOT = RESULTS.parents[1]
 RESULT = RESULTS / "policies.json"
 TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in ("halls", "corridors", "cheap_robot"))
+LEARNED_RESULTS = (RESULTS / "task_halls_learned.json", RESULTS / "task_halls_ablation.json")
+PLAN_RESULT = RESULTS / "kth_plans.json"
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "policies.md", ROOT / "docs" / "tasks.md")
 HEADLINE_METRIC = "correct_over_steps"
 ACTING: tuple[Column, ...] = (
@@ -34,6 +37,18 @@ AGAINST: tuple[Column, ...] = (
     ("at the end, %", "correct_coverage", "+.1f", 100.0),
     ("lost, %", "lost", "+.0f", 100.0),
 )
+ON_PLANS: tuple[Column, ...] = (
+    ("area under coverage over metres", "auc", ".3f", 1.0),
+    ("coverage, %", "coverage", ".1f", 100.0),
+    ("correct coverage, %", "correct_coverage", ".1f", 100.0),
+    ("m in all", "metres", ".0f", 1.0),
+    ("lost, %", "lost", ".0f", 100.0),
+)
+ON_PLANS_AGAINST: tuple[Column, ...] = (
+    ("area under coverage over metres", "auc", "+.3f", 1.0),
+    ("correct coverage, %", "correct_coverage", "+.1f", 100.0),
+    ("lost, %", "lost", "+.0f", 100.0),
+)
 PLACE = re.compile(r"(<!-- policies: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -41,15 +56,20 @@ def tables(result: Figures) -> dict[str, str]:
     """The text of each place by its name."""
     rows, setting = result["rows"], result["setting"]
     estimated = [row for row in rows if row["estimator"] == setting["estimator"]]
-    return task_tables() | {
-        "where": f"{result['buildings']} buildings, `{setting['difficulty']}`, split `{setting['split']}`:",
-        "short": table(measured(HEADLINE, rows, "figures"), labelled(estimated)),
-        "headline": table(measured(HEADLINE, rows, "figures"), labelled(rows)),
-        "differences": table(
-            measured(DIFFERENCES, rows, "against_reference"), labelled(estimated, "against_reference")
-        ),
-        "known": table(measured(DIFFERENCES, rows, "with_the_pose_known"), labelled(rows, "with_the_pose_known")),
-    }
+    return (
+        task_tables()
+        | learned_tables()
+        | plan_tables()
+        | {
+            "where": f"{result['buildings']} buildings, `{setting['difficulty']}`, split `{setting['split']}`:",
+            "short": table(measured(HEADLINE, rows, "figures"), labelled(estimated)),
+            "headline": table(measured(HEADLINE, rows, "figures"), labelled(rows)),
+            "differences": table(
+                measured(DIFFERENCES, rows, "against_reference"), labelled(estimated, "against_reference")
+            ),
+            "known": table(measured(DIFFERENCES, rows, "with_the_pose_known"), labelled(rows, "with_the_pose_known")),
+        }
+    )
 
 
 def measured(columns: Sequence[Column], rows: list[Figures], part: str) -> list[Column]:
@@ -66,12 +86,37 @@ def task_tables() -> dict[str, str]:
     for result in results:
         name, rows = result["setting"]["task"], result["rows"]
         lines += [price(name, policy, rows) for policy in ("nearest", "gain")]
-        estimated = [row for row in rows if row["estimator"] == "slam"]
-        against = table(AGAINST, labelled(estimated, "against_reference"))
-        where = f"{result['buildings']} buildings, split `{result['setting']['split']}`:"
-        difference = f"Difference to `{result['reference']}`, in the same buildings:"
-        places[name.removesuffix("-v0")] = "\n\n".join([where, table(ACTING, labelled(estimated)), difference, against])
+        places[name.removesuffix("-v0")] = of_task(result)
     return places | {"price": "\n".join(lines)}
+
+
+def of_task(result: Figures) -> str:
+    """The policies in a task with the estimator: their figures, and the differences to the reference."""
+    estimated = [row for row in result["rows"] if row["estimator"] == "slam"]
+    where = f"{result['buildings']} buildings, split `{result['setting']['split']}`:"
+    difference = f"Difference to `{result['reference']}`, in the same buildings:"
+    against = table(AGAINST, labelled(estimated, "against_reference"))
+    return "\n\n".join([where, table(ACTING, labelled(estimated)), difference, against])
+
+
+def learned_tables() -> dict[str, str]:
+    """The places of learned policies: against scripted ones with the returns of lost episodes, and with each other."""
+    if not all(path.exists() for path in LEARNED_RESULTS):
+        return {}
+    learned, ablation = (json.loads(path.read_text()) for path in LEARNED_RESULTS)
+    pair = table(AGAINST, labelled(ablation["rows"], "against_reference"))
+    return {"learned": of_task(learned), "ablation": pair, "returns": returns_table(learned)}
+
+
+def plan_tables() -> dict[str, str]:
+    """The place of the real floor plans."""
+    if not PLAN_RESULT.exists():
+        return {}
+    result = json.loads(PLAN_RESULT.read_text())
+    where = f"{result['buildings']} episodes in {result['setting']['plans']} plans:"
+    difference = f"Difference to `{result['reference']}`, in the same episodes:"
+    against = table(ON_PLANS_AGAINST, labelled(result["rows"], "against_reference"))
+    return {"plans": "\n\n".join([where, table(ON_PLANS, labelled(result["rows"])), difference, against])}
 
 
 def price(task: str, policy: str, rows: list[Figures]) -> str:
