@@ -11,6 +11,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
 from benchmarks.common import (
     RECORDS,
     RESULTS,
@@ -71,6 +74,7 @@ NAMES = (
     "replay",
     "stock_ppo",
     "uncertainty",
+    "figures",
 )
 HERE_ONLY = (
     "association_time",
@@ -85,6 +89,7 @@ WITH_RECORDS = (
     "association",
     "association_time",
     "clutter",
+    "figures",
     "kidnap",
     "loop",
     "map_size",
@@ -124,9 +129,20 @@ def main(arguments: list[str] | None = None) -> int:
         save(content, page + (f"\n![{given.name}]({path.stem}.png)\n" if hasattr(module, "figure") else ""), path)
         if hasattr(module, "figure"):
             save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
+        if hasattr(module, "pictures"):
+            save_pictures(module.pictures(options), path.with_suffix(""))
     faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
     print(*(f"failed: {fault}" for fault in faults), sep="\n", end="\n" * bool(faults), file=sys.stderr)
     return 1 if faults else 0
+
+
+def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
+    """Write each picture into the folder as PNG and SVG, without date and random ids."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, picture in pictures.items():
+        save_figure(picture, folder / f"{name}.png", dpi=100)
+        with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+            picture.savefig(folder / f"{name}.svg", dpi=200, metadata={"Date": None, "Creator": None})
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:

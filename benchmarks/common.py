@@ -2,8 +2,8 @@
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
 It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown,
-`figure(figures)`, a figure of matplotlib that is saved as PNG beside them, and `faults(figures) -> list[str]`, what
-exceeds its bound.
+`figure(figures)`, a figure of matplotlib that is saved as PNG beside them, `pictures(options)`, figures by name that
+are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[str]`, what exceeds its bound.
 """
 
 from __future__ import annotations
