@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mecp_env.core.array_types import Ints
 from mecp_env.core.jit import compiled
 
@@ -26,3 +28,16 @@ def row_of(ids: Ints, wanted: int, first: int = 0) -> int:
         if ids[i] == wanted:
             return i
     return -1
+
+
+@compiled
+def rows_by_id(ids: Ints, asked: Ints) -> Ints:
+    """The row in `ids` (N,), which differ, of every id from 0 to the largest of `asked` (any shape), -1 where missing."""
+    largest = 0
+    for i in range(asked.size):
+        largest = max(largest, asked.flat[i])
+    rows = np.full(largest + 1, -1, np.int64)
+    for i in range(ids.shape[0]):
+        if 0 <= ids[i] <= largest:
+            rows[ids[i]] = i
+    return rows

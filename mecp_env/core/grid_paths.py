@@ -113,27 +113,30 @@ def cost_to_go(cost: Bytes, row: int, column: int) -> tuple[Costs, Bytes]:
     total, step = np.full(cost.size, FAR, np.int32), np.full(cost.size, 8, np.uint8)
     top = np.full(BUCKETS, -1, np.int32)
     below, cell_of = np.empty(8 * cost.size, np.int32), np.empty(8 * cost.size, np.int32)
+    aside = (DROW * width + DCOL).astype(np.int32)
     start = row * width + column
     total[start], top[0], below[0], cell_of[0] = 0, 0, -1, start
-    notes, at, last = 1, 0, 0 if flat[start] else -1
+    notes, at, last = np.int32(1), np.int32(0), np.int32(0 if flat[start] else -1)
     while at <= last:
-        note = top[at & (BUCKETS - 1)]
-        if note < 0:
-            at += 1
+        bucket = np.uint32(at & (BUCKETS - 1))  # indices without a sign are not asked for being negative
+        note = np.uint32(top[bucket])
+        if top[bucket] < 0:
+            at += np.int32(1)
             continue
-        top[at & (BUCKETS - 1)] = below[note]
+        top[bucket] = below[note]
         cell = cell_of[note]
-        for k in range(8 if total[cell] == at else 0):
-            near = cell + DROW[k] * width + DCOL[k]
-            far = at + HALF_LENGTH[k] * (np.int64(flat[cell]) + flat[near])
+        here = np.uint32(cell)
+        for k in range(8 if total[here] == at else 0):
+            near = np.uint32(cell + aside[k])
+            far = at + np.int32(HALF_LENGTH[k]) * (np.int32(flat[here]) + np.int32(flat[near]))
             if flat[near] == 0 or far >= total[near]:
                 continue
             if k >= 4 and (flat[cell + DROW[k] * width] == 0 or flat[cell + DCOL[k]] == 0):
                 continue
-            total[near], step[near] = far, k
-            below[notes], cell_of[notes] = top[far & (BUCKETS - 1)], near
-            top[far & (BUCKETS - 1)] = notes
-            notes += 1
+            total[near], step[near], bucket = far, k, np.uint32(far & (BUCKETS - 1))
+            below[np.uint32(notes)], cell_of[np.uint32(notes)] = top[bucket], near
+            top[bucket] = notes
+            notes += np.int32(1)
             last = max(last, far)
     return total.reshape(cost.shape), step.reshape(cost.shape)
 
@@ -187,6 +190,9 @@ def smooth_path(step: Bytes, row: int, column: int, distance: Distances, cost: B
 def nearest_reached(total: Costs, x: float, y: float, reach: float) -> tuple[int, int]:
     """Row and column of the reached cell nearest to (x, y), in cells, within `reach`; (-1, -1): none."""
     best, found_row, found_column = math.inf, -1, -1
+    row, column = math.floor(y), math.floor(x)
+    if 0 <= row < total.shape[0] and 0 <= column < total.shape[1] and total[row, column] < FAR:
+        reach = min(reach, 1.0)  # no cell is nearer than the own one, but one beside it
     for row in range(max(math.floor(y - reach), 0), min(math.floor(y + reach) + 1, total.shape[0])):
         for column in range(max(math.floor(x - reach), 0), min(math.floor(x + reach) + 1, total.shape[1])):
             if total[row, column] >= FAR:

@@ -99,16 +99,17 @@ def downdate(P: Array, n: int, W: Array) -> None:
 
 
 @compiled
-def add_product(C: Array, A: Array, B: Array, lower: bool) -> None:
-    """C += A B in place for A (m,k), B (k,n); `lower`: what is above the diagonal of C is not meant, and spoilt.
+def add_product(C: Array, A: Array, B: Array, first: int, lower: bool) -> None:
+    """Add A B, A (m,k), B (k,n), to C from its row and column `first` on; `lower`: above the diagonal C is spoilt.
 
     Two rows of C and four of B a pass, so that the compiler's wide loop loads less than it computes.
     """
-    (m, depth), spare = A.shape, np.zeros(C.shape[1])
+    (m, depth), spare = A.shape, np.zeros(B.shape[1])
     paired = depth - depth % 4
     for i in range(0, m, 2):
-        end, other = min(i + 2, C.shape[1]) if lower else C.shape[1], min(i + 1, m - 1)
-        upper, under = C[i, :end], C[other, :end] if other > i else spare[:end]
+        end, other = min(i + 2, B.shape[1]) if lower else B.shape[1], min(i + 1, m - 1)
+        upper = C[first + i, first : first + end]
+        under = C[first + other, first : first + end] if other > i else spare[:end]
         for k in range(0, paired, 4):
             a0, a1, a2, a3 = A[i, k], A[i, k + 1], A[i, k + 2], A[i, k + 3]
             c0, c1, c2, c3 = A[other, k], A[other, k + 1], A[other, k + 2], A[other, k + 3]
@@ -127,8 +128,17 @@ def add_product(C: Array, A: Array, B: Array, lower: bool) -> None:
 def product(A: Array, B: Array) -> Array:
     """A B for A (m,k), B (k,n)."""
     C = np.zeros((A.shape[0], B.shape[1]))
-    add_product(C, A, B, False)
+    add_product(C, A, B, 0, False)
     return C
+
+
+@compiled
+def pick_lower(P: Array, numbers: Ints, picked: Array, first: int) -> None:
+    """Copy the lower half of P at its rows and columns `numbers` (m,) to `picked`, from row and column `first` on."""
+    for i in range(numbers.shape[0]):
+        row, to = P[numbers[i]], picked[first + i]
+        for j in range(i + 1):
+            to[first + j] = row[numbers[j]]
 
 
 @compiled

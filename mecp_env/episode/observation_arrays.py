@@ -180,17 +180,19 @@ def fill_tables(
 def landmark_rows(pose: Array, p_map: Array, covs: Array, labels: tuple[Ints, Ints, Ints, Ints], rows: Floats) -> None:
     """Fill `rows` (R,8), the nearest first: x, y, cov xx, xy, yy in robot axes, room, kind, valid."""
     ids, room, kind, became = labels
-    count = p_map.shape[0]
+    count = min(p_map.shape[0], rows.shape[0])
     order, far = np.empty(count, np.int64), np.empty(count)  # sorted by insertion: equally near ones keep their order
-    for i in range(count):
+    for i in range(p_map.shape[0]):
         dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
-        square, at = dx * dx + dy * dy, i
+        square, at = dx * dx + dy * dy, min(i, count - 1)
+        if i >= count and square >= far[at]:  # the last of the nearest goes, or this one
+            continue
         while at > 0 and far[at - 1] > square:
             far[at], order[at] = far[at - 1], order[at - 1]
             at -= 1
         far[at], order[at] = square, i
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(min(order.shape[0], rows.shape[0])):
+    for k in range(count):
         i = order[k]
         dx, dy = p_map[i, 0] - pose[0], p_map[i, 1] - pose[1]
         xx, xy, yy = covs[i, 0, 0], covs[i, 0, 1], covs[i, 1, 1]

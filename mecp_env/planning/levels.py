@@ -76,7 +76,7 @@ def rings_by_room(output: SlamOutput, rooms: set[int]) -> dict[int, list[list[in
     became = {room: output.graph.resolve(room) for room in set(named)}
     rings: dict[int, list[list[int]]] = {room: [] for room in rooms}
     for polygon, name in zip(output.map_polygons, named, strict=True):
-        vertices = polygon.ids.tolist() if became[name] in rooms else [NO_ID]
-        if row.keys() >= set(vertices):
-            rings[became[name]].append(list(map(row.__getitem__, vertices)))
+        vertices = [row.get(vertex, NO_ID) for vertex in polygon.ids.tolist()] if became[name] in rooms else [NO_ID]
+        if NO_ID not in vertices:
+            rings[became[name]].append(vertices)
     return rings

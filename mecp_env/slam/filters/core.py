@@ -176,10 +176,12 @@ class LandmarkFilter:
 
     def remove(self, ids: Ints) -> None:
         """Forget the landmarks ids (m,)."""
-        kept = np.setdiff1d(np.arange(self.count), self._slots(ids))
-        rows = np.concatenate((np.arange(3), np.ravel(3 + 2 * kept[:, None] + [0, 1])))
-        size = len(rows)
-        self.mean[:size], self.cov[:size, :size] = self.mean[rows], self.cov[np.ix_(rows, rows)]
+        slots = self._slots(ids)
+        kept, gone = np.setdiff1d(np.arange(self.count), slots), int(slots.min(initial=self.count))
+        moved, first, cov = np.ravel(3 + 2 * kept[gone:, None] + [0, 1]), 3 + 2 * gone, self.cov
+        end = first + len(moved)  # what stands before the first one that goes stays where it is
+        self.mean[first:end], cov[:first, first:end] = self.mean[moved], cov[:first, moved]
+        cov[first:end, :first], cov[first:end, first:end] = cov[moved, :first], cov[np.ix_(moved, moved)]
         self.slot_ids = self.slot_ids[kept]
 
     def belief(self) -> Belief:

@@ -39,19 +39,11 @@ class Rest:
         resting[shown[shown >= 0]] = False  # marks are not in the belief
         numbers, size = numbers_of(rows), len(self.factor)
         factor = np.zeros((size + len(numbers), size + len(numbers)))
-        across, block = self.whitened(rows), self.block(rows)
+        across, block = self.whitened(rows), self.state[1:][np.ix_(numbers, numbers)]
         own = block - product(across, np.ascontiguousarray(across.T))
         own += np.diag(4096.0 * ROUNDING * np.diagonal(block))  # more than rounding; any L is exact
         factor[:size, :size], factor[size:, :size], factor[size:, size:] = self.factor, across, factored(own)
         return replace(self, at_work=at_work, factor=factor, is_at_rest=resting)
-
-    def block(self, rows: Ints) -> Array:
-        """(2m,2m) the covariance of the landmarks of some rows (m,), a copy."""
-        if len(rows) == len(self.slot_ids):  # all of them, in order
-            return self.state[4:, 3:].copy()
-        numbers = numbers_of(rows)
-        among: Array = self.state[1:][np.ix_(numbers, numbers)]
-        return among
 
     def whitened(self, rows: Ints) -> Array:
         """V (2m,3+2a), V L^T is the covariance of the landmarks of some rows (m,) with the numbers in work."""

@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.linalg import add_product, mirror_lower, product
+from mecp_env.core.linalg import add_product, mirror_lower, pick_lower, product
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
@@ -122,19 +122,16 @@ class SubmapEkf(RightInvariantEkf):
         """Carry over what happened in the submap to all landmarks."""
         if self.rest is None:
             return
-        old, work, own = self.rest.slot_ids, self._at_work(), self._numbers_at_work()
-        ids = np.concatenate((old, work[rows_of(old, work) < 0]))
-        known, size = 3 + 2 * len(old), 3 + 2 * len(ids)
-        mean, cross, block = self._expanded(np.arange(len(old)), own)
-        state = np.zeros((1 + size, size))
-        state[0, 3:known], state[4 : 1 + known, 3:known] = mean, block
+        work, own, ids = self._at_work(), self._numbers_at_work(), self._all_ids()
+        rows = rows_of(self.rest.slot_ids, ids)
+        rows = rows[rows >= 0]  # those that joined since the submap was taken are the last ones of `ids`
+        known, size = 3 + 2 * len(rows), 3 + 2 * len(ids)
+        state = np.empty((1 + size, size))
         numbers, cov = np.concatenate((np.arange(3), numbers_of(rows_of(ids, work)))), state[1:]
+        state[0, 3:known], cross = self._expanded(rows, own, cov, 3)
         cov[3:known, numbers], cov[numbers, 3:known] = cross, cross.T
         state[0, numbers], cov[np.ix_(numbers, numbers)] = self.mean[own], self.cov[np.ix_(own, own)]
-        gone = np.setdiff1d(old[self.rest.at_work], work)
         self.state, self.slot_ids, self.divided = state, ids, ()
-        if len(gone):
-            super().remove(gone)
 
     def _part(self, ids: Ints) -> tuple[Array, Ints]:
         if not self.divided or self._is_at_work(integers(ids)):
@@ -199,19 +196,19 @@ class SubmapEkf(RightInvariantEkf):
 
     def _joined(self, own: Ints, rows: Ints) -> Array:
         """The state (1+s,s) of some numbers (o,) of the own one, and of landmarks at rest, rows (m,) of the whole."""
-        mean, cross, block = self._expanded(rows, own)
-        first, size = len(own), len(own) + len(mean)
+        first, size = len(own), len(own) + 2 * len(rows)
         state = np.empty((1 + size, size))
-        state[0, :first], state[0, first:] = self.mean[own], mean
         cov = state[1:]
-        cov[:first, :first], cov[first:, first:] = self.cov[np.ix_(own, own)], block
+        state[0, first:], cross = self._expanded(rows, own, cov, first)
+        state[0, :first], cov[:first, :first] = self.mean[own], self.cov[np.ix_(own, own)]
         cov[first:, :first], cov[:first, first:] = cross, cross.T
         return state
 
-    def _expanded(self, rows: Ints, own: Ints) -> tuple[Array, Array, Array]:
+    def _expanded(self, rows: Ints, own: Ints, cov: Array, first: int) -> tuple[Array, Array]:
         """Landmarks at rest, rows (m,) of the whole map, as they are now.
 
-        Mean (2m,), covariance with the numbers `own` (o,) of the state (2m,o), and among themselves (2m,2m).
+        Mean (2m,), and covariance with the numbers `own` (o,) of the state (2m,o). That among themselves is written to
+        `cov`, from row and column `first` on; what lies before is spoilt.
         """
         assert self.rest is not None
         probes = numbers_of(np.flatnonzero(self.slot_ids <= FIRST_PROBE))
@@ -220,10 +217,10 @@ class SubmapEkf(RightInvariantEkf):
         cross = product(vectors, self.cov[np.ix_(probes, own)])
         among = self.cov[np.ix_(probes, probes)]
         among[np.arange(2, len(among), 2), np.arange(2, len(among), 2)] -= 1.0  # what they had at first
-        block = self.rest.block(rows)
-        add_product(block, product(vectors, among), np.ascontiguousarray(vectors.T), lower=True)
-        mirror_lower(block, len(block))
-        return mean, cross, block
+        pick_lower(self.rest.state[1:], numbers_of(rows), cov, first)
+        add_product(cov, product(vectors, among), np.ascontiguousarray(vectors.T), first, lower=True)
+        mirror_lower(cov, first + len(vectors))
+        return mean, cross
 
     def _is_at_work(self, ids: Ints) -> bool:
         return self.rest is None or bool((rows_of(self.slot_ids, ids) >= 0).all())

@@ -129,12 +129,14 @@ class PolygonLayer:
 
     def compare(self, canvas: Canvas, known: tuple[MapPolygon, ...]) -> None:
         """Take off what is no longer known; what is new waits to be painted."""
-        came, painted = without(known, self.known), without(self.known, self.waiting)
+        came, went = without(known, self.known), without(without(self.known, self.waiting), known)
         again = {ring_of(polygon) for polygon in came}
-        for ids in map(ring_of, without(painted, known)):
+        for ids in map(ring_of, went):
             if ids in self.painted and ids not in again:
                 self._stamp(canvas, self.painted.pop(ids), -1)
-        self.waiting = [polygon for polygon in without(known, painted) if ring_of(polygon) not in self.painted]
+        new = set(map(id, map(IDS, [*came, *self.waiting])))
+        new_ones = [polygon for polygon in known if id(polygon.ids) in new] if new else []
+        self.waiting = [polygon for polygon in new_ones if ring_of(polygon) not in self.painted]
         self.known = known
 
     def paint_waiting(self, canvas: Canvas, p_landmark: Array) -> None:
@@ -184,6 +186,8 @@ def ring_of(polygon: MapPolygon) -> tuple[int, ...]:
 def without(polygons: Sequence[MapPolygon], others: Sequence[MapPolygon]) -> list[MapPolygon]:
     """The polygons that are not among the others: a polygon that changed keeps its array of ids."""
     there = set(map(id, map(IDS, others)))
+    if not there or there.issuperset(map(id, map(IDS, polygons))):  # asked without a loop here, as it is the rule
+        return [] if there else list(polygons)
     return [polygon for polygon in polygons if id(polygon.ids) not in there]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.arrays import row_of
+from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import MOST_SIGHTINGS, RoomConfig
@@ -122,10 +122,9 @@ def beyond_doors(p_robot: Array, p_map: Array, doors: Array, margin: float, row:
 def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
     """(D,5) as `DoorMap.frames` of the doors with `jambs` (D,4), from the landmarks `p_map` (N,2) with `ids` (N,)."""
     frames = np.empty((jambs.shape[0], 5))
+    row = rows_by_id(ids, jambs)
     for d in range(jambs.shape[0]):
-        right = row_of(ids, jambs[d, 0])  # the jambs of a door are often neighbours
-        left = row_of(ids, jambs[d, 1], right)
-        right_too, left_too = row_of(ids, jambs[d, 2], right), row_of(ids, jambs[d, 3], right)
+        right, left, right_too, left_too = row[jambs[d, 0]], row[jambs[d, 1]], row[jambs[d, 2]], row[jambs[d, 3]]
         rx, ry = (p_map[right, 0] + p_map[right_too, 0]) / 2.0, (p_map[right, 1] + p_map[right_too, 1]) / 2.0
         lx, ly = (p_map[left, 0] + p_map[left_too, 0]) / 2.0, (p_map[left, 1] + p_map[left_too, 1]) / 2.0
         x, y = lx - rx, ly - ry
