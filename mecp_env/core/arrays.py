@@ -32,7 +32,7 @@ def row_of(ids: Ints, wanted: int, first: int = 0) -> int:
 
 @compiled
 def rows_by_id(ids: Ints, asked: Ints) -> Ints:
-    """The row in `ids` (N,), which differ, of every id from 0 to the largest of `asked` (any shape), -1 where missing."""
+    """The row in `ids` (N,), which differ, of each id from 0 to the largest of `asked`, -1 where missing."""
     largest = 0
     for i in range(asked.size):
         largest = max(largest, asked.flat[i])
