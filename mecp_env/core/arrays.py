@@ -33,9 +33,9 @@ def row_of(ids: Ints, wanted: int, first: int = 0) -> int:
 @compiled
 def rows_by_id(ids: Ints, asked: Ints) -> Ints:
     """The row in `ids` (N,), which differ, of each id from 0 to the largest of `asked`, -1 where missing."""
-    largest = 0
-    for i in range(asked.size):
-        largest = max(largest, asked.flat[i])
+    largest, wanted = 0, asked.reshape(-1)
+    for i in range(wanted.shape[0]):
+        largest = max(largest, wanted[i])
     rows = np.full(largest + 1, -1, np.int64)
     for i in range(ids.shape[0]):
         if 0 <= ids[i] <= largest:
