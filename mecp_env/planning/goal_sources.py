@@ -6,12 +6,14 @@ Goals are few, so they are plain lists; only the cells of the grid are searched 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.arrays import rows_by_id
 from mecp_env.planning import goal_search
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
@@ -45,8 +47,7 @@ class GoalContext:
     @classmethod
     def of(cls, output: SlamOutput) -> GoalContext:
         """The context of a step."""
-        places = landmark_places(output.belief)
-        return cls(output, places, [door_place(door, places) for door in output.graph.doors])
+        return cls(output, landmark_places(output.belief), door_places(output.graph.doors, output.belief))
 
 
 def landmark_places(belief: Belief) -> Places:
@@ -54,12 +55,15 @@ def landmark_places(belief: Belief) -> Places:
     return dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
 
 
-def door_place(door: Door, places: Places) -> DoorPlace:
-    """Where a door is: the middle of its jambs, its width and direction from those of its first face."""
-    jambs = door.jambs + (door.other_face or door.jambs)
-    (ax, ay), (bx, by), (cx, cy), (dx, dy) = (places.get(i, goal_search.NOWHERE) for i in jambs)
-    width = max(length_of(bx - ax, by - ay), 1e-9)
-    return DoorPlace((ax + bx + cx + dx) / 4.0, (ay + by + cy + dy) / 4.0, (by - ay) / width, -(bx - ax) / width, width)
+def door_places(doors: Sequence[Door], belief: Belief) -> list[DoorPlace]:
+    """Where doors are: the middle of the jambs of each, its width and direction from those of its first face."""
+    jambs = np.array([door.jambs + (door.other_face or door.jambs) for door in doors], np.int64).reshape(-1, 4)
+    p_map = np.concatenate((belief.p_map, [goal_search.NOWHERE]))
+    first, second, third, fourth = p_map[rows_by_id(belief.ids, jambs)[jambs]].transpose(1, 0, 2)
+    middle, across = (first + second + third + fourth) / 4.0, second - first
+    width = np.maximum(np.hypot(across[:, 0], across[:, 1]), 1e-9)
+    columns = (*middle.T, across[:, 1] / width, -across[:, 0] / width, width)
+    return list(map(DoorPlace._make, np.stack(columns, axis=1).tolist()))
 
 
 def length_of(dx: float, dy: float) -> float:

@@ -12,7 +12,7 @@ from mecp_env.core.array_types import Array
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, LOOK, OPEN, PLACE, Goals, Outcome
-from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_place, landmark_places, unexplained_gaps
+from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_places, unexplained_gaps
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid, SlamOutput
 
@@ -234,7 +234,7 @@ def plan_through(door: Door, output: SlamOutput, costs: CostToGoField, config: P
 
     A robot that stands in the door, or just before or behind it, goes straight on.
     """
-    place = door_place(door, landmark_places(output.belief))
+    (place,) = door_places([door], output.belief)
     middle, onward = np.array(place[:2]), np.array(place[2:4])
     beyond = middle + config.goals.door_beyond_m * onward
     robot = output.belief.T_map_robot[:2]

@@ -21,7 +21,7 @@ from mecp_env.planning.controller import (
     safe_command,
     seen_points,
 )
-from mecp_env.planning.goal_sources import door_place, landmark_places
+from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import GoalHistory, GoalKind, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
 from mecp_env.planning.paths import cost_to_go_field
@@ -82,7 +82,7 @@ def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_bet
     output = toy.output()
     door = output.graph.doors[0]
     towards_b = Door(door.id, door.jambs[::-1], None, (1, -1), door.sightings)
-    into_a = door if door_place(door, landmark_places(output.belief))[2] < 0.0 else towards_b
+    into_a = door if door_places([door], output.belief)[0].onward_x < 0.0 else towards_b
     into_b = towards_b if into_a is door else door
     costs = cost_to_go_field(output.grid, output.belief.T_map_robot, BODY)
     for way_of in (into_a, into_b):

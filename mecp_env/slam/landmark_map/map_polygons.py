@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import compress
+from operator import attrgetter
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from mecp_env.slam.messages import (
 )
 
 DEAD = int(FeatureState.DEAD)
+IDS = attrgetter("ids")
 
 
 @dataclass(slots=True, eq=False)
@@ -68,12 +70,14 @@ class MapPolygonStore:
         """
         if not self.outdated:
             return
-        before, renamed = len(self.polygons), len(self.row) < len(self.polygons)
-        kept = still_whole(self.polygons, features, resolve)
+        before, renamed = self.polygons, len(self.row) < len(self.polygons)
+        kept = still_whole(before, features, resolve)
         self.polygons = _seen_most(without_doubles(kept) if renamed else kept, self.most_per_room)
         self.outdated = False
-        if renamed or len(self.polygons) < before:
+        if renamed:
             self._index()
+        elif len(self.polygons) < len(before):
+            self._leave_out(before)
 
     def visible_landmarks(self, p_map: Array, belief: Belief) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
@@ -101,6 +105,18 @@ class MapPolygonStore:
         for cardinality in set(lengths.tolist()):
             index = np.flatnonzero(lengths == cardinality)
             self.groups[cardinality] = PolygonGroup(index, flat[first[index, None] + np.arange(cardinality)])
+
+    def _leave_out(self, before: list[MapPolygon]) -> None:
+        """The index of those left of the polygons `before`; each has kept its array of ids."""
+        kept = set(map(id, map(IDS, self.polygons)))
+        here = np.fromiter(map(kept.__contains__, map(id, map(IDS, before))), np.bool_, len(before))
+        self.row = dict(zip(compress(self.row, here.tolist()), range(len(self.polygons)), strict=True))
+        index = np.cumsum(here) - 1
+        for cardinality, group in list(self.groups.items()):
+            still = here[group.index]
+            self.groups[cardinality] = PolygonGroup(index[group.index[still]], group.ids[still])
+            if not still.any():
+                del self.groups[cardinality]
 
     def _index_ring(self, ring: Ints) -> None:
         """Take in the ids of the last polygon of the list."""
