@@ -38,6 +38,7 @@ COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
     "association_time",
+    "claims",
     "clutter",
     "explorers",
     "features",
@@ -75,6 +76,7 @@ NAMES = (
     "stock_ppo",
     "uncertainty",
     "figures",
+    "claims",
 )
 HERE_ONLY = (
     "association_time",
@@ -88,6 +90,7 @@ RECORD = "record"  # makes what others replay, and has no figures
 WITH_RECORDS = (
     "association",
     "association_time",
+    "claims",
     "clutter",
     "figures",
     "kidnap",

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -132,8 +133,13 @@ def run(options: Options) -> Figures:
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[str, dict[str, Figures]]:
-    """Counts of each variant and sigma on scans of the drive of one layout and seed."""
+def compare(
+    task: tuple[str, int, int],
+    records: Records = IN_MEMORY,
+    variants: Sequence[str] = tuple(VARIANTS),
+    sigmas: Sequence[tuple[float, float]] = SIGMAS,
+) -> dict[str, dict[str, Figures]]:
+    """Counts of some variants and sigmas on scans of the drive of one layout and seed."""
     layout, count, seed = task
     drive = records.drive(course(layout, seed))
     finished, rng = finish(drive), np.random.default_rng(seed)
@@ -144,8 +150,10 @@ def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[st
         name: {
             named(sigma): count_scans(finished, associator_of(variant, drive.slam), looks, sigma, errors[k])
             for k, sigma in enumerate(SIGMAS)
+            if sigma in sigmas
         }
         for name, variant in VARIANTS.items()
+        if name in variants
     }
 
 

@@ -1,0 +1,141 @@
+"""The experiments of `claims`, one unit of work each: a drive, single scans against a map, single scans alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import association, loop
+from benchmarks.common import Figures
+from benchmarks.corner_scores import Score, make_places, score_places
+from benchmarks.drives import Drive, replay
+from benchmarks.features import SEED, key_of, threshold
+from benchmarks.polygon_centres import in_the_map, in_the_scan
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import with_change
+from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.evaluation.map_scores import covers
+from mecp_env.slam.config import PolygonConfig, SlamConfig
+from mecp_env.slam.mecp import find_polygons
+from mecp_env.slam.messages import Polygon, SlamOutput
+from mecp_env.slam.pipeline import SlamPipeline
+
+Array = NDArray[np.float64]
+
+METHODS: dict[str, dict[str, Any]] = {  # of the section `association`; those of the benchmark `association`
+    name: association.METHODS[name]
+    for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest")
+}
+VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
+SIGMAS = ((1.0, 10.0), (2.0, 20.0))
+PRESETS = (("paper", 4), ("paper", 1))
+THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
+MATCHABLE = 4  # vertices
+POINTS, INSIDE = 4, 0.95  # per polygon, drawn this share of the way from the robot to its edge, at most
+UNCHECKED = PolygonConfig(check_walls=False)
+
+
+def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
+    """What one unit measured: its kind, the layout, and a seed or a number of poses."""
+    kind, layout, number = unit
+    tasks: dict[str, Callable[[str, int], Figures]] = {
+        "drive": partial(of_drive, records),
+        "loop": partial(of_loop, records),
+        "scans": of_scans,
+    }
+    return tasks[kind](layout, number)
+
+
+def of_drive(records: Records, layout: str, seed: int) -> Figures:
+    """Counts of each method in closed loop, and what the polygons of `mecp` are like."""
+    drive = records.drive(Course(layout, seed))
+    rows = {name: with_change(drive.slam, {"association": fields}) for name, fields in METHODS.items()}
+    counted = {name: association.counts(drive, replay(drive, slam)) for name, slam in rows.items()}
+    return {"methods": counted, "polygons": of_polygons(drive, np.random.default_rng(seed))}
+
+
+def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
+    """Sums over the scans of a drive; the share of the free area under polygons, and of rooms with one, at its end."""
+    pipeline, sums = (
+        SlamPipeline(drive.slam),
+        dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw"), 0),
+    )
+    shares = []
+    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        if output.polygons and len(output.polygons[0].corners) >= MATCHABLE:
+            sums["found"] += 1
+            sums["unique"] += len(output.polygons) == 1
+            shares.append(in_the_scan(output.corners, output.polygons[0].corners).variance_share)
+        raw = find_polygons(output.corners, output.beams, UNCHECKED)
+        for suffix, polygons in (("", output.polygons), ("_raw", raw)):
+            seen = lines_of_sight(drive, output, polygons, T_world_robot, rng)
+            sums["lines" + suffix] += len(seen)
+            sums["free" + suffix] += int(seen.sum())
+    known = [p for p in output.map_polygons if all(pipeline.filter.has(int(i)) for i in p.ids)]
+    in_map = [in_the_map(pipeline.filter, p.ids).variance_share for p in known]
+    cover, grid_cover = covers(drive.truth, output.grid, drive.T_world_robot[0])
+    rooms = {output.graph.resolve(p.room) for p in known}
+    return {
+        **sums,
+        "share_in_scan": float(np.mean(shares)),
+        "share_in_map": float(np.mean(in_map)),
+        "cover": cover,
+        "grid_cover": grid_cover,
+        "rooms": len(output.graph.rooms),
+        "rooms_with_polygon": len(rooms & set(output.graph.rooms)),
+    }
+
+
+def lines_of_sight(
+    drive: Drive, output: SlamOutput, polygons: tuple[Polygon, ...], T_world_robot: Array, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Whether true walls leave the line free from each of a few points in the first polygon to each of its vertices.
+
+    Only vertices that are true corners count, at their true places.
+    """
+    if not polygons:
+        return np.empty(0, np.bool_)
+    corners = output.corners
+    ring, outline = polar_to_points(corners.z[polygons[0].corners]), drive.truth.outline
+    true = drive.truth.identify(corners, T_world_robot)[polygons[0].corners]
+    vertices = outline.corners.p_world[true[true >= 0]]
+    points = to_map(T_world_robot, draw_inside(ring, rng))
+    seen = [drive.truth.laser.visible(vertices, np.array([*point, 0.0])) for point in points]
+    return np.concatenate([np.empty(0, np.bool_), *seen])
+
+
+def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
+    """Random points (n,2) of a polygon (k,2) around the origin, a little inside it, each triangle by its area."""
+    following = np.roll(ring, -1, axis=0)
+    areas = ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]
+    chosen = rng.choice(len(ring), POINTS, p=areas / areas.sum())
+    u, v = np.sort(rng.random((2, POINTS)), axis=0)
+    inside: Array = INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
+    return inside
+
+
+def of_loop(records: Records, layout: str, seed: int) -> Figures:
+    """Counts of a few variants of `loop` at its two largest errors of the pose."""
+    return loop.compare((layout, loop.SCANS, seed), records, VARIANTS, SIGMAS)
+
+
+def of_scans(layout: str, poses: int) -> Figures:
+    """Per preset and threshold the counts of every pose: right corners, corners, found and visible true ones."""
+    places = make_places(layout, poses, SEED, PRESETS)
+    return {
+        key_of(preset): {
+            name: [counts(score) for score in score_places(places, preset, SlamConfig(clustering=threshold(name)))]
+            for name in THRESHOLDS
+        }
+        for preset in PRESETS
+    }
+
+
+def counts(score: Score) -> list[int]:
+    """Right corners, corners, detectable true ones found, detectable true ones."""
+    return [int(score.table[:, 5].sum()), len(score.table), score.found[0], score.visible[0]]
