@@ -33,7 +33,7 @@ from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = ("association", "clutter", "filters", "map_size")  # compare registered parts too
+OPEN = ("association", "clutter", "filters", "map_size", "structures")  # compare registered parts too
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
@@ -50,6 +50,7 @@ IN_UNITS = (
     "real",
     "soak",
     "scale",
+    "structures",
     "uncertainty",
     "worlds",
 )  # of work, kept and divided
@@ -77,6 +78,7 @@ NAMES = (
     "uncertainty",
     "figures",
     "claims",
+    "structures",
 )
 HERE_ONLY = (
     "association_time",
@@ -98,6 +100,7 @@ WITH_RECORDS = (
     "map_size",
     "noise",
     "real",
+    "structures",
     RECORD,
 )  # --records
 

@@ -141,7 +141,13 @@ def compare(
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants and sigmas on scans of the drive of one layout and seed."""
     layout, count, seed = task
-    drive = records.drive(course(layout, seed))
+    return on_drive(records.drive(course(layout, seed)), count, seed, variants, sigmas)
+
+
+def on_drive(
+    drive: Drive, count: int, seed: int, variants: Sequence[str], sigmas: Sequence[tuple[float, float]]
+) -> dict[str, dict[str, Figures]]:
+    """Counts of some variants and sigmas on `count` scans of a drive, drawn by the seed."""
     finished, rng = finish(drive), np.random.default_rng(seed)
     steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
     looks = [look(drive, finished, int(step)) for step in steps]

@@ -14,11 +14,23 @@ from benchmarks.common import Options, ShardDone
 from mecp_env.core.work_units import Shard
 
 MEASURED = {"association_time", "map_size", "scale", "soak"}  # their figures are times and memory
-TIMES = {"associate_ms", "ms", "us", "time_us", "steps_per_s"}
+TIMES = {"associate_ms", "ms", "us", "time_us", "timed", "steps_per_s"}
 Patches = dict[str, Any]  # "module.name" -> value
 
 TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for two units or a few
     "association": ({"sets": ("two_rooms:2",)}, {}),
+    "claims": (
+        {"quick": True},
+        {
+            "claims.DRIVES": {"two_rooms": 2},
+            "claims.LOOPS": {"two_rooms": 2},
+            "claims.POSES": 12,
+            "claims.shipped_layouts": lambda: ("two_rooms",),
+            "claims.SITES": (5, 8),
+            "loop.SCANS": 2,
+            "loop.FIRST_SCAN": 2,
+        },
+    ),
     "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 2}, "clutter.CELLS": ((1.0, 0), (0.8, 30))}),
     "explorers": ({}, {"explorers.SEEDS": {"two_rooms": 2}, "explorers.MAX_STEPS": 30}),
     "features": ({"quick": True}, {"features.shipped_layouts": lambda: ("two_rooms", "twins")}),
@@ -30,6 +42,15 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
     "loop": ({"quick": True}, {"loop.SEEDS": {"two_rooms": 2}, "loop.FIRST_SCAN": 2}),
     "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 2, "view_180_deg": 2}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
+    "structures": (
+        {"sets": ("two_rooms:2",)},
+        {
+            "structures.SEEDS": {"two_rooms": 2},
+            "structures.ROUGH": {"two_rooms": 2},
+            "loop.SCANS": 2,
+            "loop.FIRST_SCAN": 2,
+        },
+    ),
     "uncertainty": ({"sets": ("base:2",), "policies": ("nearest",)}, {"uncertainty.TASKS": 20}),
     "worlds": ({"sets": ("easy:2",)}, {"worlds.MAX_STEPS": 30}),
 }

@@ -1,0 +1,239 @@
+"""Spatial structures (the paper's future work, VI) on the same drives: the MECP against the largest polygon.
+
+`mecp` is the empty convex polygon around the robot with most vertices, `largest_area` the one that covers most floor;
+structures registered by the modules of `--with` have rows too. All else is the default estimator.
+
+Closed loop, breadth-first drives: columns as in `association`. `by_polygon` is the share of corners that a recognised
+polygon paired, `recognised` the share of scans with such a polygon, `unique` that of scans with a single polygon,
+`vertices` and `area_m2` are means of the first one, and `us` is the time of one call, the median of a drive.
+`false_per_100` are false loop closures per 100 episodes. Rough pose, as in `loop`: one scan against the finished map
+that the structure made, the share of scans with at least three right pairs and none wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks import association, loop
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    load_modules,
+    ratio,
+    table,
+)
+from benchmarks.drives import Drive, replay
+from benchmarks.loop import HARD, named
+from benchmarks.polygon_speed import median_us
+from benchmarks.records import IN_MEMORY, Records
+from benchmarks.variants import DEFAULT, with_change
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam import config
+from mecp_env.slam.association import make_associator
+from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
+from mecp_env.slam.protocols import Associator, Filter
+
+SEEDS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
+SETS, MOST = tuple(SEEDS), 500
+ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
+SIGMAS = ((1.0, 10.0), (2.0, 20.0))
+VARIANTS = (DEFAULT, "mecp without descriptor")
+TIMED_SCANS = 25  # of a drive
+PLAIN = "mecp"
+
+GATES = (
+    Gate("closed/paper/largest_area/recall", "share", 0.01),
+    Gate("closed/twins/mecp/false_per_100", "bound", 5.0),
+)
+
+
+@dataclass(slots=True, eq=False)
+class CountingAssociator(Associator):
+    """An associator, and what part of its decisions polygons made."""
+
+    counted: Associator
+    corners: int = 0
+    by_polygon: int = 0
+    scans: int = 0
+    recognised: int = 0
+    polygons: list[int] = field(default_factory=list)  # of each scan
+    vertices: list[int] = field(default_factory=list)  # of the first polygon of each scan
+    area_m2: list[float] = field(default_factory=list)
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """The match of the associator."""
+        match = self.counted.associate(corners, polygons, view, belief)
+        self.corners += len(corners)
+        self.by_polygon += int((match.reason == Reason.POLYGON).sum())
+        self.scans += 1
+        self.recognised += match.polygon >= 0
+        self.polygons.append(len(polygons))
+        if polygons:
+            ring = polar_to_points(corners.z[polygons[0].corners])
+            following = np.roll(ring, -1, axis=0)
+            self.vertices.append(len(ring))
+            self.area_m2.append(0.5 * float((ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]).sum()))
+        return match
+
+    def remember(self, match: Match) -> None:
+        """As the associator does."""
+        self.counted.remember(match)
+
+    @property
+    def counts(self) -> Figures:
+        """Sums over the drive."""
+        return {
+            "paired": self.by_polygon,
+            "seen": self.corners,
+            "recognised": self.recognised,
+            "scans": self.scans,
+            "found": len(self.vertices),
+            "unique": self.polygons.count(1),
+            "vertices": float(np.mean(self.vertices)) if self.vertices else 0.0,
+            "area_m2": float(np.mean(self.area_m2)) if self.area_m2 else 0.0,
+        }
+
+
+def run(options: Options) -> Figures:
+    """Both parts, for each layout and structure."""
+    seeds = chosen(options.sets, SEEDS, MOST) or SEEDS
+    load_modules(options.modules)
+    most = 2 if options.quick else MOST
+    units = [("closed", layout, seed) for layout, n in seeds.items() for seed in range(min(n, most))]
+    units += [
+        ("rough", layout, seed) for layout in seeds for seed in range(min(ROUGH.get(layout, 0), seeds[layout], most))
+    ]
+    task = partial(measure, options.modules, records=Records(options.records))
+    found = grouped(units, in_parallel(task, dict[str, Any], units, options))
+    parts: Figures = {"closed": {}, "rough": {}}
+    for (kind, layout), runs in found.items():
+        summary = of_closed if kind == "closed" else of_rough
+        parts[kind][layout] = {name: summary(runs, name) for name in runs[0]}
+    return parts
+
+
+def names() -> tuple[str, ...]:
+    """The structures that are compared."""
+    return (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others)
+
+
+def measure(modules: Sequence[str], unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
+    """The counts of each structure on one drive."""
+    load_modules(modules)
+    kind, layout, seed = unit
+    if kind == "rough":
+        drive = records.drive(loop.course(layout, seed))
+        return {
+            name: loop.on_drive(with_structure(drive, name), loop.SCANS, seed, VARIANTS, SIGMAS) for name in names()
+        }
+    drive = records.drive(association.course(layout, seed))
+    return {name: closed_loop(with_structure(drive, name)) for name in names()}
+
+
+def with_structure(drive: Drive, name: str) -> Drive:
+    """The same data for an estimator with another structure."""
+    return replace(drive, slam=with_change(drive.slam, {"polygon": {"structure": name}}))
+
+
+def closed_loop(drive: Drive) -> Figures:
+    """Counts of one drive."""
+    made: list[CountingAssociator] = []
+
+    def make(section: AssociationConfig) -> Associator:
+        made.append(CountingAssociator(make_associator(section)))
+        return made[0]
+
+    counted = association.counts(drive, replay(drive, drive.slam, make))
+    return {**counted, **made[0].counts, "us": time_us(drive, drive.slam)}
+
+
+def time_us(drive: Drive, slam: SlamConfig) -> float:
+    """Microseconds of one call, the median over scans of a drive."""
+    scans = drive.scans[:: max(len(drive.scans) // TIMED_SCANS, 1)]
+    fronts = [loop.front_end(scan, slam) for scan in scans]
+    return median_us(lambda seen: find_structure(seen[0], seen[1], slam.polygon, seen[2]), fronts, repeats=5)
+
+
+def of_closed(runs: list[dict[str, Figures]], name: str) -> Figures:
+    """Figures of one structure over all drives of a layout, with 95 % intervals and differences to `mecp`."""
+    rows = [run[name] for run in runs]
+    columns = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    wanted = (
+        "precision",
+        "recall",
+        "duplicates_per_corner",
+        "closure_recall",
+        "events",
+        "rmse_m",
+        "map_rmse_m",
+        "lost",
+    )
+    summary = association.summarise(rows)
+    return {
+        "drives": len(rows),
+        **{key: summary[key] for key in wanted},
+        "false_per_100": ratio(100.0 * columns["false_closures"], np.ones(len(rows))),
+        "by_polygon": ratio(columns["paired"], columns["seen"]),
+        "recognised": ratio(columns["recognised"], columns["scans"]),
+        "unique": ratio(columns["unique"], columns["found"]),
+        "vertices": estimate(columns["vertices"]),
+        "area_m2": estimate(columns["area_m2"]),
+        "us": estimate(columns["us"]),
+        **association.differences([(run[name], run[PLAIN]) for run in runs]),
+        "by_polygon_minus_mecp": estimate([share_of(run[name]) - share_of(run[PLAIN]) for run in runs]),
+    }
+
+
+def share_of(row: Figures) -> float:
+    """Share of corners that polygons paired in one drive."""
+    return float(row["paired"]) / max(float(row["seen"]), 1.0)
+
+
+def of_rough(runs: list[dict[str, Any]], name: str) -> Figures:
+    """Right and wrong of one structure, and the difference to `mecp` on the same scans."""
+    return {
+        f"{variant}, {named(sigma)}": loop.figures_of([run[name][variant][named(sigma)] for run in runs])
+        | {
+            "right_minus_mecp": estimate(
+                [right(run[name], variant, sigma) - right(run[PLAIN], variant, sigma) for run in runs]
+            )
+        }
+        for variant in VARIANTS
+        for sigma in SIGMAS
+    }
+
+
+def right(run: Any, variant: str, sigma: tuple[float, float]) -> float:
+    """Share of right scans of one drive."""
+    cell = run[variant][named(sigma)]
+    return float(cell["right"]) / float(cell["scans"])
+
+
+def report(figures: Figures) -> str:
+    """Per layout the tables of both parts."""
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for layout, rows in figures["closed"].items():
+        shown = [key for key in next(iter(rows.values())) if key != "drives"]
+        counted = next(iter(rows.values()))["drives"]
+        body = [[key, *(row[key] for row in rows.values())] for key in shown]
+        parts.append(f"## {layout}, closed loop ({counted} drives)\n\n{table(['', *rows], body)}")
+        rough = figures["rough"].get(layout)
+        if rough:
+            columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
+            cells = [
+                [f"{name}: {c}", *(cell[k] for k in columns)] for name, of in rough.items() for c, cell in of.items()
+            ]
+            parts.append(f"## {layout}, rough pose\n\n{table(['structure: associator, sigma', *columns], cells)}")
+    return "\n\n".join(parts)

@@ -1,0 +1,67 @@
+"""The benchmark `claims`: what holds is what the interval says, and the pieces of its experiments."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import claims, common
+from benchmarks.claim_units import draw_inside, lines_of_sight
+from benchmarks.records import Course
+from mecp_env.slam.pipeline import SlamPipeline
+
+
+def interval(low: float, high: float) -> dict[str, float]:
+    return {"value": 0.5 * (low + high), "low": low, "high": high, "n": 3}
+
+
+@pytest.mark.parametrize(
+    ("above", "low", "high", "said"),
+    [
+        (False, 0.1, 0.4, "yes"),
+        (False, 0.6, 0.7, "no"),
+        (False, 0.4, 0.6, "open"),
+        (True, 0.6, 0.7, "yes"),
+        (True, 0.1, 0.4, "no"),
+        (True, 0.4, 0.6, "open"),
+    ],
+)
+def test_a_claim_holds_where_its_whole_interval_says_so(above: bool, low: float, high: float, said: str) -> None:
+    claim = claims.Claim("I", "sentence", "experiment", "part/figure", above, 0.5)
+    assert claim.holds({"part": {"figure": interval(low, high)}}) == said
+
+
+def test_every_claim_names_figures_of_the_committed_results() -> None:
+    figures = json.loads((common.RESULTS / "claims.json").read_text())["figures"]
+    flat = common.flatten(figures)
+    assert {name for claim in claims.CLAIMS for name in (claim.figure, *claim.beside)} <= flat.keys()
+    page = claims.report(figures)
+    for claim in claims.CLAIMS:
+        assert f'"{claim.sentence}" ({claim.section})' in page
+        assert claim.holds(figures) in ("yes", "no", "open")
+
+
+def test_points_are_inside_the_polygon_and_everywhere_in_it() -> None:
+    ring, rng = np.array([(-1.0, -1.0), (3.0, -1.0), (3.0, 1.0), (-1.0, 1.0)]), np.random.default_rng(0)
+    points = np.concatenate([draw_inside(ring, rng) for _ in range(2000)])
+    assert (points >= -0.951).all()
+    assert (points[:, 0] <= 2.851).all()
+    np.testing.assert_allclose(points.mean(axis=0), (0.95, 0.0), atol=0.05)  # the middle, drawn in by 5 %
+
+
+def test_lines_to_the_vertices_are_free_in_a_bare_room() -> None:
+    drive, rng = Course("two_rooms", 0).drive(), np.random.default_rng(0)
+    pipeline = SlamPipeline(drive.slam)
+    for odometry, scan, T_world_robot in zip(drive.odometry[:8], drive.scans, drive.T_world_robot, strict=False):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        seen = lines_of_sight(drive, output, output.polygons, T_world_robot, rng)
+        assert len(seen) >= 4 * 4
+        assert seen.mean() > 0.9
+        assert not len(lines_of_sight(drive, output, (), T_world_robot, rng))
+
+
+def test_a_pose_without_a_visible_corner_has_no_recall() -> None:
+    assert claims.recalls([[1, 1, 1, 2], [0, 0, 0, 0]])[0] == 0.5
+    assert np.isnan(claims.recalls([[1, 1, 1, 2], [0, 0, 0, 0]])[1])
