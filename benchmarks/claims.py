@@ -137,7 +137,7 @@ CLAIMS = (
     ),
     Claim(
         "III-B",
-        "there is no region of the room that is not occupied by atleast one polygon",
+        "there is no region of the room that is not occupied",
         "share of the free area under polygons after the exploration",
         *("polygons/cover", True, 0.99),
         ("polygons/rooms_with_polygon", "polygons/grid_cover"),
