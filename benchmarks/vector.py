@@ -2,7 +2,7 @@
 
 All kinds run in the same process in turns of a few seconds, with another kind first in every round; a ratio is taken
 within a round, so that other load affects both. CPU time is that of all processes of a kind together. `batch` has its
-default number of workers: one per core, four per core with goals. With `send, recv` the eight environments that are
+default number of workers: one per core, two per core with goals. With `send, recv` the eight environments that are
 finished first get their next actions while the others are under way. `small` is `velocity` with an observation without
 the grid, 5 of 79 kB, and shows the cost of transport.
 """
@@ -153,7 +153,7 @@ MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
     ASYNC: AsyncVectorEnv,
     BATCH: BatchEnv,
     SEND_RECV: SendRecv,
-    "batch, 2 a core": lambda makers: BatchEnv(makers, workers=2 * cores()),
+    "batch, 4 a core": lambda makers: BatchEnv(makers, workers=4 * cores()),
     SUBPROC: make_subproc,
 }
 

@@ -28,7 +28,9 @@ from types import FrameType
 from typing import Any
 
 import numba
+from llvmlite import binding
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
+from numba.core.codegen import JITCodeLibrary
 
 from mecp_env.core.jit_key import fingerprint
 from mecp_env.core.warm_up_list import called_from_python
@@ -156,8 +158,25 @@ class _EntryFile(IndexDataCacheFile):  # type: ignore[misc]
         return str(Path(self._cache_path) / f"{self._source_stamp}-{words}.nbc")
 
 
+class _LoadedLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Machine code from the cache; its intermediate code is parsed when a caller is compiled that links it in."""
+
+    bitcode: bytes
+
+    def _get_module_for_linking(self) -> Any:
+        return binding.parse_bitcode(self.bitcode)
+
+
 class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """The loaded function, without what numba would keep of it for callers and for inspection."""
+        found = super().rebuild(target_context, payload)
+        _, _, (_, found.library.bitcode) = payload[0]
+        found.library._shared_module = None
+        found.library.__class__ = _LoadedLibrary
+        return found._replace(type_annotation="")
 
 
 class _Entries(FunctionCache):  # type: ignore[misc]

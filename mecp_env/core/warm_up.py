@@ -60,6 +60,19 @@ def _prepare_once() -> None:
         compile_all(missing, count, show)
 
 
+@functools.cache
+def load() -> None:
+    """Load the functions of the list, once per process: processes that are forked later share their memory.
+
+    A few that the cache lacks are compiled; many are left to their first call.
+    """
+    missing = missing_entries()
+    left = missing if len(missing) >= FEW else []
+    for entry in warm_up_list.entries():
+        if entry not in left:
+            compile_entry(entry)
+
+
 def processes_allowed() -> int:
     """How many processes the first use may start: one per core, or fewer by the environment variable."""
     if numba.config.DISABLE_JIT:

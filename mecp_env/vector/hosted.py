@@ -16,6 +16,7 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from mecp_env.core import warm_up
 from mecp_env.core.cores import cores
 from mecp_env.core.processes import WorkerDied, WorkerPool, start_method
 from mecp_env.vector.checks import check_workers
@@ -23,7 +24,8 @@ from mecp_env.vector.flights import Flights
 from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
 from mecp_env.vector.worker import Makers, WorkerEnvironments
 
-STEPS, DRIVES = 1, 4  # workers a core: steps take equally long; drives do not, and the system evens them out
+STEPS, DRIVES = 1, 2  # workers a core: steps take equally long; drives do not, and the system evens them out
+PRELOAD = "mecp_env.vector.preload"
 RESERVED = ("reset", "step", "close")  # not for `call`
 
 
@@ -42,6 +44,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         self._buffers = lay_out(fields, memory)
         self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
         self._pending: str | None = None
+        share_functions(method)
         self._pool = WorkerPool(self._targets(makers, fields, memory), method)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
@@ -99,8 +102,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
     def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
         """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
 
-        The environment runs for a step, so that every compiled function is loaded: forked workers then have them,
-        others find them in the cache.
+        The environment runs for a step, so that the cache has what every step calls.
         """
         self.metadata = {**env.metadata, "autoreset_mode": self._mode}
         self.render_mode = env.render_mode
@@ -160,6 +162,14 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
                 raise
         self._pending = None
         return answers
+
+
+def share_functions(method: str) -> None:
+    """Have compiled functions loaded where workers are forked: each would otherwise have a copy of its own."""
+    if method == "fork":
+        warm_up.load()
+    elif method == "forkserver":
+        multiprocessing.set_forkserver_preload(["__main__", PRELOAD])
 
 
 def slices(count: int, workers: int | None, each_core: int = 1) -> list[range]:

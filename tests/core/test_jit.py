@@ -106,6 +106,15 @@ def test_what_was_compiled_as_a_part_of_its_caller_is_compiled_again_for_python(
     assert len(tree.entries("nbc")) == 2
 
 
+def test_what_was_loaded_is_linked_into_a_caller_that_is_compiled(tree: Tree) -> None:
+    tree.call("from mecp_env.called import called; print(called(1.0), called(1.0))")
+    code = "from mecp_env.caller import caller, called; print(called(1.0), caller(1.0) - 2.0)"
+    value, said = tree.call(code)
+    assert value == 2.0
+    assert COMPILING in said
+    assert tree.call(code) == (2.0, "")
+
+
 def test_numbers_that_are_written_in_calls_make_no_variants(tree: Tree) -> None:
     (tree.package / "caller.py").write_text(CALLER.replace("2.0 * called(x)", "x + called(1) + called(2)"))
     code = "from mecp_env.caller import caller, called; caller(1.0); print(len(called.signatures), 1)"

@@ -147,3 +147,25 @@ def test_first_use_can_be_switched_off(tmp_path: Path) -> None:
 def test_a_helper_that_dies_is_survived(tmp_path: Path) -> None:
     (wanted, left), _ = first_use(tmp_path, change="sys.executable = '/bin/false'")
     assert left == wanted
+
+
+LOAD = """
+from mecp_env.core import jit, warm_up, warm_up_list
+warm_up_list.entries = lambda: [["mecp_env.core.se2", "wrap_angle", ["float64"]]]
+warm_up.FEW = {few}
+warm_up.load()
+print(jit.variants())
+"""
+
+
+def loaded(folder: Path, few: int) -> int:
+    """Functions of a list of one that a new process has loaded, where `few` missing ones are left uncompiled."""
+    variables = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(Path(warm_up.__file__).parents[2])}
+    command = [sys.executable, "-c", LOAD.format(few=few)]
+    return int(subprocess.run(command, env=variables, capture_output=True, text=True, check=True).stdout)
+
+
+def test_what_the_cache_has_is_loaded_and_a_few_missing_functions_are_compiled(tmp_path: Path) -> None:
+    assert loaded(tmp_path, few=1) == 0
+    assert loaded(tmp_path, few=2) == 1  # compiled
+    assert loaded(tmp_path, few=1) == 1  # from the cache

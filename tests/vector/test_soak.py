@@ -11,7 +11,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import pytest
 
+from mecp_env.core.jit import variants
+from mecp_env.core.warm_up_list import entries
 from mecp_env.vector import BatchEnv
 from tests.vector.helpers import make_small, needs_linux
 
@@ -66,6 +69,24 @@ def test_steps_and_episodes_cost_no_memory_and_no_files() -> None:
     venv.close()
     assert grown - memory < GROWTH_MB
     assert left == files
+
+
+def loaded(env: gymnasium.Env[Any, Any]) -> int:
+    """Compiled functions in the process of the environment."""
+    return variants()
+
+
+@pytest.mark.parametrize("context", ["fork", pytest.param("forkserver", marks=pytest.mark.slow)])
+def test_workers_have_all_functions_from_the_start(context: str) -> None:
+    """Each worker would otherwise load its own copy, late ones after many episodes."""
+    venv = make_small(2, context=context)
+    before = venv.each(loaded, [(), ()])
+    venv.reset(seed=0)
+    drive(venv, 100)
+    after = venv.each(loaded, [(), ()])
+    venv.close()
+    assert min(before) >= len(entries())
+    assert after == before
 
 
 def test_batches_leave_no_files_and_no_processes_behind() -> None:
