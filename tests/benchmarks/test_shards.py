@@ -31,7 +31,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
             "loop.FIRST_SCAN": 2,
         },
     ),
-    "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 2}, "clutter.CELLS": ((1.0, 0), (0.8, 30))}),
+    "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 2}, "clutter.CELLS": ((0.8, 30),)}),
     "explorers": ({}, {"explorers.SEEDS": {"two_rooms": 2}, "explorers.MAX_STEPS": 30}),
     "features": ({"quick": True}, {"features.shipped_layouts": lambda: ("two_rooms", "twins")}),
     "filters": ({"quick": True}, {"filters.READINGS": "per_step_1_m", "filters.LANDMARKS": (25,)}),
@@ -40,7 +40,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         {"kidnap.SEEDS": {"two_rooms": 2}, "kidnap.AFTER": 3, "kidnap.BEFORE": 3, "kidnap.SHOWN": (0, 2)},
     ),
     "loop": ({"quick": True}, {"loop.SEEDS": {"two_rooms": 2}, "loop.FIRST_SCAN": 2}),
-    "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 2, "view_180_deg": 2}}),
+    "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 1, "view_180_deg": 1}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
     "structures": (
         {"sets": ("two_rooms:2",)},
