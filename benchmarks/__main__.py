@@ -33,13 +33,22 @@ from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = ("association", "clutter", "filters", "map_size", "structures")  # compare registered parts too
+OPEN = (  # compare registered parts too
+    "association",
+    "clutter",
+    "consistency",
+    "filters",
+    "map_size",
+    "structures",
+    "victoria_park",
+)
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
     "association",
     "association_time",
     "claims",
     "clutter",
+    "consistency",
     "explorers",
     "features",
     "filters",
@@ -76,6 +85,8 @@ NAMES = (
     "replay",
     "stock_ppo",
     "uncertainty",
+    "consistency",
+    "victoria_park",
     "figures",
     "claims",
     "structures",
@@ -94,6 +105,7 @@ WITH_RECORDS = (
     "association_time",
     "claims",
     "clutter",
+    "consistency",
     "figures",
     "kidnap",
     "loop",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import association, association_time, clutter, kidnap, loop, noise
+from benchmarks import association, association_time, clutter, consistency, kidnap, loop, noise
 from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, table
 from benchmarks.record_file import load_header
 from benchmarks.records import Course, Records
@@ -21,6 +21,7 @@ COURSES: dict[str, Callable[[int], list[Course]]] = {  # of the benchmarks, with
     "association": lambda most: courses_of(association.course, association.SEEDS, most),
     "association_time": lambda most: courses_of(loop.course, association_time.SEEDS, most),
     "clutter": lambda most: courses_of(clutter.course, clutter.DRIVES, most),
+    "consistency": lambda most: courses_of(consistency.course, consistency.DRIVES, most),
     "kidnap": lambda most: [
         kidnap.course(layout, seed, start)
         for layout, count in kidnap.SEEDS.items()

@@ -50,8 +50,8 @@ def test_an_editable_install_exposes_the_package_only() -> None:
 
 def test_every_extra_is_imported_somewhere() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    # docs/ imports `docs`, benchmarks import `peers`, Gymnasium's RecordVideo imports `video`
-    assert set(extras) == {"rl", "logs", "datasets", "video", "viewer", "docs", "dev", "peers", "cluster"}
+    # docs/ imports `docs`, benchmarks import `peers` and `lab`, Gymnasium's RecordVideo imports `video`
+    assert set(extras) == {"rl", "logs", "datasets", "video", "viewer", "docs", "dev", "peers", "cluster", "lab"}
     text = "".join(path.read_text() for path in (ROOT / "mecp_env").rglob("*.py"))
     modules = {"torch": "torch", "stable-baselines3": "stable_baselines3", "sb3-contrib": "sb3_contrib"}
     modules |= {"safetensors": "safetensors", "tensorboard": "TensorBoardOutputFormat", "rosbags": "rosbags.highlevel"}

@@ -32,6 +32,10 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         },
     ),
     "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 2}, "clutter.CELLS": ((0.8, 30),)}),
+    "consistency": (
+        {},
+        {"consistency.LAYOUT": "two_rooms", "consistency.DRIVES": {"per_metre": 1, "skid_steer": 1}},
+    ),
     "explorers": ({}, {"explorers.SEEDS": {"two_rooms": 2}, "explorers.MAX_STEPS": 30}),
     "features": ({"quick": True}, {"features.shipped_layouts": lambda: ("two_rooms", "twins")}),
     "filters": ({"quick": True}, {"filters.READINGS": "per_step_1_m", "filters.LANDMARKS": (25,)}),
@@ -63,6 +67,8 @@ def test_every_experiment_in_units_is_compared_here() -> None:
 @pytest.fixture
 def experiment(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Any, Any]:
     options, patches = TINY[request.param]
+    if request.param == "consistency":
+        pytest.importorskip("gtsam", reason="extra `lab`")
     module = importlib.import_module(f"benchmarks.{request.param}")
     for name, value in patches.items():
         where, _, attribute = name.partition(".")

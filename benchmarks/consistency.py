@@ -1,0 +1,270 @@
+"""Consistency of the filters on recorded drives with known correspondences: NEES over time, and the batch optimum.
+
+Corners of each scan are those that the front end finds, with their joint covariance, and their true identities; one
+that is off by more than 99.9 % of its covariance is left out. All filters, and `batch`, get the same motions and
+measurements: prediction, update, new landmarks, and nothing else. Updates are iterated where the estimator does. The
+drives were recorded with the true pose as the driver, one set for each model of the odometry: the paper's sigmas
+`per_metre`, `per_step` and `linear`, and `skid_steer`, with wheels that slip in 1 % of the steps, of which the
+covariance knows nothing. There an update asks first, as in the estimator, whether odometry has failed; `batch` knows
+the steps. Submaps have at most 10 landmarks, so that the map is divided.
+
+`nees` is that of the pose (3 expected), the mean over a drive; `landmark_nees` that of the landmarks at the end (2
+expected). `landmark_rms_m` is the distance of the landmarks from the true corners at the end; `over_batch` is the sum
+of these over all drives divided by that of `batch`, and `sigma_over_batch` the mean over drives of the median ratio of
+a landmark's sigma to that of `batch`. `rmse_m` is that of the pose. The other columns are mean differences to `riekf`
+on the same drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from benchmarks import loop
+from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
+from benchmarks.common import (
+    Figures,
+    Gate,
+    Options,
+    chosen,
+    estimate,
+    grouped,
+    in_parallel,
+    load_modules,
+    ratio,
+    table,
+)
+from benchmarks.drives import Drive
+from benchmarks.map_consistency import mean_nees
+from benchmarks.plots import DASHES, GREYS
+from benchmarks.records import IN_MEMORY, Course, Records
+from mecp_env.core.array_types import Array
+from mecp_env.core.messages import Odometry
+from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle
+from mecp_env.core.trajectories import wrapped
+from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
+from mecp_env.slam.filters import Filter, make_filter
+from mecp_env.slam.localisation.pose_guard import PoseGuard
+from mecp_env.slam.messages import Belief
+
+LAYOUT = "paper"
+MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
+    "per_metre": {},
+    "per_step": {"reading": "per_step"},
+    "linear": {"reading": "linear"},
+    "skid_steer": {"preset": "skid_steer"},
+}
+SLIPS = ("skid_steer",)
+DRIVES = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
+SETS, MOST, QUICK_DRIVES = tuple(MODELS), 1000, 2
+BATCH, BASE = "batch", "riekf"
+SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
+OUTLIER_2, OUTLIER_3 = float(chi2.ppf(0.999, 2)), float(chi2.ppf(1.0 - 1e-6, 3))
+SLIP_SIGMAS = np.array([0.5, 0.1, 0.2])  # m, m, rad: what the batch optimum allows for in a step with slip
+
+GATES = (
+    Gate("per_metre/riekf/nees", "bound", 4.5),
+    Gate("per_metre/riekf/over_batch", "bound", 1.1),
+    Gate("per_metre/riekf_submaps/over_batch", "bound", 1.1),
+    Gate("per_metre/fej/over_batch", "bound", 1.1),
+)
+
+
+def run(options: Options) -> Figures:
+    """Results of every model and filter. Raises `OptionError` without GTSAM."""
+    load_modules(options.modules)
+    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
+    drives = [
+        (model, seed)
+        for model, count in counts.items()
+        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
+    ]
+    task = partial(compare, options.modules, records=Records(options.records))
+    runs = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
+    return {model: {name: summarise(of_model, name) for name in of_model[0]} for model, of_model in runs.items()}
+
+
+def course(model: str, seed: int) -> Course:
+    """What is driven with an odometry."""
+    fields = {"odometry": MODELS[model]} if MODELS[model] else {}
+    return Course(LAYOUT, seed, {"estimator": "truth", "max_steps": loop.MAX_STEPS, **fields})
+
+
+def compare(modules: Sequence[str], task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
+    """Counts of each filter, and of the batch optimum, on one drive."""
+    load_modules(modules)
+    model, seed = task
+    drive = records.drive(course(model, seed))
+    record, path, corners = measured(drive, model in SLIPS)
+    counts, best = dict[str, Figures](), None
+    for kind in (BASE, *(name for name in (*KINDS.ours, *KINDS.others) if name != BASE)):
+        found = make_filter(drive.slam.filter.model_copy(update={"kind": kind, "submap": SUBMAP}))
+        correct = Correction(drive.slam, model in SLIPS)
+        beliefs = list(filtered(record, found, correct))
+        if best is None:
+            poses = np.array([belief.T_map_robot for belief in beliefs])
+            best = optimum(record, poses, beliefs[-1].ids, beliefs[-1].p_map)
+            counts[BATCH] = of_batch(best, path, corners[best.ids])
+        counts[kind] = of_filter(beliefs, in_order(found), path, corners[best.ids])
+        counts[kind]["sigma_over_batch"] = sigma_ratio(in_order(found)[1], best)
+    return counts
+
+
+class Correction:
+    """An update as the estimator does it: iterated where the prediction is wide, and, with slip, odometry doubted."""
+
+    def __init__(self, slam: SlamConfig, slips: bool) -> None:
+        self.sharp = slam.association.is_sharp
+        local = slam.localisation if slips else LocalisationConfig(explained_share=0.0)
+        self.guard = PoseGuard(local, 0.0, 0.0)
+
+    def __call__(self, found: Filter, sighting: Sighting, odometry: Odometry | None) -> None:
+        """Update a filter by known landmarks; without any, what was driven counts at the next update."""
+        if odometry is not None:
+            self.guard.follow(odometry)
+        iterate = not self.sharp(found.belief())
+        self.guard.update(found, sighting.z, sighting.R, sighting.ids, iterate)
+        self.guard.travelled = self.guard.turned = 0.0
+
+
+def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
+    """The record of a drive, its true path (n,3), and the true corners (m,2), in the frame of the first pose."""
+    T_map_world = inverse(drive.T_world_robot[0])
+    corners, config = to_map(T_map_world, drive.truth.outline.corners.p_world), drive.slam.filter
+    motions, sightings, path = list[Motion](), list[Sighting](), list[Array]()
+    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
+        if odometry is None and sightings:
+            continue  # at rest
+        T_map_robot = compose(T_map_world, T_world_robot)
+        if odometry is not None:
+            motion = Motion.of_odometry(odometry, config)
+            motions.append(with_slip(motion, compose(inverse(path[-1]), T_map_robot)) if slips else motion)
+        sightings.append(seen(drive, scan, T_world_robot, to_robot(T_map_robot, corners)))
+        path.append(T_map_robot)
+    sigmas = np.array([config.prior_sigma_m, config.prior_sigma_m, config.prior_sigma_rad])
+    return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), np.array(path), corners
+
+
+def with_slip(motion: Motion, T_true: Array) -> Motion:
+    """The motion; where its covariance denies the true one (3,), that of the batch optimum allows for slip."""
+    error = compose(inverse(motion.T), T_true)
+    if error @ np.linalg.solve(motion.cov + FLOOR * np.eye(3), error) < OUTLIER_3:
+        return motion
+    return Motion(motion.odometry, motion.T, motion.cov + np.diag(SLIP_SIGMAS**2))
+
+
+def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sighting:
+    """The corners of a scan that are true ones, without outliers; `p_robot` (m,2) are all true corners."""
+    corners = loop.front_end(scan, drive.slam)[0]
+    true = drive.truth.identify(corners, T_world_robot)
+    row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
+    x, y = p_robot[true[row]].T
+    errors = corners.z[row] - np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
+    errors[:, 1] = wrapped(errors[:, 1])
+    blocks = np.array([corners.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in row]).reshape(-1, 2, 2)
+    nis = np.einsum("ki,ki->k", errors, np.linalg.solve(blocks, errors[:, :, None])[:, :, 0])
+    row = row[nis < OUTLIER_2]
+    return Sighting(*corners.measurements(row), true[row])
+
+
+def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array, corners: Array) -> Figures:
+    """Counts of one filter."""
+    errors = np.array([belief.T_map_robot for belief in beliefs]) - path
+    errors[:, 2] = [wrap_angle(error) for error in errors[:, 2].tolist()]
+    covs = np.array([belief.pose_cov for belief in beliefs])
+    nees = np.einsum("ki,ki->k", errors, np.linalg.solve(covs, errors[:, :, None])[:, :, 0])
+    moments = np.linspace(0, len(nees) - 1, MOMENTS + 1).round().astype(int)[1:]
+    return {
+        "nees": float(nees.mean()),
+        "nees_over_time": nees[moments].tolist(),
+        "rmse_m": rms(errors[:, :2]),
+        **of_landmarks(*landmarks, corners),
+    }
+
+
+def of_batch(best: Optimum, path: Array, corners: Array) -> Figures:
+    """Counts of the batch optimum."""
+    return {
+        "rmse_m": rms((best.T_map_robot - path)[:, :2]),
+        "chi2_over_freedom": best.chi2 / best.freedom,
+        **of_landmarks(best.p_map, best.covs, corners),
+    }
+
+
+def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
+    """NEES and error of landmarks (m,2) with covariances (m,2,2)."""
+    return {"landmark_nees": mean_nees(p_map - corners, covs), "landmark_rms_m": rms(p_map - corners)}
+
+
+def sigma_ratio(covs: Array, best: Optimum) -> float:
+    """Median ratio of a landmark's sigma to that of the batch optimum."""
+    sigmas, best_sigmas = (np.sqrt(np.trace(some, axis1=1, axis2=2)) for some in (covs, best.covs))
+    return float(np.median(sigmas / best_sigmas))
+
+
+def rms(errors: Array) -> float:
+    """Root mean square of the lengths of errors (n,2)."""
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def summarise(runs: list[dict[str, Figures]], name: str) -> Figures:
+    """Results of one filter over all drives with a model, each with its 95 % interval."""
+    own, best, base = [run[name] for run in runs], [run[BATCH] for run in runs], [run[BASE] for run in runs]
+    figures: Figures = {
+        column: estimate([one[column] for one in own]) for column, value in own[0].items() if isinstance(value, float)
+    }
+    figures["over_batch"] = ratio(*[[one["landmark_rms_m"] for one in some] for some in (own, best)])
+    if name != BATCH:
+        over_time = np.array([one["nees_over_time"] for one in own])
+        figures["nees_over_time"] = {str(k): estimate(column) for k, column in enumerate(over_time.T)}
+        for column in ("nees", "landmark_nees", "landmark_rms_m"):
+            figures[f"{column}_minus_{BASE}"] = estimate(
+                [one[column] - other[column] for one, other in zip(own, base, strict=True)]
+            )
+    return figures
+
+
+def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
+    """The 95 % interval of the mean NEES of so many runs."""
+    return float(chi2.ppf(0.025, dimensions * runs)) / runs, float(chi2.ppf(0.975, dimensions * runs)) / runs
+
+
+def report(figures: Figures) -> str:
+    """Per model a table with one row per filter."""
+    columns = ["nees", "landmark_nees", "landmark_rms_m", "over_batch", "sigma_over_batch", "rmse_m"]
+    columns += [f"{name}_minus_{BASE}" for name in ("nees", "landmark_nees", "landmark_rms_m")]
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for model, rows in figures.items():
+        n = rows[BASE]["nees"]["n"]
+        low, high = band(n)
+        head = f"## {model} ({n} drives)\n\nThe mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
+        said = f" `batch`: chi2 per degree of freedom {rows[BATCH]['chi2_over_freedom']['value']:.3f}."
+        body = [[name, *(row.get(column, "-") for column in columns)] for name, row in rows.items()]
+        parts.append(f"{head}{said}\n\n{table(['filter', *columns], body)}")
+    return "\n\n".join(parts)
+
+
+def figure(figures: Figures) -> Figure:
+    """NEES over time of each filter and model, with the band of a consistent filter."""
+    drawn = Figure(figsize=(3.6 * len(figures) + 0.4, 3.8), layout="constrained")
+    all_axes = drawn.subplots(1, len(figures), sharey=True, squeeze=False)[0]
+    for axes, (model, rows) in zip(all_axes, figures.items(), strict=True):
+        n = rows[BASE]["nees"]["n"]
+        at = np.arange(1, MOMENTS + 1) / MOMENTS
+        axes.fill_between(at, *band(n), color="0.85", label="95 % of a consistent filter")
+        lines = {name: row["nees_over_time"] for name, row in rows.items() if name != BATCH}
+        for k, (name, line) in enumerate(lines.items()):
+            values = [line[str(moment)]["value"] for moment in range(MOMENTS)]
+            axes.plot(at, values, label=name, linestyle=DASHES[k], color=GREYS[k], linewidth=1.2)
+        axes.set(title=f"{model} ({n} drives)", xlabel="share of the drive", yscale="log")
+        axes.grid(alpha=0.3)
+        axes.yaxis.set_major_formatter("{x:g}")
+    all_axes[0].set_ylabel("mean NEES of the pose")
+    handles = all_axes[0].get_legend_handles_labels()
+    drawn.legend(*handles, loc="outside lower center", ncols=6, frameon=False)
+    return drawn

@@ -1,0 +1,236 @@
+"""The batch optimum of GTSAM against SciPy, and the benchmarks that use it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.optimize import least_squares
+
+from benchmarks import consistency, ring, victoria_park
+from benchmarks.batch import Motion, Record, Sighting, filtered, library, measurement, optimum, turned
+from benchmarks.common import OptionError, Options, shared_data
+from mecp_env.core.messages import Odometry
+from mecp_env.core.se2 import compose, inverse
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.filters.error_state import left_jacobian
+
+LOG = (shared_data("logs") or Path("none")) / victoria_park.FILE
+needs_gtsam = pytest.mark.skipif("not __import__('importlib.util').util.find_spec('gtsam')", reason="extra `lab`")
+needs_log = pytest.mark.skipif(not LOG.is_file(), reason="no Victoria Park in shared/data/logs")
+
+
+def ring_record(steps: int) -> Record:
+    """The first steps round the ring of rooms, with correlated corners; the first scan is taken at rest."""
+    config, rng = FilterConfig(), np.random.default_rng(0)
+    motions, sightings = list[Motion](), [Sighting(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))]
+    for step, _ in zip(ring.drive(rng, ring.make_course(), arcs_per_step=4), range(steps), strict=False):
+        motions.append(Motion.of_odometry(step.odometry, config))
+        common = 0.2 * np.sqrt(np.diag(step.R))
+        sightings.append(Sighting(step.z, step.R + np.outer(common, common), step.ids))
+    return Record(np.zeros(3), np.diag([1e-6, 1e-6, 1e-8]), motions, sightings)
+
+
+def run_filter(record: Record, kind: str = "riekf") -> tuple[np.ndarray, Any]:
+    estimate = make_filter(FilterConfig(kind=kind))
+    path = np.array([belief.T_map_robot for belief in filtered(record, estimate, victoria_park.corrected)])
+    return path, estimate.belief()
+
+
+def least(record: Record, path: np.ndarray, p_map: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Path, landmarks and their covariances by SciPy, dense; the landmarks are 0, 1, ..."""
+    count = len(path)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        poses, points = x[: 3 * count].reshape(-1, 3), x[3 * count :].reshape(-1, 2)
+        parts = [whitened(record.start_cov, logarithm(compose(inverse(record.start), poses[0])))]
+        for k, motion in enumerate(record.motions):
+            moved = compose(inverse(poses[k]), poses[k + 1])
+            parts.append(whitened(motion.cov, logarithm(compose(inverse(motion.T), moved))))
+        for pose, sighting in zip(poses, record.sightings, strict=True):
+            if len(sighting.ids):
+                parts.append(whitened(sighting.R, measurement(pose, points[sighting.ids], sighting.z)[0]))
+        return np.concatenate(parts)
+
+    best = least_squares(residuals, np.concatenate([path.ravel(), p_map.ravel()]), xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    cov = np.linalg.inv(best.jac.T @ best.jac)[3 * count :, 3 * count :]
+    return best.x, cov, 2.0 * best.cost
+
+
+def logarithm(T: np.ndarray) -> np.ndarray:
+    """The twist of a pose, as GTSAM has the error of a motion."""
+    a, b = left_jacobian(T[2])
+    return np.array([*np.linalg.solve([[a, -b], [b, a]], T[:2]), T[2]])
+
+
+def whitened(cov: np.ndarray, error: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(np.linalg.cholesky(cov), error)
+
+
+@needs_gtsam
+def test_the_optimum_is_that_of_scipy() -> None:
+    record = ring_record(30)
+    path, belief = run_filter(record)
+    count = len(belief.ids)
+    to_row = np.argsort(belief.ids)
+    assert count >= 8
+    assert belief.ids[to_row].tolist() == list(range(count))
+    best = optimum(record, path, belief.ids, belief.p_map)
+    x, cov, chi2 = least(record, path, belief.p_map[to_row])
+    assert best.chi2 == pytest.approx(chi2, rel=1e-6)
+    np.testing.assert_allclose(best.T_map_robot, x[: path.size].reshape(-1, 3), atol=1e-6)
+    np.testing.assert_allclose(best.p_map, x[path.size :].reshape(-1, 2), atol=1e-6)
+    for k in range(count):
+        np.testing.assert_allclose(best.covs[k], cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2], rtol=1e-3, atol=1e-9)
+    measured = sum(2 * len(sighting.ids) for sighting in record.sightings)
+    assert best.freedom == measured - 2 * count
+    assert 0.5 < best.chi2 / best.freedom < 1.5
+
+
+@needs_gtsam
+def test_no_start_near_by_changes_the_optimum() -> None:
+    record = ring_record(30)
+    path, belief = run_filter(record)
+    first = optimum(record, path, belief.ids, belief.p_map)
+    other = optimum(record, path + 0.05, belief.ids, belief.p_map + 0.1)
+    assert other.chi2 == pytest.approx(first.chi2, rel=1e-9)
+    np.testing.assert_allclose(other.p_map, first.p_map, atol=1e-6)
+
+
+def test_derivatives_are_those_of_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    T, points, z = np.array([1.0, -2.0, 0.7]), rng.uniform(3.0, 8.0, (4, 2)), np.zeros((4, 2))
+    _, by_pose, by_point = measurement(T, points, z)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        numeric = measurement(compose(T, step), points, z)[0] - measurement(compose(T, -step), points, z)[0]
+        np.testing.assert_allclose(by_pose[:, :, axis].ravel(), numeric / 2e-6, atol=1e-7)
+    for axis in range(2):
+        step = 1e-6 * np.eye(2)[axis]
+        numeric = measurement(T, points + step, z)[0] - measurement(T, points - step, z)[0]
+        np.testing.assert_allclose(by_point[:, :, axis].ravel(), numeric / 2e-6, atol=1e-7)
+
+
+def test_a_motion_is_what_a_filter_predicts() -> None:
+    """Predicted from any pose: the same pose, and the same covariance but for the floor of rest."""
+    arcs = np.array([[0.3, 0.4], [0.2, -0.1]])
+    odometry = Odometry(arcs, np.tile(np.diag([0.01, 0.02]), (2, 1, 1)), False)
+    motion, estimate = Motion.of_odometry(odometry, FilterConfig()), make_filter(FilterConfig(kind="ekf"))
+    estimate.set_pose(np.array([2.0, 1.0, 0.8]))
+    before = estimate.belief().T_map_robot
+    estimate.predict(odometry)
+    after = estimate.belief()
+    np.testing.assert_allclose(after.T_map_robot, compose(before, motion.T), atol=1e-12)
+    np.testing.assert_allclose(after.pose_cov, turned(motion.cov, after.T_map_robot[2]), atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
+def test_noise_that_the_odometry_lacks_is_added_by_every_filter(kind: str) -> None:
+    T, cov = np.array([1.0, 0.1, 0.3]), np.diag([1e-4, 4e-6, 4e-6])
+    motion = victoria_park.motion_of(T, cov)
+    nothing = Sighting(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
+    record = Record(np.array([1.0, 2.0, 0.5]), np.eye(3) * 1e-18, [motion], [nothing, nothing])
+    *_, after = filtered(record, make_filter(FilterConfig(kind=kind)), victoria_park.corrected)
+    np.testing.assert_allclose(after.T_map_robot, compose(record.start, T), atol=1e-12)
+    np.testing.assert_allclose(after.pose_cov, turned(cov, 0.8), atol=1e-12)
+
+
+def test_a_missing_gtsam_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    with pytest.raises(OptionError, match=r"needs GTSAM: pip install -e '.\[lab\]'"):
+        library()
+
+
+def test_a_missing_log_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for folder in (None, tmp_path):
+        monkeypatch.setattr(victoria_park, "shared_data", lambda kind, folder=folder: folder)
+        with pytest.raises(OptionError, match=r"no victoria_park.npz in shared/data/logs"):
+            victoria_park.run(Options())
+
+
+@needs_log
+def test_the_log_is_read_whole() -> None:
+    record = victoria_park.read(LOG)
+    assert len(record.sightings) == len(record.motions) + 1 == 6969
+    assert sum(len(sighting.ids) for sighting in record.sightings) == 3640
+    assert len(victoria_park.read(LOG, 100).sightings) == 100
+
+
+@needs_gtsam
+@needs_log
+def test_the_beginning_of_victoria_park(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(victoria_park, "QUICK_POSES", 400)
+    figures = victoria_park.run(Options(quick=True))
+    assert set(figures["filters"]) >= {"riekf", "riekf_submaps", "ekf", "fej"}
+    for updates in figures["filters"].values():
+        assert updates["iterated"]["landmark_rms_m"] < 1.0
+    assert figures["filters"]["fej"]["iterated"]["sigma_ratio"] == pytest.approx(1.0, abs=0.05)
+    assert "| riekf | once |" in victoria_park.report(figures)
+
+
+@needs_gtsam
+@needs_log
+@pytest.mark.slow
+def test_victoria_park_as_it_is_known() -> None:
+    """Chi2 6,347 at 6,978 degrees of freedom; the plain EKF is more than 10 m off, the consistent filters are not."""
+    figures = victoria_park.run(Options())
+    assert figures["batch"]["chi2"] == pytest.approx(6347.0, abs=1.0)
+    assert figures["batch"]["freedom"] == 6978
+    assert figures["filters"]["riekf"]["once"]["landmark_rms_m"] == pytest.approx(1.35, abs=0.01)
+    assert figures["filters"]["fej"]["once"]["landmark_rms_m"] < 1.25
+    assert figures["filters"]["ekf"]["once"]["landmark_rms_m"] > 10.0
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(consistency, "LAYOUT", "two_rooms")
+    monkeypatch.setattr(consistency, "DRIVES", {"per_metre": 2, "skid_steer": 1})
+
+
+@needs_gtsam
+def test_every_filter_gets_the_same_drive(small: None, tmp_path: Path) -> None:
+    figures = consistency.run(Options(folder=tmp_path))
+    assert set(figures["per_metre"]) >= {"batch", "riekf", "riekf_submaps", "ekf", "fej"}
+    riekf, submaps = figures["per_metre"]["riekf"], figures["per_metre"]["riekf_submaps"]
+    assert riekf["nees"]["n"] == 2
+    assert riekf["nees"]["value"] == pytest.approx(submaps["nees"]["value"], rel=1e-6)
+    assert riekf["nees_minus_riekf"]["value"] == 0.0
+    assert 0.7 < riekf["over_batch"]["value"] < 2.0
+    assert riekf["sigma_over_batch"]["value"] == pytest.approx(1.0, abs=0.05)
+    assert figures["per_metre"]["batch"]["over_batch"]["value"] == 1.0
+    assert 0.5 < figures["per_metre"]["batch"]["chi2_over_freedom"]["value"] < 1.5
+    assert "## skid_steer (1 drives)" in consistency.report(figures)
+    assert "| fej |" in consistency.report(figures)
+    drawn = consistency.figure(figures)
+    assert isinstance(drawn, Figure)
+    assert [axes.get_title() for axes in drawn.axes] == ["per_metre (2 drives)", "skid_steer (1 drives)"]
+
+
+def test_measurements_are_those_of_true_corners(small: None) -> None:
+    drive = consistency.course("per_metre", 0).drive()
+    record, path, corners = consistency.measured(drive)
+    assert len(record.sightings) == len(path) == len(record.motions) + 1
+    for sighting, T_map_robot in zip(record.sightings, path, strict=True):
+        assert len(set(sighting.ids.tolist())) == len(sighting.ids)
+        errors = measurement(T_map_robot, corners[sighting.ids], sighting.z)[0] if len(sighting.ids) else np.zeros(1)
+        assert np.abs(errors).max() < 0.3
+    assert sum(len(sighting.ids) for sighting in record.sightings) > 3 * len(path)
+
+
+def test_the_band_is_that_of_sixty_runs() -> None:
+    assert consistency.band(60) == (pytest.approx(2.41, abs=0.01), pytest.approx(3.65, abs=0.01))
+
+
+def test_only_steps_with_slip_are_allowed_more() -> None:
+    motion = Motion(
+        Odometry(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2)), False), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4
+    )
+    assert consistency.with_slip(motion, np.array([1.01, 0.01, 0.0])) is motion
+    slipped = consistency.with_slip(motion, np.array([0.4, 0.0, 0.1]))
+    np.testing.assert_allclose(slipped.cov, motion.cov + np.diag(consistency.SLIP_SIGMAS**2))
+    assert slipped.lacking is None
