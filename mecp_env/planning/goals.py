@@ -205,14 +205,13 @@ def with_levels(goals: list[Goal], output: SlamOutput, history: GoalHistory) -> 
     for goal in doors:
         goal.level = rooms.get(goal.room, len(rooms))
     local = [goal for goal in goals if goal.kind != DOOR]
-    rings, p_map = rings_by_room(output, {goal.room for goal in local}), output.belief.p_map.tolist()
-    for room in rings:
+    for room, rings in rings_by_room(output, {goal.room for goal in local}).items():
         of_room = [goal for goal in local if goal.room == room]
-        set_levels(of_room, *polygon_levels(rings[room], p_map, history.entry.get(room)))
+        set_levels(of_room, *polygon_levels(rings, output.belief, history.entry.get(room)))
     return goals
 
 
-def set_levels(goals: list[Goal], centres: list[tuple[float, float]], levels: list[int]) -> None:
+def set_levels(goals: list[Goal], centres: list[list[float]], levels: list[int]) -> None:
     """Give goals of a room the level of the polygon nearest to each, if there is one."""
     for goal in goals if levels else ():
         far = [math.hypot(goal.x - x, goal.y - y) for x, y in centres]

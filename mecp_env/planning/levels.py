@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 
-from mecp_env.core.array_types import Array
-from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, RoomGraph, SlamOutput
+import numpy as np
 
-Point = tuple[float, float]
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.arrays import rows_by_id
+from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph, SlamOutput
 
 
 def levels_from(start: int, neighbours: dict[int, set[int]]) -> dict[int, int]:
@@ -31,52 +34,54 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(
-    rings: list[list[int]], p_map: list[list[float]], p_entry: Array | None
-) -> tuple[list[Point], list[int]]:
-    """Centres (m, map frame) and levels of the polygons of a room, `rings` of rows of `p_map`.
+def polygon_levels(rings: list[Ints], belief: Belief, p_entry: Array | None) -> tuple[list[list[float]], list[int]]:
+    """Centres (m, map frame) and levels of the polygons of a room, `rings` of vertex ids.
 
-    Neighbours share a vertex. Level 0 is the polygon nearest to where the room was entered.
+    Neighbours share a vertex. Level 0 is the polygon nearest to where the room was entered; polygons out of reach have
+    the number of all as their level. A polygon with a vertex that is no landmark is left out.
     """
-    if not rings:
-        return [], []
-    centres = [centre_of([p_map[row] for row in sorted(ring)]) for ring in rings]
-    x, y = centres[0] if p_entry is None else p_entry.tolist()
-    far = [math.hypot(a - x, b - y) for a, b in centres]
-    return centres, ring_levels(far.index(min(far)), rings)
+    ids = np.concatenate([np.empty(0, np.int64), *rings])
+    rows, first = rows_by_id(belief.ids, ids)[ids], np.array([0, *accumulate(map(len, rings))], np.int64)
+    entry = np.full(2, math.nan) if p_entry is None else p_entry
+    centres, levels = _ring_levels(rows, first, belief.p_map, entry)
+    return centres.tolist(), levels.tolist()
 
 
-def centre_of(points: list[list[float]]) -> Point:
-    """The mean of some points."""
-    x, y = points[0]
-    for a, b in points[1:]:
-        x, y = x + a, y + b
-    return x / len(points), y / len(points)
+@compiled
+def _ring_levels(rows: Ints, first: Ints, p_map: Array, p_entry: Array) -> tuple[Array, Ints]:
+    """See `polygon_levels`: ring p has the landmarks `rows` from first[p] on, -1: none; nan: entered at the first."""
+    centres, ring = np.empty((first.shape[0] - 1, 2)), np.empty(first.shape[0] - 1, np.int64)
+    count, start, best = 0, 0, math.inf
+    for p in range(ring.shape[0]):
+        own = np.sort(rows[first[p] : first[p + 1]])
+        if own[0] < 0:
+            continue
+        x, y = 0.0, 0.0
+        for row in own:
+            x, y = x + p_map[row, 0], y + p_map[row, 1]
+        centres[count, 0], centres[count, 1], ring[count] = x / own.shape[0], y / own.shape[0], p
+        at = p_entry if p_entry[0] == p_entry[0] else centres[0]
+        far = math.hypot(centres[count, 0] - at[0], centres[count, 1] - at[1])
+        if far < best:
+            start, best = count, far
+        count += 1
+    level, reached = np.full(count, count, np.int64), np.zeros(p_map.shape[0], np.bool_)
+    level[start : start + 1] = 0
+    for wave in range(count):
+        for k in range(count):
+            for i in range(first[ring[k]], first[ring[k] + 1] if level[k] == wave else first[ring[k]]):
+                reached[rows[i]] = True
+        for k in range(count):
+            for i in range(first[ring[k]], first[ring[k] + 1] if level[k] == count else first[ring[k]]):
+                level[k] = wave + 1 if reached[rows[i]] else level[k]
+    return centres[:count], level
 
 
-def ring_levels(start: int, rings: list[list[int]]) -> list[int]:
-    """Number of steps from the ring `start` to each, over shared vertices; of those out of reach how many there are."""
-    owners: dict[int, list[int]] = {}
-    for i, ring in enumerate(rings):
-        for row in ring:
-            owners.setdefault(row, []).append(i)
-    level, wave = {start: 0}, {start}
-    while wave:
-        onward = {i for ring in wave for row in rings[ring] for i in owners.pop(row, ())} - level.keys()
-        level |= dict.fromkeys(onward, level[next(iter(wave))] + 1)
-        wave = onward
-    return [level.get(i, len(rings)) for i in range(len(rings))]
-
-
-def rings_by_room(output: SlamOutput, rooms: set[int]) -> dict[int, list[list[int]]]:
-    """Of the known polygons of each room: the rows of their vertices in the belief, where all are landmarks."""
-    ids = output.belief.ids.tolist()
-    row = dict(zip(ids, range(len(ids)), strict=True))
-    named = [polygon.room for polygon in output.map_polygons]
-    became = {room: output.graph.resolve(room) for room in set(named)}
-    rings: dict[int, list[list[int]]] = {room: [] for room in rooms}
-    for polygon, name in zip(output.map_polygons, named, strict=True):
-        vertices = [row.get(vertex, NO_ID) for vertex in polygon.ids.tolist()] if became[name] in rooms else [NO_ID]
-        if NO_ID not in vertices:
-            rings[became[name]].append(vertices)
+def rings_by_room(output: SlamOutput, rooms: set[int]) -> dict[int, list[Ints]]:
+    """The vertex ids of the known polygons of each room."""
+    became = {room: output.graph.resolve(room) for room in {polygon.room for polygon in output.map_polygons}}
+    rings: dict[int, list[Ints]] = {room: [] for room in rooms}
+    for polygon in output.map_polygons:
+        if became[polygon.room] in rooms:
+            rings[became[polygon.room]].append(polygon.ids)
     return rings

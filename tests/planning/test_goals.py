@@ -20,7 +20,7 @@ from mecp_env.planning.goal_sources import (
 from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels, rings_by_room
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.messages import Door, EdgeLabel, MapPolygon, RoomGraph, SlamOutput
+from mecp_env.slam.messages import Belief, Door, EdgeLabel, MapPolygon, RoomGraph, SlamOutput
 from tests.toy import Toy, candidate, layer_at
 
 CONFIG = PlanningConfig()
@@ -309,9 +309,27 @@ def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
     toy.add_polygon([9, 10, 11], 1)
     output = toy.output()
     rings, p_entry = rings_by_room(output, {0}), to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0]
-    centres, levels = polygon_levels(rings[0], output.belief.p_map.tolist(), p_entry)
+    centres, levels = polygon_levels(rings[0], output.belief, p_entry)
     assert len(centres) == 3
     assert levels == [0, 1, 2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_levels_of_polygons_are_those_of_their_graph(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ids, p_map = rng.permutation(60)[:50], rng.normal(size=(50, 2))  # ten ids are no landmarks
+    rings = [rng.choice(60, rng.integers(3, 6), replace=False) for _ in range(40)]
+    belief = Belief(np.zeros(3), np.eye(3), ids, p_map, np.zeros((50, 2, 2)))
+    whole = [ring for ring in rings if set(ring) <= set(ids)]
+    assert 3 < len(whole) < 40
+    middles = np.array([p_map[[ids.tolist().index(i) for i in ring]].mean(axis=0) for ring in whole])
+    beside = {a: {b for b, other in enumerate(whole) if set(ring) & set(other)} for a, ring in enumerate(whole)}
+    for entry, start in ((None, 0), (p_map[3], int(np.hypot(*(middles - p_map[3]).T).argmin()))):
+        centres, levels = polygon_levels(rings, belief, entry)
+        np.testing.assert_allclose(centres, middles)
+        expected = levels_from(start, beside)
+        assert levels == [expected.get(k, len(whole)) for k in range(len(whole))]
+    assert polygon_levels([], belief, None) == ([], [])
 
 
 def test_goals_of_other_rooms_come_last() -> None:
