@@ -1,8 +1,9 @@
 """Vector environments: control steps per second of 16 environments in every vector class, against a single one.
 
 All kinds run in the same process in turns of a few seconds, with another kind first in every round; a ratio is taken
-within a round, so that other load affects both. CPU time is that of all processes of a kind together. `batch` has its
-default number of workers: one per core, two per core with goals. With `send, recv` the eight environments that are
+within a round, so that other load affects both. CPU time is that of all processes of a kind together. Memory (Pss) is
+that of a new process that drives only this kind, and of its workers, after an episode of each environment. `batch` has
+its default number of workers: one per core, two per core with goals. With `send, recv` the eight environments that are
 finished first get their next actions while the others are under way. `small` is `velocity` with an observation without
 the grid, 5 of 79 kB, and shows the cost of transport.
 """
@@ -14,6 +15,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -50,14 +52,14 @@ def run(options: Options) -> Figures:
 
 def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
     """Results of each kind in a setting."""
-    drivers = {kind: Driver(kind, setting) for kind in kinds or available()}
-    names = list(drivers)
+    names = list(kinds or available())
+    memory = {name: memory_alone(name, setting, EPISODE) for name in names}
+    drivers = {name: Driver(name, setting) for name in names}
     try:
         for driver in drivers.values():
             driver.measure(seconds)  # loads compiled functions and fills caches
         turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds)]
         measured = [{name: drivers[name].measure(seconds) for name in turn} for turn in turns]
-        memory = {name: memory_mb(driver.pids()) for name, driver in drivers.items()}
     finally:
         for driver in drivers.values():
             driver.close()
@@ -74,6 +76,21 @@ def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb
         "processor_us": estimate([turn[name][1] for turn in measured]),
         "memory_mb": memory_mb,
     }
+
+
+def memory_alone(kind: str, setting: dict[str, Any], steps: int) -> float:
+    """Memory (MB) of a kind after so many control steps of each environment, in a process that drives nothing else."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        return process.submit(_memory_here, kind, setting, steps).result()
+
+
+def _memory_here(kind: str, setting: dict[str, Any], steps: int) -> float:
+    driver, driven = Driver(kind, setting), 0
+    while driven < steps * driver.count:
+        driven += driver.step()
+    used = memory_mb(driver.pids())
+    driver.close()
+    return used
 
 
 def available() -> tuple[str, ...]:

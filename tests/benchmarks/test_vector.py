@@ -33,6 +33,7 @@ def test_what_is_ready_is_driven_on_while_the_others_are_under_way(monkeypatch: 
 
 def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector, "COUNT", 2)
+    monkeypatch.setattr(vector, "memory_alone", lambda *_: 100.0)
     own = vector.SINGLE, vector.ASYNC, vector.BATCH, vector.SEND_RECV
     kinds = vector.compare(vector.SETTINGS["velocity"], 2, 0.05, own)
     assert kinds["single"]["over_single"]["value"] == 1.0
@@ -40,3 +41,9 @@ def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypa
     assert kinds["batch"]["processor_us"]["value"] > 0.0
     assert {gate.path for gate in vector.GATES} <= flatten({"velocity": kinds}).keys()
     assert "| batch |" in vector.report({"velocity": kinds})
+
+
+def test_memory_is_that_of_a_process_that_drives_one_kind_only() -> None:
+    grown = b"x" * 300_000_000
+    assert 150.0 < vector.memory_alone(vector.BATCH, vector.SETTINGS["velocity"], 2) < 300.0
+    assert len(grown) == 300_000_000
