@@ -21,6 +21,7 @@ from mecp_env.learning.config import read_config
 from mecp_env.policies.registry import WEIGHTS
 
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
+SCORES = {"auc": "area under coverage over metres", "correct_over_steps": "correct coverage over steps"}
 MOST_BYTES = 1_900_000  # of weights in the repository
 Array = NDArray[np.float64]
 
@@ -42,8 +43,9 @@ class RunResult:
     folder: Path
     algorithm: str
     decisions: Array  # (n,)
-    area: Array  # (n,) under the coverage curve
-    error: Array  # (n,) its standard error
+    score: str  # the metric by which the best policy is chosen
+    area: Array  # (n,) its values
+    error: Array  # (n,) standard errors of the area under coverage over metres
     hours: float
 
 
@@ -57,8 +59,9 @@ def publish(args: PublishOptions) -> int:
     if not args.runs:
         raise ConfigError("runs: none given, expected folders of runs of one algorithm")
     runs = [read_run(folder) for folder in args.runs]
-    if len({run.algorithm for run in runs}) != 1:
-        raise ConfigError(f"runs: of {', '.join(sorted({run.algorithm for run in runs}))}, expected one algorithm")
+    if len({(run.algorithm, run.score) for run in runs}) != 1:
+        names = ", ".join(sorted({run.algorithm for run in runs}))
+        raise ConfigError(f"runs: of {names}, expected one algorithm, all in tasks or none")
     best = max(runs, key=lambda run: run.area.max())
     target = args.weights / best.algorithm
     if args.ship:
@@ -76,10 +79,11 @@ def publish(args: PublishOptions) -> int:
 def read_run(folder: Path) -> RunResult:
     """The figures of a run. Raises `ConfigError` for a folder without any."""
     try:
-        algorithm = read_config(folder / "config.json")["algorithm"]
+        fields = read_config(folder / "config.json")
+        algorithm, score = fields["algorithm"], "correct_over_steps" if fields.get("task") else "auc"
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-        decisions, area, errors, seconds = (column(rows, name) for name in ("decisions", "auc", "auc_error", "seconds"))
+        decisions, area, errors, seconds = (column(rows, name) for name in ("decisions", score, "auc_error", "seconds"))
     except OSError as error:
         raise ConfigError(f"runs: {folder} is not a run folder: {error.filename}: {error.strerror}") from None
     except KeyError as error:
@@ -88,7 +92,7 @@ def read_run(folder: Path) -> RunResult:
         raise ConfigError(f"runs: {folder} is not a run folder: {error}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
-    return RunResult(folder, str(algorithm), decisions, area, errors, seconds[-1] / 3600.0)
+    return RunResult(folder, str(algorithm), decisions, score, area, errors, seconds[-1] / 3600.0)
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Array:
@@ -122,7 +126,7 @@ def ship(run: RunResult, target: Path) -> None:
 
 
 def draw(runs: list[RunResult], picture: Path) -> None:
-    """The area under the curve over the decisions: one line per run with its standard error."""
+    """The metric over the decisions: one line per run, with a standard error where that is known."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -131,10 +135,11 @@ def draw(runs: list[RunResult], picture: Path) -> None:
     axes = figure.add_subplot()
     for run in runs:
         (line,) = axes.plot(run.decisions, run.area, marker="o", markersize=3, label=run.folder.name)
-        axes.fill_between(run.decisions, run.area - run.error, run.area + run.error, alpha=0.15, color=line.get_color())
+        error = run.error if run.score == "auc" else 0.0 * run.error
+        axes.fill_between(run.decisions, run.area - error, run.area + error, alpha=0.15, color=line.get_color())
     axes.axhline(runs[0].area[0], color="0.5", linestyle="--", linewidth=1, label="untrained (its prior)")
     axes.set_xlabel("decisions")
-    axes.set_ylabel("area under coverage over metres, validation")
+    axes.set_ylabel(f"{SCORES[runs[0].score]}, validation")
     axes.set_title(f"{runs[0].algorithm}: band is one standard error over the buildings", fontsize=10)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)

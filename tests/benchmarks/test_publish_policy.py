@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from benchmarks.publish_policy import PublishOptions, main
+from benchmarks.publish_policy import PublishOptions, main, read_run
 from mecp_env.learning.files import write_json
 from mecp_env.learning.learned import load
 from mecp_env.learning.models import make_network
@@ -41,6 +41,20 @@ def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
     assert found["progress.csv"] == b"a\n"
     assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
     assert load(tmp_path / "weights" / "maskable_ppo").config == load(runs[0]).config
+
+
+def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
+    runs = (make_run(tmp_path / "a", [0.5, 0.4]), make_run(tmp_path / "b", [0.5, 0.8]))
+    for run, best in zip(runs, (0.7, 0.6), strict=True):
+        config = json.loads((run / "config.json").read_text())
+        write_json(run / "config.json", config | {"task": "ActiveHalls-v0"})
+        rows = (run / "evaluation.csv").read_text().splitlines()
+        lines = [f"{rows[0]},correct_over_steps", *(f"{row},{best}" for row in rows[1:])]
+        (run / "evaluation.csv").write_text("\n".join(lines) + "\n")
+    assert main(PublishOptions(runs, tmp_path / "weights", ship=False)) == 0
+    assert read_run(runs[0]).area.tolist() == [0.7, 0.7]
+    assert (tmp_path / "weights" / "maskable_ppo" / "curve.png").stat().st_size > 1000
+    assert main(PublishOptions((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights")) == 2
 
 
 def test_only_the_picture(tmp_path):
