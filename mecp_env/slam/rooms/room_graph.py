@@ -227,13 +227,17 @@ class RoomGraphEstimator:
         return self._note_other_room(other, seen.belief, self.config.recognise_by_corners_m, features)
 
     def _relabel(self, ids: Ints, rooms: list[int], features: FeatureTable, belief: Belief) -> bool:
-        """Move landmarks of the rooms next door to this one, where they are seen from; true when there were any.
+        """Move landmarks of other rooms to this one, where they are seen from; true when there were any.
 
-        They were first seen through an unknown door, so that they were assigned to the robot's room at that time. Those
-        that are moved back are seen from both sides of a gap, and not through it: the gap does not separate rooms.
+        Those of the rooms next door were first seen through an unknown door, so that they were assigned to the robot's
+        room at that time. If they are moved back, they are seen from both sides of a gap, and not through it: the gap
+        does not separate rooms. Those of other rooms were first seen through two doors, and assigned to the room behind
+        the first: they are moved where most of the landmarks recognised are of this room.
         """
         next_door = rooms_next_door(self.door_map, self.current, self.config.confirm_sightings)
         misplaced = [(i, room) for i, room in zip(ids.tolist(), rooms, strict=True) if room in next_door]
+        far = self._far_off(ids, rooms, next_door)
+        features.rows["room"][far] = self.current
         for i, room in misplaced:
             if self.previous_room.get(i) == self.current:
                 self.seen_from_both.add((i, min(room, self.current), max(room, self.current)))
@@ -244,7 +248,14 @@ class RoomGraphEstimator:
                 self._arrive(keep)
                 self._merge(drop, keep, features, belief)
                 break
-        return bool(misplaced)
+        return bool(misplaced or far)
+
+    def _far_off(self, ids: Ints, rooms: list[int], next_door: set[int]) -> list[int]:
+        """The landmarks among `ids` of rooms that are not next door, where most of all are of this room."""
+        if self._majority(rooms) != self.current:
+            return []
+        near = {UNKNOWN_ROOM, self.current, *next_door}
+        return [i for i, room in zip(ids.tolist(), rooms, strict=True) if room not in near]
 
     def _is_same_room(self, room: int) -> bool:
         """True when enough landmarks are seen from both `room` and this one, and no two-faced door separates them."""

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, MapPolygon, Match, Sighting
@@ -274,6 +275,18 @@ def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_
     assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
     assert table.rows["room"][[4, 5, 6]].tolist() == [0, 0, 0]
     assert len(keeper.graph().doors) == 1
+
+
+@pytest.mark.parametrize(("rooms", "then"), [([1, 1, 1, 5], [1, 1, 1, 1]), ([1, 1, 5, 5], [1, 1, 5, 5])])
+def test_landmarks_first_seen_through_two_doors_do_not_keep_the_room_behind_the_first(rooms, then):
+    """Bug: such a corner kept the polygons of its room out of the map, and with them 3 % of the floor of `paper`."""
+    keeper, table, ids = keeper_with_door(), features(), (2, 7, 8, 9)
+    walk(keeper, (-0.5, 0.0, 0.5))
+    table.rows["room"][list(ids)] = rooms
+    look(keeper, belief_at(0.0, 1.0), ids, table=table)
+    assert table.rows["room"][list(ids)].tolist() == then
+    assert keeper.current == 1
+    assert len(keeper.graph().rooms) == 2
 
 
 def to_and_fro(keeper, table, rounds):
