@@ -3,8 +3,7 @@
 One exploration with the paper's noise (seed 0), and the default estimator on it. Figures 2 and 3 are the scan among the
 first that sees the longest stretches of wall at a glancing angle; 4 is the recognised polygon with most vertices; 5 is
 the map just before the third room; 6 and 8 are the map at the end; 7 is the building. Ellipses are of 95 %, magnified
-as their legends say. A room has no polygon where one of its corners bears the label of another room, from which it was
-seen first: polygons of different rooms share no vertex.
+as their legends say.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def hierarchy_figure(world: World, output: SlamOutput) -> Figure:
         label = f"vertex of room {room}"
         axes.plot(*points.T, MARKS[number % len(MARKS)], color=tone, markersize=6, markeredgecolor="black", label=label)
         middles[room] = largest.mean(axis=0)
-        said = f"room {room}\n{len(rings)} polygons\n{len(points)} vertices"
+        said = f"room {room}\n{len(rings)} polygon{'s' * (len(rings) > 1)}\n{len(points)} vertices"
         white = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
         x, y = middles[room].tolist()
         axes.text(x, y, said, ha="center", va="center", fontsize=9, zorder=6, bbox=white)
