@@ -19,7 +19,7 @@ from mecp_env.world.schema import Layout
 from tests.floorplans.test_importers import held_against
 
 THIN_M = 0.05
-EACH = 5  # buildings of a case
+EACH = 3  # buildings of a case
 
 
 def spec(difficulty: str, thin: bool) -> GeneratorSpec:

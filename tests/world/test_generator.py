@@ -87,10 +87,10 @@ def test_what_is_declared_is_what_comes_out(difficulty: str) -> None:
 @pytest.mark.parametrize(
     ("difficulty", "first", "last"),
     [
-        ("easy", 0, 1000),
-        ("medium", 0, 1000),
-        ("hard", 0, 500),
-        ("huge", 0, 50),
+        ("easy", 0, 400),
+        ("medium", 0, 400),
+        ("hard", 0, 200),
+        ("huge", 0, 25),
     ],
 )
 def test_many_seeds_are_what_was_declared(difficulty: str, first: int, last: int) -> None:
