@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 SHARED = re.compile(r"^\S+ ...s \S+ \S+ (\d+)", re.MULTILINE)  # the inode of a mapping that processes share
@@ -20,11 +20,20 @@ def processor_s(pids: Iterable[int | str]) -> float:
 
 def memory_mb(pids: Iterable[int | str]) -> float:
     """Memory of the processes with shared pages divided (Pss)."""
+    return _pages_mb(pids, ["Pss"])
+
+
+def own_memory_mb(pids: Iterable[int | str]) -> float:
+    """The same without pages of files: of libraries, which are divided among all programs that run."""
+    return _pages_mb(pids, ["Pss_Anon", "Pss_Shmem"])
+
+
+def _pages_mb(pids: Iterable[int | str], kinds: Sequence[str]) -> float:
     try:
         pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in pids]
-    except OSError:
+        return sum(int(re.findall(rf"\n{kind}:\s+(\d+)", page)[0]) for page in pages for kind in kinds) / 1e3
+    except (OSError, IndexError):  # an old Linux has no Pss_Anon
         return float("nan")
-    return sum(int(re.findall(r"\nPss:\s+(\d+)", page)[0]) for page in pages) / 1e3
 
 
 def open_files(pids: Iterable[int | str]) -> int:

@@ -2,11 +2,13 @@
 
 `vector` is 16 environments of `make_vec` with random velocities, `single` one with random goals, both in generated
 buildings with pedestrians and boxes. After a tenth of the steps to warm up, and two episodes of each environment,
-memory (Pss), open files, shared memory and CPU time of all processes are taken a hundred times. The run fails when
-memory grows by more than 5 MB from the first tenth of these to the last (means), when files or segments are more in the
-last tenth than at any time in the first, when an observation is not finite or outside its space, when no episode ended,
-when a step costs more than 1.1 times the CPU time at the end (lower end of the interval), or when closing leaves a
-process, file or segment behind.
+memory (Pss without the files of libraries, which other programs share), open files, shared memory and CPU time of all
+processes are taken for a hundred slices of the run; memory is the mean over each slice, because it grows and falls with
+every episode, and 16 episodes that are cut off at the same length end together. The run fails when memory grows by more
+than 5 MB from the first tenth of these to the last (means), when files or segments are more in the last tenth than at
+any time in the first, when an observation is not finite or outside its space, when no episode ended, when a step costs
+more than 1.1 times the CPU time at the end (lower end of the interval), or when closing leaves a process, file or
+segment behind.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress, table
-from benchmarks.process_use import memory_mb, open_files, processor_s, shared_segments
+from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
 from benchmarks.vector import HELD
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
@@ -29,6 +31,7 @@ SETS = {"vector": 1_000_000, "single": 1_000_000}  # control steps
 QUICK = {"vector": 16_000, "single": 4_000}
 MOST = 1_000_000_000
 SLICES, TENTH = 100, 10
+SAMPLES = 10  # of memory, in a slice
 
 BOUNDS = {
     "growth_mb": 5.0,
@@ -131,12 +134,16 @@ def watch(driver: Any, steps: int, watched: Soak) -> None:
     """Drive for a slice and append what it used."""
     pids = ["self", *driver.workers()]
     start, spent = time.perf_counter(), processor_s(pids)
-    counted, episodes = drive(driver, steps, watched)
+    memory, parts = list[float](), list[tuple[int, int]]()
+    for _ in range(SAMPLES):
+        parts.append(drive(driver, max(steps // SAMPLES, 1), watched))
+        memory.append(own_memory_mb(pids))
+    counted, episodes = map(sum, zip(*parts, strict=True))
     watched.steps.append(counted)
     watched.episodes.append(episodes)
     watched.seconds.append(time.perf_counter() - start)
     watched.processor_s.append(processor_s(pids) - spent)
-    watched.memory_mb.append(memory_mb(pids))
+    watched.memory_mb.append(float(np.mean(memory)))
     watched.files.append(open_files(pids))
     watched.segments.append(shared_segments(pids))
 
