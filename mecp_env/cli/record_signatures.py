@@ -22,8 +22,8 @@ from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.registration import make_rooms
 from mecp_env.wrappers import GoalActions
 
-ROOMS: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}
-EPISODES = 20  # of random goals, and of random velocities
+ROOMS: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 4}, "max_steps": 200}
+EPISODES = 40  # of random goals, and of random velocities
 HELD = 10  # steps for which a velocity is held
 
 EXERCISE = "from mecp_env.cli.record_signatures import exercise; exercise()"
