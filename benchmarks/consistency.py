@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import chi2
 
 from benchmarks import loop
@@ -270,7 +271,9 @@ def figure(figures: Figures) -> Figure:
             axes.plot(at, values, label=name, linestyle=DASHES[k], color=GREYS[k], linewidth=1.2)
         axes.set(title=f"{model} ({n} drives)", xlabel="share of the drive", yscale="log")
         axes.grid(alpha=0.3)
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
     all_axes[0].set_ylabel("mean NEES of the pose")
     handles = all_axes[0].get_legend_handles_labels()
     drawn.legend(*handles, loc="outside lower center", ncols=6, frameon=False)
