@@ -73,13 +73,11 @@ class FirstEstimateEkf(Ekf):
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         z, R, slots = as_floats(z), as_floats(R), self._slots(ids)
         A, a_heading = jacobian(self.first, slots)
-        H = np.concatenate((a_heading[:, :, None], -A, A), axis=2)  # by heading, position, landmark
-        numbers = np.concatenate((np.tile(np.arange(3), (len(slots), 1)), 3 + 2 * slots[:, None] + [0, 1]), axis=1)
-        P = self.cov[numbers[:, :, None], numbers[:, None, :]]
-        S = np.einsum("mri,mij,msj->mrs", H, P, H) + R[:, None]
-        nu = z[:, None] - predicted(self.mean, slots)
-        u, v = nu[..., 0], wrapped(nu[..., 1])
-        uu, uv, vv = S[..., 0, 0], S[..., 1, 0], S[..., 1, 1]
+        H = np.concatenate((A, a_heading[:, :, None]), axis=2)  # by l - p and the heading
+        HP = np.einsum("mri,mij->mrj", H, offset_covs(self.cov, slots))
+        S, h = np.einsum("mrj,msj->rsm", HP, H), predicted(self.mean, slots)
+        u, v = z[:, :1] - h[:, 0], wrapped(z[:, 1:] - h[:, 1])
+        uu, uv, vv = (R[:, r, s, None] + S[r, s] for r, s in ((0, 0), (1, 0), (1, 1)))
         det = uu * vv - uv * uv
         near = (u * u < FAR * uu) & (v * v < FAR * vv) & (det > 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -182,6 +180,19 @@ def solved(state: Array, first: Array, slots: Ints, z: Array, R: Array, iteratio
         if step < CONVERGED:
             break
     return float((y * y).sum()), W, xi
+
+
+def offset_covs(cov: Array, slots: Ints) -> Array:
+    """(m,3,3) covariance of l - p and the heading, for the landmarks at `slots` (m,)."""
+    x, y = 3 + 2 * slots, 4 + 2 * slots
+    covs = np.empty((len(slots), 3, 3))
+    covs[:, 0, 0] = cov[x, x] - 2.0 * cov[1, x] + cov[1, 1]
+    covs[:, 0, 1] = covs[:, 1, 0] = cov[x, y] - cov[1, y] - cov[2, x] + cov[1, 2]
+    covs[:, 1, 1] = cov[y, y] - 2.0 * cov[2, y] + cov[2, 2]
+    covs[:, 0, 2] = covs[:, 2, 0] = cov[0, x] - cov[0, 1]
+    covs[:, 1, 2] = covs[:, 2, 1] = cov[0, y] - cov[0, 2]
+    covs[:, 2, 2] = cov[0, 0]
+    return covs
 
 
 def jacobian(at: Array, slots: Ints) -> tuple[Array, Array]:
