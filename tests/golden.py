@@ -1,7 +1,9 @@
 """Golden hashes of whole runs: `python -m tests.golden [CASE ...]` prints them, `--write` stores them.
 
 The promise is "the same bits for one version on one machine type": sin, cos and atan2 of the C library differ between
-processors with and without fused multiply-add, so the hashes are stored by a probe of these functions.
+processors with and without fused multiply-add, and products of matrices between the kernels that OpenBLAS has for
+processors (which matters where recent scans complete a scan). So the hashes are stored by a probe of these functions.
+OPENBLAS_CORETYPE=Zen or SkylakeX in the environment gives those of the other processors.
 """
 
 from __future__ import annotations
@@ -199,11 +201,19 @@ CASES = {
 
 
 def probe() -> str:
-    """What this machine's C library and NumPy's own vector code make of a few thousand angles, in short."""
+    """What the C library, NumPy's vector code and its BLAS make of some angles and matrices here, in short."""
     angles = np.linspace(-7.0, 7.0, 4001)
     values = [f(a) for a in angles for f in (math.sin, math.cos, math.tan)] + [math.atan2(a, 0.3) for a in angles]
     vector = [f(angles) for f in (np.sin, np.cos, np.exp, np.arctan)] + [np.arctan2(angles, 0.3), np.hypot(angles, 0.3)]
-    return hashlib.sha256(np.array(values).tobytes() + np.array(vector).tobytes()).hexdigest()[:16]
+    digest = hashlib.sha256(np.array(values).tobytes() + np.array(vector).tobytes())
+    rng = np.random.default_rng(0)
+    for n in (2, 3, 4, 6, 12, 30):
+        rows, square = rng.normal(size=(200, n)), rng.normal(size=(n, n)) + n * np.eye(n)
+        product, first = rows.T @ rows, rows[0].copy()
+        solved = np.linalg.solve(square, first), np.linalg.inv(product), np.linalg.eigvalsh(product)
+        for result in (product, square @ square.T, rows @ first, first @ square @ first, *solved):
+            digest.update(np.ascontiguousarray(result).tobytes())
+    return digest.hexdigest()[:16]
 
 
 def run_hashes(case: str) -> Hashes:
