@@ -26,7 +26,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarnin
 
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
-QUICK, MANY = 12, 40
+QUICK, MANY = 12, 25
 LETTERS = 800  # eight faults
 
 

@@ -183,7 +183,7 @@ def test_killed_at_random_times_it_always_goes_on(tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
     checkpoints = Checkpoints(folder / "checkpoints", 3)
     process, reached = start("--config", str(config), "--out", str(folder)), 0
-    for _ in range(3):  # each costs a start of PyTorch
+    for _ in range(2):  # each costs a start of PyTorch
         wait_for_checkpoint(process, checkpoints, beyond=reached)
         time.sleep(rng.uniform(0.0, 1.5))
         process.kill()

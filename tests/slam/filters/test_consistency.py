@@ -174,7 +174,7 @@ def test_covariance_stays_symmetric_and_positive(kind):
 
 @pytest.mark.slow
 def test_covariance_stays_symmetric_and_positive_for_long(kind):
-    live(kind, steps=40_000, check_every=200)
+    live(kind, steps=20_000, check_every=200)
 
 
 PROGRAM = """
