@@ -57,10 +57,11 @@ def test_wrappers_of_gymnasium(observation: str, name: str) -> None:
 
 def test_a_video_of_an_episode(tmp_path: Path) -> None:
     pytest.importorskip("moviepy", reason="needs the extra video")
-    env = wrappers.RecordVideo(make(render_mode="rgb_array", max_steps=5), str(tmp_path), disable_logger=True)
+    folder = tmp_path / "videos"  # a folder that is there would be a warning
+    env = wrappers.RecordVideo(make(render_mode="rgb_array", max_steps=5), str(folder), disable_logger=True)
     ended(env, 5)
     env.close()
-    assert next(tmp_path.glob("*.mp4")).stat().st_size > 1000
+    assert next(folder.glob("*.mp4")).stat().st_size > 1000
 
 
 @pytest.mark.parametrize("observation", FORMATS)
