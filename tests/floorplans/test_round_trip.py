@@ -19,7 +19,7 @@ from mecp_env.world.schema import Layout
 from tests.floorplans.test_importers import held_against
 
 THIN_M = 0.05
-EACH = 3  # buildings of a case
+EACH = 5  # buildings of a case
 
 
 def spec(difficulty: str, thin: bool) -> GeneratorSpec:
@@ -85,7 +85,7 @@ def test_buildings_come_back(difficulty: str, thin: bool, resolution_m: float, f
         doors, missing, false = doors + len(layout.doors), missing + lost, false + made
         off.append(walls_off_m(layout, plan))
     one_pixel = thin and resolution_m == THIN_M
-    assert missing <= (0.015 if one_pixel else 0.005) * doors + 0.5
+    assert missing <= (0.015 if one_pixel else 0.005) * doors
     assert false <= 0.005 * doors + 0.5
     assert np.median(off) < 0.015
     assert max(off) < 0.05
