@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-FORMAT = "7: nogil, numpy errors, no wrapper for C, no variants of numbers"  # changes with the options of `compiled`
+FORMAT = "8: nogil, numpy errors, no wrapper for C, no variants of numbers, own boxes"  # changes with `compiled`
 
 
 def fingerprint(function: Callable[..., Any]) -> str:

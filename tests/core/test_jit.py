@@ -14,6 +14,7 @@ import pytest
 
 import mecp_env
 from mecp_env.core.jit_key import fingerprint
+from mecp_env.core.se2 import inverse
 from mecp_env.slam.messages import Cell
 
 PACKAGE = Path(mecp_env.__file__).parent
@@ -119,6 +120,17 @@ def test_numbers_that_are_written_in_calls_make_no_variants(tree: Tree) -> None:
     (tree.package / "caller.py").write_text(CALLER.replace("2.0 * called(x)", "x + called(1) + called(2)"))
     code = "from mecp_env.caller import caller, called; caller(1.0); print(len(called.signatures), 1)"
     assert tree.call(code)[0] == 1.0
+
+
+def test_a_returned_array_costs_no_call_of_python() -> None:
+    called = list[str]()
+    sys.setprofile(lambda frame, event, _: called.append(frame.f_code.co_name) if event == "call" else None)
+    try:
+        array = inverse(np.zeros(3))
+    finally:
+        sys.setprofile(None)
+    assert type(array) is np.ndarray
+    assert "_numba_unpickle" not in called
 
 
 def test_a_function_on_the_list_has_an_entry_of_its_own(tree: Tree) -> None:
