@@ -18,6 +18,7 @@ HALF_LENGTH = np.array([5, 5, 5, 5, 7, 7, 7, 7])  # of the steps, in tenths of a
 OPEN_COST = 10  # of a tenth of a cell far from walls; more near them
 MAX_COST = 250
 FAR = 2**30
+ONE = np.uint16(1)
 BUCKETS = 4096  # a power of two, more than a step can cost
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
@@ -26,34 +27,37 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 @compiled
 def clearance(label: Bytes, reach: float) -> Distances:
     """(H,W) distance of each cell to the nearest OCCUPIED one, centre to centre, in cells, up to `reach`."""
-    height, width = label.shape
-    near = math.ceil(reach)
-    away = np.empty((height, width), np.int32)  # rows to the nearest OCCUPIED cell of the column, up to near + 1
-    for row in range(height):
+    (height, width), near = label.shape, math.ceil(reach)
+    far = np.uint16(near + 1)
+    away = np.empty((height, width), np.uint16)  # rows to the nearest OCCUPIED cell of the column, up to near + 1
+    for column in range(width if height else 0):
+        away[0, column] = np.uint16(0) if label[0, column] == OCCUPIED else far
+    for row in range(1, height):
+        labels, own, above = label[row], away[row], away[row - 1]
         for column in range(width):
-            before = away[row - 1, column] + 1 if row > 0 else near + 1
-            away[row, column] = 0 if label[row, column] == OCCUPIED else min(before, near + 1)
+            own[column] = np.uint16(0) if labels[column] == OCCUPIED else min(np.uint16(above[column] + ONE), far)
     for i in range(1, height):
+        own, below = away[height - 1 - i], away[height - i]
         for column in range(width):
-            away[height - 1 - i, column] = min(away[height - 1 - i, column], away[height - i, column] + 1)
+            own[column] = min(own[column], np.uint16(below[column] + ONE))
     roots = np.empty(2 * (near + 1) ** 2 + 1, np.float32)  # of a sum of two squares, up to `reach`
     for i in range(near + 2):
         for j in range(near + 2):
             roots[i * i + j * j] = min(math.hypot(i, j), reach)
     distance = np.empty((height, width), np.float32)
-    squares, least = np.empty(width + 2 * near, np.float32), np.empty(width, np.float32)
+    squares, least = np.full(width + 2 * near, far * far, np.uint16), np.empty(width, np.uint16)
+    inner = squares[near : near + width]
     for row in range(height):
-        for i in range(width + 2 * near):
-            squares[i] = (near + 1) ** 2
+        own, found = away[row], distance[row]
         for column in range(width):
-            squares[column + near] = away[row, column] * away[row, column]
-            least[column] = squares[column + near]
+            inner[column] = own[column] * own[column]
+            least[column] = inner[column]
         for i in range(2 * near + 1):
-            aside = np.float32((i - near) ** 2)
-            for column in range(width):
-                least[column] = min(least[column], squares[column + i] + aside)
+            aside, shifted = np.uint16((i - near) ** 2), squares[i : i + width]
+            for column in range(width):  # of short integers, so that many cells are done at a time
+                least[column] = min(least[column], np.uint16(shifted[column] + aside))
         for column in range(width):
-            distance[row, column] = roots[int(least[column])]
+            found[column] = roots[np.uint32(least[column])]
     return distance
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
 
-TILE = 16
+TILE = 32
 WIDE = 8  # doubles in the widest registers
 
 
@@ -99,14 +99,15 @@ def downdate(P: Array, n: int, W: Array) -> None:
 
 
 @compiled
-def add_product(C: Array, A: Array, B: Array, first: int, lower: bool) -> None:
+def add_product(C: Array, A: Array, B: Array, first: int, lower: bool, pairs: Ints) -> None:
     """Add A B, A (m,k), B (k,n), to C from its row and column `first` on; `lower`: above the diagonal C is spoilt.
 
-    Two rows of C and four of B a pass, so that the compiler's wide loop loads less than it computes.
+    Only to the rows i and i + 1 (if there is one) for each i of `pairs`, which are even. Two rows of C and four of B a
+    pass, so that the compiler's wide loop loads less than it computes.
     """
     (m, depth), spare = A.shape, np.zeros(B.shape[1])
     paired = depth - depth % 4
-    for i in range(0, m, 2):
+    for i in pairs:
         end, other = min(i + 2, B.shape[1]) if lower else B.shape[1], min(i + 1, m - 1)
         upper = C[first + i, first : first + end]
         under = C[first + other, first : first + end] if other > i else spare[:end]
@@ -124,21 +125,68 @@ def add_product(C: Array, A: Array, B: Array, first: int, lower: bool) -> None:
                 under[j] += c0 * b0[j]
 
 
-@compiled
 def product(A: Array, B: Array) -> Array:
     """A B for A (m,k), B (k,n)."""
+    whole: Array = product_of(A, B, np.arange(0, A.shape[0], 2))
+    return whole
+
+
+@compiled
+def product_of(A: Array, B: Array, pairs: Ints) -> Array:
+    """The rows i and i + 1 of A B for each i of `pairs`, as in `add_product`; the others are 0."""
     C = np.zeros((A.shape[0], B.shape[1]))
-    add_product(C, A, B, 0, False)
+    add_product(C, A, B, 0, False, pairs)
     return C
 
 
 @compiled
+def block_of(P: Array, rows: Ints, columns: Ints) -> Array:
+    """P[np.ix_(rows, columns)], in a fraction of its time."""
+    block = np.empty((rows.shape[0], columns.shape[0]))
+    for i in range(rows.shape[0]):
+        row, to = P[rows[i]], block[i]
+        for j in range(columns.shape[0]):
+            to[j] = row[columns[j]]
+    return block
+
+
+@compiled
 def pick_lower(P: Array, numbers: Ints, picked: Array, first: int) -> None:
-    """Copy the lower half of P at its rows and columns `numbers` (m,) to `picked`, from row and column `first` on."""
+    """Copy the lower half of P at its rows and columns `numbers` (m,) to `picked`, from row and column `first` on.
+
+    Numbers that follow each other are copied together.
+    """
+    start, runs = np.empty(numbers.shape[0], np.int64), 0
+    for j in range(numbers.shape[0]):
+        if j == 0 or numbers[j] != numbers[j - 1] + 1:
+            start[runs] = j
+            runs += 1
     for i in range(numbers.shape[0]):
         row, to = P[numbers[i]], picked[first + i]
-        for j in range(i + 1):
-            to[first + j] = row[numbers[j]]
+        for r in range(runs):
+            begin, end = start[r], min(start[r + 1] if r + 1 < runs else i + 1, i + 1)
+            some, there = row[numbers[begin] :], to[first + begin : first + max(begin, end)]
+            for j in range(there.shape[0]):
+                there[j] = some[j]
+
+
+@compiled
+def own_blocks(P: Array, numbers: Ints, A: Array, B: Array, C: Array, first: int) -> None:
+    """As `pick_lower`, `add_product` of A and B^T and `mirror_lower` one after the other, but 2x2 blocks alone.
+
+    These are the blocks on the diagonal of P + A B^T, which are the same to the bit.
+    """
+    depth = A.shape[1]
+    for i in range(numbers.shape[0]):
+        for j in range(i - i % 2, i + 1):
+            total = P[numbers[i], numbers[j]]
+            for k in range(0, depth - depth % 4, 4):
+                total += (A[i, k] * B[j, k] + A[i, k + 1] * B[j, k + 1]) + (
+                    A[i, k + 2] * B[j, k + 2] + A[i, k + 3] * B[j, k + 3]
+                )
+            for k in range(depth - depth % 4, depth):
+                total += A[i, k] * B[j, k]
+            C[first + i, first + j] = C[first + j, first + i] = total
 
 
 @compiled

@@ -18,6 +18,7 @@ Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # as in mecp_env.slam.messages.Cell
+BLOCK = 256  # cells that are looked at together
 BARRIER_CELLS = 1.5  # floor is not joined this close to the line of a door
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
@@ -34,7 +35,7 @@ def floor_clusters(grid: SemanticGrid, lines: Array, config: GoalsConfig) -> tup
     span = max(round(config.uncovered_m / 2 / grid.resolution_m), 1)
     middles, clear = lines.mean(axis=1, keepdims=True).repeat(2, axis=1), config.door_clear_m / grid.resolution_m
     uncovered, frontier = mark_floor(grid.label, grid.polygon, room, span, middles, clear)
-    return clusters(*uncovered, room, config.uncovered_cells), clusters(*frontier, room, config.frontier_cells)
+    return clusters(uncovered, room, config.uncovered_cells), clusters(frontier, room, config.frontier_cells)
 
 
 def uncovered_edges(
@@ -72,14 +73,19 @@ def assign_rooms(label: Bytes, room: Rooms, lines: Array, margin: float) -> Room
     What was seen of a room from outside, through its door, has no room: it gets one as soon as the room has floor.
     """
     assigned, barred = room.copy(), near_lines(label.shape, lines, margin)
+    loose, owned = np.empty(label.shape, np.bool_), np.empty(label.shape, np.bool_)
+    for row in range(label.shape[0]):  # without branches, so that many cells are done at a time
+        labels, rooms, bars, no_room, has_room = label[row], room[row], barred[row], loose[row], owned[row]
+        for i in range(labels.shape[0]):
+            no_room[i] = (labels[i] == FREE) & (rooms[i] < 0) & (not bars[i])
+        for i in range(labels.shape[0]):
+            has_room[i] = (labels[i] == FREE) & (rooms[i] >= 0)
+    first = marked_cells(beside(loose, owned))
     queue = np.empty((label.size + 1, 2), np.int64)
-    size, head = 0, 0
-    for row in range(1, label.shape[0] - 1):
-        for column in range(1, label.shape[1] - 1):
-            if label[row, column] == FREE and room[row, column] < 0 and not barred[row, column]:
-                assigned[row, column] = _room_beside(label, room, row, column)
-                queue[size, 0], queue[size, 1] = row, column
-                size += 1 if assigned[row, column] >= 0 else 0
+    queue[: first.shape[0]] = first
+    size, head = first.shape[0], 0
+    for i in range(size):
+        assigned[first[i, 0], first[i, 1]] = _room_beside(label, room, first[i, 0], first[i, 1])
     while head < size:
         for k in range(4):
             r, c = queue[head, 0] + DROW[k], queue[head, 1] + DCOL[k]
@@ -122,47 +128,72 @@ def near_lines(shape: tuple[int, int], lines: Array, margin: float) -> Bools:
 
 
 @compiled
-def mark_floor(
-    label: Bytes, polygon: Bools, room: Rooms, span: int, doors: Array, clear: float
-) -> tuple[tuple[Bytes, Ints], tuple[Bytes, Ints]]:
-    """FREE cells of a room that are uncovered, and frontiers: each as a mask (H,W) and as rows and columns (n,2).
+def mark_floor(label: Bytes, polygon: Bools, room: Rooms, span: int, doors: Array, clear: float) -> tuple[Bools, Bools]:
+    """(H,W) which FREE cells of a room are uncovered, and which are frontiers.
 
     All keep `clear` cells from the middles of `doors`, segments (d,2,2) of no length, in cells. Uncovered: no polygon
     covers the cell, nor its eight neighbours `span` cells away, which are FREE. Frontier: beside an UNKNOWN cell.
     """
-    height, width = label.shape
-    uncovered, frontier = np.zeros(label.shape, np.uint8), np.zeros(label.shape, np.uint8)
-    at_uncovered, at_frontier = np.empty((label.size, 2), np.int64), np.empty((label.size, 2), np.int64)
-    kept_clear = near_lines(label.shape, doors, clear)
-    n, m = 0, 0
-    for row in range(1, height - 1):
-        for column in range(1, width - 1):
-            if label[row, column] != FREE or room[row, column] < 0:
-                continue
-            beside = min(label[row - 1, column], label[row + 1, column], label[row, column - 1], label[row, column + 1])
-            wide = span <= row < height - span and span <= column < width - span and not polygon[row, column]
-            for k in range(8 if wide else 0):
-                r, c = row + span * DROW[k], column + span * DCOL[k]
-                wide = wide and label[r, c] == FREE and not polygon[r, c]
-            if kept_clear[row, column] or not (wide or beside == UNKNOWN):
-                continue
-            if wide:
-                uncovered[row, column] = 1
-                at_uncovered[n, 0], at_uncovered[n, 1] = row, column
-                n += 1
-            if beside == UNKNOWN:
-                frontier[row, column] = 1
-                at_frontier[m, 0], at_frontier[m, 1] = row, column
-                m += 1
-    return (uncovered, at_uncovered[:n].copy()), (frontier, at_frontier[:m].copy())
+    (height, width), near = label.shape, near_lines(label.shape, doors, clear)
+    bare, asked = np.empty(label.shape, np.bool_), np.empty(label.shape, np.bool_)
+    unknown = np.empty(label.shape, np.bool_)
+    for row in range(height):  # without branches, so that many cells are done at a time
+        labels, covered, rooms, nears = label[row], polygon[row], room[row], near[row]
+        uncovered_floor, own, unseen = bare[row], asked[row], unknown[row]
+        for i in range(width):
+            uncovered_floor[i] = (labels[i] == FREE) & (not covered[i])
+        for i in range(width):
+            own[i] = (labels[i] == FREE) & (rooms[i] >= 0) & (not nears[i])
+        for i in range(width):
+            unseen[i] = labels[i] == UNKNOWN
+    uncovered, column = np.zeros(label.shape, np.bool_), np.empty(width, np.bool_)
+    for row in range(span, height - span):
+        before, own, after = bare[row - span], bare[row], bare[row + span]
+        for i in range(width):
+            column[i] = before[i] & own[i] & after[i]
+        wide, wanted = uncovered[row, span : width - span], asked[row, span : width - span]
+        left, middle, right = column[: width - 2 * span], column[span : width - span], column[2 * span :]
+        for i in range(wide.shape[0]):
+            wide[i] = wanted[i] & left[i] & middle[i] & right[i]
+    return uncovered, beside(asked, unknown)
 
 
 @compiled
-def clusters(marked: Bytes, cells: Ints, room: Rooms, least: int) -> Ints:
+def beside(mask: Bools, other: Bools) -> Bools:
+    """(H,W) the cells of a mask, but for those on the border, that have one of another among their four neighbours."""
+    height, width = mask.shape
+    found = np.zeros(mask.shape, np.bool_)
+    for row in range(1, height - 1):
+        own, marked = mask[row, 1 : width - 1], found[row, 1 : width - 1]
+        left, right = other[row, : width - 2], other[row, 2:]
+        down, up = other[row - 1, 1 : width - 1], other[row + 1, 1 : width - 1]
+        for i in range(own.shape[0]):
+            marked[i] = own[i] & (left[i] | right[i] | down[i] | up[i])
+    return found
+
+
+@compiled
+def marked_cells(mask: Bools) -> Ints:
+    """(n,2) row and column of each cell of a mask (H,W) that is set, row by row."""
+    cells, flat, width, n = np.empty((mask.size, 2), np.int64), mask.reshape(-1), mask.shape[1], 0
+    for first in range(0, flat.shape[0], BLOCK):  # most blocks are empty
+        block, some = flat[first : first + BLOCK], False
+        for i in range(block.shape[0]):
+            some |= block[i]
+        for i in range(block.shape[0] if some else 0):
+            if block[i]:
+                cells[n, 0], cells[n, 1] = (first + i) // width, (first + i) % width
+                n += 1
+    return cells[:n].copy()
+
+
+@compiled
+def clusters(marked: Bools, room: Rooms, least: int) -> Ints:
     """(c,4) row, column, size and room of the connected clusters (8 neighbours, one room) of `least` cells or more.
 
-    The cell is the one nearest to the middle of its cluster. `marked`, whose `cells` (n,2) are set, is used up.
+    The cell is the one nearest to the middle of its cluster. The mask `marked` (H,W) is used up.
     """
+    cells = marked_cells(marked)
     found = np.empty((cells.shape[0], 4), np.int64)
     queue = np.empty((cells.shape[0], 2), np.int64)
     n = 0
@@ -171,12 +202,12 @@ def clusters(marked: Bytes, cells: Ints, room: Rooms, least: int) -> Ints:
         own = room[cells[first, 0], cells[first, 1]]
         if marked[cells[first, 0], cells[first, 1]]:
             queue[0, 0], queue[0, 1] = cells[first, 0], cells[first, 1]
-            marked[cells[first, 0], cells[first, 1]] = 0
+            marked[cells[first, 0], cells[first, 1]] = False
             size = 1
         while step < 8 * size:
-            r, c = queue[step // 8, 0] + DROW[step % 8], queue[step // 8, 1] + DCOL[step % 8]
+            r, c = queue[step >> 3, 0] + DROW[step & 7], queue[step >> 3, 1] + DCOL[step & 7]
             if 0 <= r < marked.shape[0] and 0 <= c < marked.shape[1] and marked[r, c] and room[r, c] == own:
-                marked[r, c] = 0
+                marked[r, c] = False
                 queue[size, 0], queue[size, 1] = r, c
                 size += 1
             step += 1

@@ -21,7 +21,6 @@ from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel, SlamOu
 
 Point = tuple[float, float]
 OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room
-Places = dict[int, list[float]]  # id -> x, y in m, map frame
 
 OPEN_EDGE, GAP_EDGE = int(EdgeLabel.OPEN), int(EdgeLabel.GAP)
 
@@ -41,18 +40,12 @@ class GoalContext:
     """What the search for goals needs again and again."""
 
     slam_output: SlamOutput
-    places: Places  # of the landmarks
     doors: list[DoorPlace]  # of the graph's doors
 
     @classmethod
     def of(cls, output: SlamOutput) -> GoalContext:
         """The context of a step."""
-        return cls(output, landmark_places(output.belief), door_places(output.graph.doors, output.belief))
-
-
-def landmark_places(belief: Belief) -> Places:
-    """Positions of the landmarks."""
-    return dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
+        return cls(output, door_places(output.graph.doors, output.belief))
 
 
 def door_places(doors: Sequence[Door], belief: Belief) -> list[DoorPlace]:

@@ -4,10 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from mecp_env.core.linalg import add_product, pick_lower, product
+from mecp_env.core.linalg import (
+    add_product,
+    block_of,
+    mirror_lower,
+    own_blocks,
+    pick_lower,
+    product,
+    product_of,
+)
+
+Ints = NDArray[np.int64]
 
 SIZES = [(1, 1, 1), (2, 4, 3), (5, 7, 5), (8, 3, 9), (31, 18, 31)]
+
+
+def all_pairs(m: int) -> Ints:
+    """The first row of each pair of rows."""
+    return np.arange(0, m, 2)
 
 
 @pytest.mark.parametrize(("m", "depth", "n"), SIZES)
@@ -16,7 +32,7 @@ def test_products_are_those_of_numpy(m: int, depth: int, n: int) -> None:
     A, B, C = rng.normal(size=(m, depth)), rng.normal(size=(depth, n)), rng.normal(size=(m, n))
     np.testing.assert_allclose(product(A, B), A @ B, rtol=0.0, atol=1e-12)
     total = C.copy()
-    add_product(total, A, B, 0, False)
+    add_product(total, A, B, 0, False, all_pairs(m))
     np.testing.assert_allclose(total, C + A @ B, rtol=0.0, atol=1e-12)
 
 
@@ -25,7 +41,7 @@ def test_a_lower_product_is_right_up_to_the_diagonal(m: int) -> None:
     rng = np.random.default_rng(m)
     A, C = rng.normal(size=(m, 6)), rng.normal(size=(m, m))
     total = C.copy()
-    add_product(total, A, np.ascontiguousarray(A.T), 0, True)
+    add_product(total, A, np.ascontiguousarray(A.T), 0, True, all_pairs(m))
     np.testing.assert_allclose(np.tril(total), np.tril(C + A @ A.T), rtol=0.0, atol=1e-12)
 
 
@@ -35,9 +51,36 @@ def test_a_part_of_a_covariance_is_picked_and_changed_in_place(first: int) -> No
     P, A, numbers = rng.normal(size=(9, 9)), rng.normal(size=(4, 5)), np.array([1, 2, 5, 8])
     picked = np.full((first + 5, first + 5), 7.0)
     pick_lower(P, numbers, picked, first)
-    add_product(picked, A, np.ascontiguousarray(A.T), first, True)
+    add_product(picked, A, np.ascontiguousarray(A.T), first, True, all_pairs(4))
     part = slice(first, first + 4)
     np.testing.assert_allclose(np.tril(picked[part, part]), np.tril(P[np.ix_(numbers, numbers)] + A @ A.T), atol=1e-12)
     assert (picked[:first] == 7.0).all()
     assert (picked[:, :first] == 7.0).all()
     assert (picked[first + 4 :] == 7.0).all()
+
+
+def test_rows_of_a_product_are_those_of_the_whole() -> None:
+    rng = np.random.default_rng(0)
+    A, B = rng.normal(size=(7, 6)), rng.normal(size=(6, 9))
+    some, whole = product_of(A, B, np.array([2, 6])), product(A, B)
+    np.testing.assert_array_equal(some[[2, 3, 6]], whole[[2, 3, 6]])
+    assert (some[[0, 1, 4, 5]] == 0.0).all()
+
+
+def test_a_block_is_that_of_numpy() -> None:
+    P, rows, columns = np.random.default_rng(0).normal(size=(9, 8)), np.array([7, 2, 2]), np.array([0, 1, 5, 4])
+    np.testing.assert_array_equal(block_of(P, rows, columns), P[np.ix_(rows, columns)])
+
+
+@pytest.mark.parametrize("depth", [1, 4, 7, 34])
+def test_own_blocks_are_to_the_bit_those_of_the_whole(depth: int) -> None:
+    rng = np.random.default_rng(depth)
+    P, A, B = (rng.normal(size=size) for size in ((20, 20), (8, depth), (8, depth)))
+    numbers, first = np.array([3, 4, 5, 6, 9, 10, 17, 18]), 3
+    whole, some = np.zeros((11, 11)), np.zeros((11, 11))
+    pick_lower(P, numbers, whole, first)
+    add_product(whole, A, np.ascontiguousarray(B.T), first, True, all_pairs(8))
+    mirror_lower(whole, 11)
+    own_blocks(P, numbers, A, B, some, first)
+    for i in range(first, 11, 2):
+        np.testing.assert_array_equal(some[i : i + 2, i : i + 2], whole[i : i + 2, i : i + 2])

@@ -131,7 +131,7 @@ class LandmarkFilter:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
         z, R, ids = as_floats(z), as_floats(R), integers(ids)
         nis = np.empty((len(z), len(ids)))
-        if not pairwise_nis(*self._part(ids), ids, z, R, self.invariant, nis):
+        if not pairwise_nis(*self._part(ids, apart=True), ids, z, R, self.invariant, nis):
             self._refuse_unknown(ids)
         return nis
 
@@ -236,8 +236,11 @@ class LandmarkFilter:
             cov[:size, 1:3] += np.outer(cov[:size, 0], by_heading)
             mirror_lower(cov, size)
 
-    def _part(self, ids: Ints) -> tuple[Array, Ints]:
-        """A state with the pose and at least the landmarks `ids` (m,), and the ids in its slots."""
+    def _part(self, ids: Ints, apart: bool = False) -> tuple[Array, Ints]:
+        """A state with the pose and at least the landmarks `ids` (m,), and the ids in its slots.
+
+        `apart`: the covariance of one landmark with another may be missing.
+        """
         return self.state, self.slot_ids
 
     def _slots(self, ids: Ints) -> Ints:

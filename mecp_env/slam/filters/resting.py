@@ -13,7 +13,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.arrays import find_rows
-from mecp_env.core.linalg import factor_lower, forward_rows, product
+from mecp_env.core.linalg import block_of, factor_lower, forward_rows, product
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError
 
@@ -39,7 +39,7 @@ class Rest:
         resting[shown[shown >= 0]] = False  # marks are not in the belief
         numbers, size = numbers_of(rows), len(self.factor)
         factor = np.zeros((size + len(numbers), size + len(numbers)))
-        across, block = self.whitened(rows), self.state[1:][np.ix_(numbers, numbers)]
+        across, block = self.whitened(rows), block_of(self.state[1:], numbers, numbers)
         own = block - product(across, np.ascontiguousarray(across.T))
         own += np.diag(4096.0 * ROUNDING * np.diagonal(block))  # more than rounding; any L is exact
         factor[:size, :size], factor[size:, :size], factor[size:, size:] = self.factor, across, factored(own)
@@ -48,7 +48,7 @@ class Rest:
     def whitened(self, rows: Ints) -> Array:
         """V (2m,3+2a), V L^T is the covariance of the landmarks of some rows (m,) with the numbers in work."""
         work = np.concatenate((np.arange(3), numbers_of(self.at_work)))
-        cross = self.state[1:][np.ix_(work, numbers_of(rows))]
+        cross = block_of(self.state[1:], work, numbers_of(rows))
         forward_rows(self.factor, cross)
         return cross.T
 

@@ -14,18 +14,37 @@ map-building algorithm for real-time implementation", 2001.
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.linalg import add_product, mirror_lower, pick_lower, product
+from mecp_env.core.linalg import add_product, block_of, mirror_lower, own_blocks, pick_lower, product_of
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
 from mecp_env.slam.filters.resting import Rest, factored, numbers_of, rows_of
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import NO_ID, Belief
+
+
+class Expanded(NamedTuple):
+    """Landmarks that were at rest, as they are now: two numbers each, written for those of `pairs` alone."""
+
+    mean: Array  # (2m,) m
+    cross: Array  # (2m,o) covariance with some numbers in work
+    vectors: Array  # (2m,p) in terms of the probes
+    change: Array  # (2m,p) change vectors^T is the change of the covariance among themselves
+    pairs: Ints  # (n,) the first number of each landmark that is written
+
+    def write_among(self, whole: Array, numbers: Ints, cov: Array, first: int) -> None:
+        """Write the covariance among themselves to `cov`, from row and column `first` on; what lies before is spoilt.
+
+        `numbers` (2m,) are where they are in that of the whole map when the submap was taken.
+        """
+        pick_lower(whole, numbers, cov, first)
+        add_product(cov, self.change, np.ascontiguousarray(self.vectors.T), first, True, self.pairs)
+        mirror_lower(cov, first + len(numbers))
 
 
 class SubmapEkf(RightInvariantEkf):
@@ -128,19 +147,24 @@ class SubmapEkf(RightInvariantEkf):
         known, size = 3 + 2 * len(rows), 3 + 2 * len(ids)
         state = np.empty((1 + size, size))
         numbers, cov = np.concatenate((np.arange(3), numbers_of(rows_of(ids, work)))), state[1:]
-        state[0, 3:known], cross = self._expanded(rows, own, cov, 3)
-        cov[3:known, numbers], cov[numbers, 3:known] = cross, cross.T
-        state[0, numbers], cov[np.ix_(numbers, numbers)] = self.mean[own], self.cov[np.ix_(own, own)]
+        expanded = self._expanded(rows, own, 2 * np.flatnonzero(rows_of(work, ids[: len(rows)]) < 0))
+        expanded.write_among(self._whole_cov, numbers_of(rows), cov, 3)  # of those in work nothing that is right
+        state[0, 3:known], cov[3:known, numbers], cov[numbers, 3:known] = (
+            expanded.mean,
+            expanded.cross,
+            expanded.cross.T,
+        )
+        state[0, numbers], cov[np.ix_(numbers, numbers)] = self.mean[own], block_of(self.cov, own, own)
         self.state, self.slot_ids, self.divided = state, ids, ()
 
-    def _part(self, ids: Ints) -> tuple[Array, Ints]:
+    def _part(self, ids: Ints, apart: bool = False) -> tuple[Array, Ints]:
         if not self.divided or self._is_at_work(integers(ids)):
             return self.state, self.slot_ids
         ids = integers(ids)
         slots = rows_of(self.slot_ids, ids)
         own = np.concatenate((np.arange(3), numbers_of(slots[slots >= 0])))
         rows = self._rows_of_rest(ids[slots < 0])
-        return self._joined(own, rows), np.concatenate((ids[slots >= 0], ids[slots < 0]))
+        return self._joined(own, rows, apart), np.concatenate((ids[slots >= 0], ids[slots < 0]))
 
     def _bring_to_work(self, ids: Ints) -> None:
         """Make sure that landmarks are in the submap, which is a new one where there is none or it grew too large."""
@@ -194,33 +218,38 @@ class SubmapEkf(RightInvariantEkf):
         self.cov[np.ix_(numbers, probes)], self.cov[np.ix_(probes, numbers)] = factor, factor.T
         self.cov[probes, probes] = 1.0
 
-    def _joined(self, own: Ints, rows: Ints) -> Array:
-        """The state (1+s,s) of some numbers (o,) of the own one, and of landmarks at rest, rows (m,) of the whole."""
-        first, size = len(own), len(own) + 2 * len(rows)
+    def _joined(self, own: Ints, rows: Ints, apart: bool = False) -> Array:
+        """The state (1+s,s) of some numbers (o,) of the own one, and of landmarks at rest, rows (m,) of the whole.
+
+        `apart`: the covariance of one landmark at rest with another is not written.
+        """
+        first, size, numbers = len(own), len(own) + 2 * len(rows), numbers_of(rows)
         state = np.empty((1 + size, size))
-        cov = state[1:]
-        state[0, first:], cross = self._expanded(rows, own, cov, first)
-        state[0, :first], cov[:first, :first] = self.mean[own], self.cov[np.ix_(own, own)]
-        cov[first:, :first], cov[:first, first:] = cross, cross.T
+        cov, expanded = state[1:], self._expanded(rows, own, np.arange(0, 2 * len(rows), 2))
+        if apart:
+            own_blocks(self._whole_cov, numbers, expanded.change, expanded.vectors, cov, first)
+        else:
+            expanded.write_among(self._whole_cov, numbers, cov, first)
+        state[0, :first], state[0, first:] = self.mean[own], expanded.mean
+        cov[:first, :first], cov[first:, :first] = block_of(self.cov, own, own), expanded.cross
+        cov[:first, first:] = expanded.cross.T
         return state
 
-    def _expanded(self, rows: Ints, own: Ints, cov: Array, first: int) -> tuple[Array, Array]:
-        """Landmarks at rest, rows (m,) of the whole map, as they are now.
-
-        Mean (2m,), and covariance with the numbers `own` (o,) of the state (2m,o). That among themselves is written to
-        `cov`, from row and column `first` on; what lies before is spoilt.
-        """
+    def _expanded(self, rows: Ints, own: Ints, pairs: Ints) -> Expanded:
+        """Landmarks, rows (m,) of the whole map, as they are now; `own` (o,): numbers of the state; see `Expanded`."""
         assert self.rest is not None
         probes = numbers_of(np.flatnonzero(self.slot_ids <= FIRST_PROBE))
-        vectors = self.rest.coordinates(rows)
-        mean = product(vectors, self.mean[probes, None].copy())[:, 0]
-        cross = product(vectors, self.cov[np.ix_(probes, own)])
-        among = self.cov[np.ix_(probes, probes)]
+        vectors, among = self.rest.coordinates(rows), block_of(self.cov, probes, probes)
         among[np.arange(2, len(among), 2), np.arange(2, len(among), 2)] -= 1.0  # what they had at first
-        pick_lower(self.rest.state[1:], numbers_of(rows), cov, first)
-        add_product(cov, product(vectors, among), np.ascontiguousarray(vectors.T), first, lower=True)
-        mirror_lower(cov, first + len(vectors))
-        return mean, cross
+        mean = product_of(vectors, self.mean[probes, None].copy(), pairs)[:, 0]
+        cross = product_of(vectors, block_of(self.cov, probes, own), pairs)
+        return Expanded(mean, cross, vectors, product_of(vectors, among, pairs), pairs)
+
+    @property
+    def _whole_cov(self) -> Array:
+        """The covariance of the whole map when the submap was taken."""
+        assert self.rest is not None
+        return self.rest.state[1:]
 
     def _is_at_work(self, ids: Ints) -> bool:
         return self.rest is None or bool((rows_of(self.slot_ids, ids) >= 0).all())
