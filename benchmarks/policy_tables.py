@@ -1,7 +1,7 @@
 """The tables of README.md and of docs/policies.md and tasks.md, from results: `python -m benchmarks.policy_tables`.
 
-results/policies.json has the coverage of generated buildings, results/task_*.json the tasks of active SLAM and
-results/kth_plans.json real floor plans.
+results/policies.json has the coverage of generated buildings, results/task_*.json the tasks of active SLAM,
+results/kth_plans.json real floor plans, and results/suites/*.json the frozen benchmarks.
 
 They are between `<!-- policies: NAME -->` and `<!-- end -->`; no figure is copied by hand.
 """
@@ -12,9 +12,11 @@ import json
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
+from mecp_env.policies import suites
 from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, labelled, returns_table, table
 
 ROOT = RESULTS.parents[1]
@@ -22,6 +24,7 @@ RESULT = RESULTS / "policies.json"
 TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in ("halls", "corridors", "cheap_robot"))
 LEARNED_RESULTS = (RESULTS / "task_halls_learned.json", RESULTS / "task_halls_ablation.json")
 PLAN_RESULT = RESULTS / "kth_plans.json"
+SUITE_RESULTS = RESULTS / "suites"  # a file of `mecp-env evaluate --suite` for each submission
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "policies.md", ROOT / "docs" / "tasks.md")
 HEADLINE_METRIC = "correct_over_steps"
 ACTING: tuple[Column, ...] = (
@@ -60,6 +63,7 @@ def tables(result: Figures) -> dict[str, str]:
         task_tables()
         | learned_tables()
         | plan_tables()
+        | {"suites": suite_tables(SUITE_RESULTS)}
         | {
             "where": f"{result['buildings']} buildings, `{setting['difficulty']}`, split `{setting['split']}`:",
             "short": table(measured(HEADLINE, rows, "figures"), labelled(estimated)),
@@ -117,6 +121,23 @@ def plan_tables() -> dict[str, str]:
     difference = f"Difference to `{result['reference']}`, in the same episodes:"
     against = table(ON_PLANS_AGAINST, labelled(result["rows"], "against_reference"))
     return {"plans": "\n\n".join([where, table(ON_PLANS, labelled(result["rows"])), difference, against])}
+
+
+def suite_tables(folder: Path) -> str:
+    """The table of each frozen benchmark, from the result files in a folder. Raises `ConfigError` for a wrong file."""
+    results = {path.name: suites.read_submission(path) for path in sorted(folder.glob("*.json"))}
+    return "\n\n".join(suite_table(name, results) for name in suites.SUITES)
+
+
+def suite_table(name: str, results: dict[str, Figures]) -> str:
+    """The results of one of them, the best first."""
+    ours = {file: content for file, content in results.items() if content["suite"] == name}
+    heading = f"`{name}`, hash {suites.SUITES[name].frozen}"
+    return (
+        f"{heading}, correct coverage over steps:\n\n{suites.leaderboard(ours)}"
+        if ours
+        else f"{heading}: no result yet."
+    )
 
 
 def price(task: str, policy: str, rows: list[Figures]) -> str:

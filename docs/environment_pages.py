@@ -18,7 +18,9 @@ from mecp_env.config import EnvConfig, ObservationConfig, RewardConfig
 from mecp_env.env import MecpEnv
 from mecp_env.episode.observation_columns import COLUMNS
 from mecp_env.episode.rewards import weights_of
+from mecp_env.episode.tasks import TASKS
 from mecp_env.floorplans import PlanOptions
+from mecp_env.policies.explorers import Nearest
 from mecp_env.render.film import Film
 from mecp_env.world import library
 from mecp_env.world.generator import DIFFICULTIES, GeneratorSpec
@@ -56,7 +58,7 @@ def page(name: str) -> str:
         [
             f"# {short(name)}",
             f"![The explorer nearest: ground truth and estimate]({short(name)}.gif)",
-            maker_text(name),
+            maker_text(name) + task_text(name),
             f'```python\nimport gymnasium as gym\nimport mecp_env\n\nenv = gym.make("{name}"{plan})\n```',
             doc_section("Description"),
             doc_section("Action Space"),
@@ -87,6 +89,12 @@ def maker_text(name: str) -> str:
     module, _, maker = mecp_env.ENVIRONMENTS[name].partition(":")
     text = (inspect.getdoc(getattr(importlib.import_module(module), maker)) or "").partition(": ")[2]
     return text[:1].upper() + text[1:]
+
+
+def task_text(name: str) -> str:
+    """Where the reader finds more about a task of active SLAM; nothing for other ids."""
+    more = " [tasks.md](../tasks.md) describes the tasks of active SLAM: goals on known ground, reward, results."
+    return more if short(name) in TASKS else ""
 
 
 def doc_section(title: str) -> str:
@@ -167,14 +175,18 @@ def leaves(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def film(name: str) -> Film:
-    """The first drives of an explorer that takes the nearest goal."""
+    """The first drives of the explorer `nearest`."""
     env, shots = make(name, actions="goal", render_mode="rgb_array"), Film(most_frames=60)
     env.set_wrapper_attr("callback", lambda step: shots.offer(step[4]["period"], env.render))
-    observation, _ = env.reset(seed=0)
-    for _ in range(FILM_GOALS):
-        goals = observation["goals"]
-        nearest = np.where(goals[:, 8] > 0, goals[:, 2], np.inf).argmin()
-        observation, _, terminated, truncated, _ = env.step(nearest)
-        if terminated or truncated:
-            break
+    explore(env)
     return shots
+
+
+def explore(env: gymnasium.Env[Any, Any]) -> float:
+    """Drive to the nearest goal a few times; the metres driven."""
+    policy, (observation, info), over = Nearest(), env.reset(seed=0), False
+    for _ in range(FILM_GOALS):
+        if not over:
+            observation, _, terminated, truncated, info = env.step(policy.act(observation))
+            over = terminated or truncated
+    return float(info["metres"])

@@ -77,7 +77,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     ## Observation Space
 
     A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
-    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,).
+    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,), and
+    with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns of `goals`.
     Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
     `observation="flat"` is one `Box(-1, 1, (104,), float32)` instead (see `Flat`), `observation="image"` one
     `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).

@@ -80,21 +80,21 @@ def _make_from(
 
 
 def make_active_halls(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
-    """`ActiveHalls-v0`: large rooms, a short-range laser, wheels that slip (`make_task`)."""
+    """`ActiveHalls-v0`: large rooms, a short-range laser, wheels that slip."""
     return make_task("ActiveHalls-v0", config, render_mode, keywords)
 
 
 def make_active_corridors(
     config: Any = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """`ActiveCorridors-v0`: rooms that look alike, a laser that sees ahead only (`make_task`)."""
+    """`ActiveCorridors-v0`: rooms that look alike, a laser that sees ahead only, wheels that slip."""
     return make_task("ActiveCorridors-v0", config, render_mode, keywords)
 
 
 def make_active_cheap_robot(
     config: Any = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
-    """`ActiveCheapRobot-v0`: furnished rooms, noisy beams, wheels that slip (`make_task`)."""
+    """`ActiveCheapRobot-v0`: furnished rooms, noisy beams, wheels that slip."""
     return make_task("ActiveCheapRobot-v0", config, render_mode, keywords)
 
 

@@ -43,6 +43,13 @@ def test_a_page_names_what_an_environment_sets_itself(pages: Any) -> None:
     assert "| `layout` | `'paper'` |" in pages.page("mecp_env/PaperMap-v0")
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_the_film_of_a_task_shows_drives_and_its_page_leads_to_the_tasks(pages: Any, name: str) -> None:
+    """The nearest row was that of waiting, so that the robot stood still."""
+    assert pages.explore(pages.make(f"mecp_env/{name}")) > 5.0
+    assert "(../tasks.md)" in pages.page(f"mecp_env/{name}")
+
+
 def test_fields_carry_their_comments(pages: Any) -> None:
     text = pages.configuration_page()
     assert "| `laser.sweeps` | `4` |" in text

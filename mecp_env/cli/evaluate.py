@@ -52,10 +52,10 @@ READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.n
 @dataclass(frozen=True)
 class Evaluate(Command):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
-    and, with --record, a film. A policy is bfs, nearest, gain, random_goal, random_walk, maskable_ppo, the folder of a
-    training run, or a custom class as module:Class. Finished episodes are kept in OUT/episodes: the same command
-    continues after a kill. Jobs with --shard 1/4 to 4/4 divide the buildings; then the command without --shard combines
-    their episodes."""
+    and, with --record, a film. A policy is bfs, nearest, gain, pause, returning, stachniss, random_goal, random_walk,
+    maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished episodes are kept in
+    OUT/episodes: the same command continues after a kill. Jobs with --shard 1/4 to 4/4 divide the buildings; then the
+    command without --shard combines their episodes."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
@@ -164,24 +164,32 @@ class Evaluate(Command):
             self._check(evaluation)
             kept = evaluation.kept(self.out / (setting.task or setting.difficulty))
             collect(evaluation, kept, self.jobs, self.cluster)
-            if evaluation.interrupted or evaluation.failures:
-                return INTERRUPTED if evaluation.interrupted else FAILED
+            if evaluation.interrupted:
+                return INTERRUPTED
+            if evaluation.failures:
+                print_error(f"{len(evaluation.failures)} episodes failed: no result; the same command repeats them")
+                return FAILED
             done.append((setting, evaluation.rows()))
-        if shard.count == 1:
+        if shard.count > 1:
+            echo(f"the episodes of shard {shard} are in {self.out}; the command without --shard writes the result")
+        else:
             result = submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
             path = self.json or self.out / f"{self.suite}.json"
             write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
-            echo(*leaderboard([result]).split("\n"), f"written to {path}")
+            echo(*leaderboard({self.suite: result}).split("\n"), f"written to {path}")
         return 0
 
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
         from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
+        from mecp_env.policies.suites import refuse_changes
 
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
         policies = [make_policy(name, self.trust) for name in self.policies]
+        if self.suite:
+            refuse_changes(self.policies, policies)
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
         evaluation.check_buildings(policies[0])

@@ -15,32 +15,36 @@ from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
+from mecp_env.episode.tasks import TASKS
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 
 Estimator = Literal["slam", "known", "truth"]
 Start = Literal["layout", "random"]
-EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3"
+EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task in place of the difficulty"
 
 
 @dataclass(frozen=True)
 class Explore(Command):
-    """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest, gain,
-    random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
+    """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest, gain, pause,
+    returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as
+    module:Class."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env explore gain --layout office",
         "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
+        "mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls",
         "mecp-env explore nearest --layout office --save-map office.zip",
         "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
     )
     choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator), "--start": get_args(Start)}
 
     policy: Annotated[str, tyro.conf.Positional]
-    layout: str = "paper"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, or the path of a plan
+    # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, TASK:SPLIT:NUMBER, or the path of a plan
+    layout: str = "paper"
     seed: Seed = 0  # of start, noise and policy
-    steps: Steps = 3000  # control steps of 0.4 s, at most
+    steps: Steps | None = None  # control steps of 0.4 s, at most; by default 3000, in a task 1500
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
-    start: Start = "layout"  # random: anywhere in free space
+    start: Start | None = None  # random: anywhere in free space; by default layout, in a task random
     replay: Path | None = None  # folder for the page that plays the episode
     rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
@@ -59,8 +63,10 @@ class Explore(Command):
         building, options = self._building()
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
-        fields = {"estimator": self.estimator, "max_steps": self.steps, "start": self.start, **options_of(policy)}
-        env = for_policy(gym.make(**building, **fields), policy, lambda observation, info: None)
+        given = {"max_steps": self.steps, "start": self.start}
+        fields = {name: value for name, value in given.items() if value is not None} | options_of(policy)
+        env = gym.make(**building, estimator=self.estimator, **fields)
+        env = for_policy(env, policy, lambda observation, info: None)
         recording = rerun_log(self.rerun, env.get_wrapper_attr("config").robot.period_s)
         env = env if recording is None else EveryStep(env, recording.look)
         env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
@@ -87,12 +93,15 @@ class Explore(Command):
         if self.layout.count(":") != 2:
             return {"id": "mecp_env/Layout-v0", "layout": resolve(self.layout, self.reading)}, None
         difficulty, split, number = self.layout.split(":")
-        for word, known in ((difficulty, DIFFICULTIES), (split, SPLITS)):
+        for word, known in ((difficulty, (*DIFFICULTIES, *TASKS)), (split, SPLITS)):
             if word not in known:
                 raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{guess(word, known)}")
         if not number.isdecimal():
             raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}")
-        return {"id": "mecp_env/Rooms-v0", "difficulty": difficulty, "split": split}, {"building": int(number)}
+        buildings = {"id": "mecp_env/Rooms-v0", "difficulty": difficulty}
+        if difficulty in TASKS:
+            buildings = {"id": f"mecp_env/{difficulty}"}
+        return buildings | {"split": split}, {"building": int(number)}
 
 
 def drive_line(observation: dict[str, Any], row: int, info: Mapping[str, Any]) -> str:

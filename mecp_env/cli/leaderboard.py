@@ -32,8 +32,8 @@ class Leaderboard(Command):
             raise ConfigError("files: expected at least one result of `mecp-env evaluate --suite`")
         if self.metric not in METRICS:
             raise ConfigError(f"metric: {self.metric!r:.80}, expected one of {', '.join(METRICS)}")
-        found = [read_submission(path) for path in self.files]
-        suites = sorted({content["suite"] for content in found})
+        found = {str(path): read_submission(path) for path in self.files}
+        suites = sorted({content["suite"] for content in found.values()})
         if len(suites) > 1:
             raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
         echo(f"{suites[0]}, {self.metric}", "", *leaderboard(found, self.metric).split("\n"))

@@ -14,8 +14,10 @@ import numpy as np
 
 from mecp_env.config import REWARDS, RewardConfig
 from mecp_env.core.array_types import Array
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
+from mecp_env.core.settings import shown
 from mecp_env.episode.potentials import POTENTIALS, RewardInputs
 from mecp_env.slam.messages import SemanticGrid
 
@@ -50,10 +52,22 @@ def measured_potentials(config: RewardConfig) -> list[str]:
 
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
     """Update `memory` to this step."""
-    memory.potentials = {name: float(POTENTIALS[name](inputs)) for name in measured_potentials(config)}
+    memory.potentials = {name: measured(name, inputs) for name in measured_potentials(config)}
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
+
+
+def measured(name: str, inputs: RewardInputs) -> float:
+    """A potential. Raises `ConfigError` for a custom one that is no finite number."""
+    value = POTENTIALS[name](inputs)
+    try:
+        found = float(value)
+    except (TypeError, ValueError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise ConfigError(f"reward: the potential {name!r} gave {shown(value)}, a finite number expected")
+    return found
 
 
 def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:

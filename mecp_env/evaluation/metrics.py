@@ -162,6 +162,13 @@ class EpisodeMetrics:
         share = max(0.0, self.coverage(truth) - self.quality.correct_coverage)
         return share * truth.free_cells * metric_arrays.CELL_M**2
 
+    def correct_areas(self) -> dict[str, float]:
+        """Mean correct coverage over the control steps until now, and over the metres; 0 before the first."""
+        return {
+            "correct_coverage_over_steps": self.quality.over_steps / max(1, self.steps),
+            "correct_coverage_over_metres": self.quality.over_metres / max(self.metres, 1e-9),
+        }
+
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
         T_map_robot: Array = compose(inverse(self.T_world_map), T_world_robot)
@@ -239,8 +246,7 @@ class EpisodeMetrics:
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
             "correct_coverage": correct_coverage(truth.floor_and_walls, output.grid, self.T_world_map),
-            "correct_coverage_over_steps": self.quality.over_steps / max(1, self.steps),
-            "correct_coverage_over_metres": self.quality.over_metres / max(self.metres, 1e-9),
+            **self.correct_areas(),
             "free_area_m2": truth.free_cells * metric_arrays.CELL_M**2,
             "rooms": len(truth.outline.rooms),
             "rooms_found": rooms,
@@ -276,6 +282,7 @@ def figures(metrics: EpisodeMetrics, truth: GroundTruth, output: SlamOutput) -> 
     return {
         "coverage": metrics.coverage(truth),
         "correct_coverage": metrics.quality.correct_coverage,  # every 25 steps
+        **metrics.correct_areas(),
         "map_error_m": metrics.quality.map_error_m,  # every 25 steps
         "pose_error_m": metrics.pose_error_m,
         "heading_error_rad": metrics.heading_error_rad,

@@ -15,12 +15,16 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 
+from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
+from mecp_env.episode.actions import make_actions
+from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.learning.downsampled import downsample, goal_masks, without_known_ground
+from mecp_env.learning.downsampled import TRUST, downsample, goal_masks, without_known_ground
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.models import CLASSES, make_network
 from mecp_env.learning.run_folder import CONFIG, POLICY
@@ -41,8 +45,10 @@ class PredictingPolicy:
 
     def __init__(self, network: Any, actions: str, config: TrainConfig | None, name: str) -> None:
         self.network, self.actions, self.config, self.name = network, actions, config, name
-        self.uncertainty = config is not None and config.env.observation.uncertainty
-        self.settings: Mapping[str, Any] = active.SETTINGS if self.uncertainty else {}
+        parts = getattr(network.observation_space, "spaces", {}) if config is None else {}
+        self.uncertainty = TRUST in parts if config is None else config.env.observation.uncertainty
+        asked_for = {"observation": {part: True for part in ("map", "scan") if part in parts}}
+        self.settings: Mapping[str, Any] = merge(dict(active.SETTINGS) if self.uncertainty else {}, asked_for)
         self.reset()
 
     def reset(self, seed: int = 0) -> None:
@@ -68,11 +74,23 @@ class PredictingPolicy:
         return int(self._predict(observation, action_masks=mine[None]))
 
     def _predict(self, observation: dict[str, Any], **masks: Any) -> Any:
-        inputs = observation if self.config is None else downsample(observation, self.actions == "goal")
+        if self.config is None:
+            inputs = fitting(observation, self.network.observation_space, self.name)
+        else:
+            inputs = downsample(observation, self.actions == "goal")
         batch = {name: np.asarray(values)[None] for name, values in inputs.items()}
         actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)
         self.episode_start = np.zeros(1, np.bool_)
         return actions[0]
+
+
+def fitting(observation: dict[str, Any], space: Any, name: str) -> dict[str, Any]:
+    """The parts of an observation that are in the space of a model. Raises `ConfigError` where they do not fit."""
+    here = {part: np.shape(values) for part, values in observation.items()}
+    theirs = {part: box.shape for part, box in getattr(space, "spaces", {}).items()}
+    if not theirs or any(here.get(part) != shape for part, shape in theirs.items()):
+        raise ConfigError(f"policy: {name} was trained on {theirs or space}, the observation has {here}")
+    return {part: observation[part] for part in theirs}
 
 
 def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy:
@@ -130,7 +148,11 @@ def load_zip(path: Path, trust: bool) -> PredictingPolicy:
         model = CLASSES[algorithm].load(path, device="cpu")
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    return PredictingPolicy(model, "goal" if algorithm == "maskable_ppo" else "velocity", None, str(path))
+    actions = "goal" if algorithm == "maskable_ppo" else "velocity"
+    expected = spaces.Discrete(GOALS) if actions == "goal" else make_actions(actions).space
+    if model.action_space != expected:
+        raise ConfigError(f"policy: {path} was trained with the actions {model.action_space}, expected {expected}")
+    return PredictingPolicy(model, actions, None, str(path))
 
 
 def algorithm_of(path: Path) -> str:

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
-from mecp_env.core.settings import guess
+from mecp_env.core.settings import guess, shown
 from mecp_env.policies.policy import Policy
 
 EXPLORERS = {  # name -> "module:Class", constructed without arguments
@@ -47,12 +48,14 @@ def make_policy(name: str, trust: bool = False) -> Policy:
 def register_policy(name: str, path: str) -> None:
     """Let `name` stand for a policy, a class given as "module:Class", which worker processes can import, too.
 
-    Raises `ConfigError` for a name of ours, for what is no name, and for what is no path of a class.
+    A name that was registered before is replaced. Raises `ConfigError` for a name of ours, for what is no name, and for
+    what is no path of a class.
     """
-    if not name.isidentifier() or name in (*OURS, *LEARNED):
-        raise ConfigError(f"name: {name!r:.80}, a new name of letters, digits and _ expected (ours: {', '.join(OURS)})")
-    if not CLASS_PATH.fullmatch(path):
-        raise ConfigError(f"path: {path!r:.80}, expected module:Class")
+    if not isinstance(name, str) or not name.isidentifier() or name in (*OURS, *LEARNED):
+        ours = ", ".join((*OURS, *LEARNED))
+        raise ConfigError(f"name: {shown(name)}, a new name of letters, digits and _ expected (ours: {ours})")
+    if not isinstance(path, str) or not CLASS_PATH.fullmatch(path):
+        raise ConfigError(f"path: {shown(path)}, expected the text 'module:Class', which worker processes can import")
     EXPLORERS[name] = path
 
 
@@ -80,6 +83,10 @@ def import_policy(module: str, class_name: str) -> Policy:
         policy: Policy = getattr(importlib.import_module(module), class_name)()
     except (ImportError, AttributeError, TypeError) as error:
         raise ConfigError(f"policy: '{module}:{class_name}' cannot be constructed: {error}") from None
+    except Exception as error:  # code of the user may raise anything
+        raise ConfigError(
+            f"policy: '{module}:{class_name}' cannot be constructed: {Failure.of(error).reason}"
+        ) from error
     missing = [name for name in ("actions", "reset", "act") if not hasattr(policy, name)]
     if missing:
         raise ConfigError(f"policy: '{module}:{class_name}' has no {missing[0]!r}, which every policy needs")

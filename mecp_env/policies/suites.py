@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
@@ -15,6 +17,7 @@ from mecp_env.core.provenance import checksum, commit
 from mecp_env.core.settings import guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.policy import Policy
 from mecp_env.policies.rollout import make_rooms
 from mecp_env.policies.setting import Setting
 
@@ -22,6 +25,27 @@ FORMAT, VERSION = "mecp_env/suite", 1
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
 METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
+LESS_IS_BETTER = ("lost",)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A figure of a result file with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The part of a result file that belongs to a task, a policy and an estimator."""
+
+    task: str
+    policy: str
+    estimator: str
+    figures: dict[str, Interval]
+    episodes: list[dict[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +91,16 @@ def definition_hash(name: str) -> str:
     suite = SUITES[name]
     parts = [describe(setting) for setting in suite.settings]
     return checksum(json.dumps([parts, suite.episodes, METRICS], sort_keys=True).encode())
+
+
+def refuse_changes(names: Sequence[str], policies: Sequence[Policy]) -> None:
+    """Raise `ConfigError` for a policy whose `settings` change what a suite fixes, such as the laser."""
+    for name, policy in zip(names, policies, strict=True):
+        changed = [field for field in getattr(policy, "settings", {}) if field in FIXED]
+        if changed:
+            raise ConfigError(
+                f"policy: {name!r:.80} has settings of {', '.join(changed)}; a suite fixes {', '.join(FIXED)}"
+            )
 
 
 def describe(setting: Setting) -> dict[str, Any]:
@@ -116,31 +150,73 @@ def read_submission(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: no result of a suite ({type(error).__name__}: {error})") from None
     if (format_, version) != (FORMAT, VERSION):
         raise ConfigError(f"{path}: {format_} version {version}, this mecp_env reads {FORMAT} version {VERSION}")
-    if name not in SUITES:
-        raise ConfigError(f"{path}: suite {name!r:.80}, this mecp_env has {', '.join(SUITES)}")
-    if frozen != SUITES[name].frozen:
-        raise ConfigError(f"{path}: suite {name} with the hash {frozen}, here {SUITES[name].frozen}")
-    if found != checksum(json.dumps(content, sort_keys=True).encode()):
-        raise ConfigError(f"{path}: its checksum {found} is that of another content; it was changed by hand")
+    check_suite(path, name, frozen)
+    own = checksum(json.dumps(content, sort_keys=True).encode())
+    if found != own:
+        raise ConfigError(f"{path}: its checksum is {found}, that of its content {own}; it was changed by hand")
+    check_results(path, content.get("results"))
     return dict(content)
 
 
-def leaderboard(submissions: Iterable[dict[str, Any]], metric: str = "correct_over_steps") -> str:
-    """A table with a line per policy and estimator and a column per task, the best first."""
-    found: dict[tuple[str, str], dict[str, Figures]] = {}
-    for result in [result for content in submissions for result in content["results"]]:
-        row = found.setdefault((result["policy"], result["estimator"]), {})
-        row[result["task"]] = result["figures"][metric]
-    tasks = list(dict.fromkeys(task for row in found.values() for task in row))
-    ordered = sorted(found.items(), key=lambda item: -sum(figure["value"] for figure in item[1].values()))
-    lines = [f"| | {' | '.join(tasks)} |", f"|{'---|' * (len(tasks) + 1)}"]
-    return "\n".join([*lines, *(line_of(name, row, tasks) for name, row in ordered)])
+def check_suite(path: Path, name: Any, frozen: Any) -> None:
+    """Raise `ConfigError` for the name of no suite, and for a hash that is not that of the suite."""
+    if not isinstance(name, str) or name not in SUITES:
+        raise ConfigError(f"{path}: suite {name!r:.80}, this mecp_env has {', '.join(SUITES)}")
+    if frozen != SUITES[name].frozen:
+        raise ConfigError(f"{path}: suite {name} with the hash {frozen}, here {SUITES[name].frozen}")
 
 
-def line_of(name: tuple[str, str], row: dict[str, Figures], tasks: Sequence[str]) -> str:
-    """A line of the table, of a policy and its estimator."""
-    label = name[0] if name[1] == "slam" else ", ".join(name)
-    return f"| {label} | {' | '.join(cell(row.get(task)) for task in tasks)} |"
+def check_results(path: Path, results: Any) -> None:
+    """Raise `ConfigError` for results of another form, and where a metric is missing."""
+    try:
+        found = TypeAdapter(list[Result]).validate_python(results)
+    except ValueError as error:  # of pydantic, too
+        raise ConfigError(f"{path}: results: {' '.join(str(error).split()):.160}") from None
+    missing = [(row, metric) for row in found for metric in METRICS if metric not in row.figures]
+    for row, metric in missing[:1]:
+        raise ConfigError(f"{path}: results: {row.policy} in {row.task} has no {metric}")
+
+
+Line = dict[str, Figures]  # task -> its figure
+
+
+def leaderboard(submissions: Mapping[str, Mapping[str, Any]], metric: str = "correct_over_steps") -> str:
+    """A table with a line per policy and estimator and a column per task, the best first.
+
+    `submissions` are results by the names of their files, which tell policies of one name and different results apart.
+    """
+    sign = 1.0 if metric in LESS_IS_BETTER else -1.0
+    lines = sorted(
+        named_lines(submissions, metric), key=lambda item: sign * sum(figure["value"] for figure in item[1].values())
+    )
+    tasks = list(dict.fromkeys(task for _, line in lines for task in line))
+    rows = [f"| {name} | {' | '.join(cell(line.get(task)) for task in tasks)} |" for name, line in lines]
+    return "\n".join([f"| | {' | '.join(tasks)} |", f"|{'---|' * (len(tasks) + 1)}", *rows])
+
+
+def named_lines(submissions: Mapping[str, Mapping[str, Any]], metric: str) -> list[tuple[str, Line]]:
+    """The lines of all files with their labels; equal ones of the same policy once."""
+    found: dict[tuple[str, str], dict[str, Line]] = {}  # policy and estimator -> file -> figures
+    for source, content in submissions.items():
+        for key, line in lines_of(content["results"], metric).items():
+            if line not in found.setdefault(key, {}).values():
+                found[key][source] = line
+    files = [(key, source, line) for key, some in found.items() for source, line in some.items()]
+    return [(label(*key, source if len(found[key]) > 1 else ""), line) for key, source, line in files]
+
+
+def lines_of(results: Iterable[Mapping[str, Any]], metric: str) -> dict[tuple[str, str], Line]:
+    """The figures of each policy and estimator of a file, by task."""
+    lines: dict[tuple[str, str], Line] = {}
+    for row in results:
+        lines.setdefault((row["policy"], row["estimator"]), {})[row["task"]] = row["figures"][metric]
+    return lines
+
+
+def label(policy: str, estimator: str, source: str) -> str:
+    """The name of a line: the policy, the estimator where it has some ground truth, the file where it matters."""
+    parts = [policy, *([] if estimator == "slam" else [estimator]), *([source] if source else [])]
+    return ", ".join(parts)
 
 
 def cell(figure: Figures | None) -> str:

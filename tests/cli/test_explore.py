@@ -31,6 +31,13 @@ def test_a_generated_building_is_selected_by_its_number(capsys: Captured) -> Non
     assert "out of steps after 5" in capsys.readouterr().out
 
 
+def test_a_building_of_a_task_has_its_robot_and_a_random_start(capsys: Captured) -> None:
+    assert cli.main(["explore", "pause", "--layout", "ActiveCheapRobot-v0:validation:3", "--steps", "20"]) == 0
+    said = capsys.readouterr().out
+    assert "out of steps after 20 control steps" in said
+    assert "correct_coverage_over_steps" in said
+
+
 def test_explore_takes_the_buildings_that_the_demo_takes(capsys: Captured) -> None:
     assert cli.main(["explore", "nearest", "--layout", "easy:3", "--steps", "5"]) == 0
     assert "out of steps after 5" in capsys.readouterr().out
@@ -43,6 +50,7 @@ def test_explore_takes_the_buildings_that_the_demo_takes(capsys: Captured) -> No
         ("--layout easy:test:x", "'easy:test:x', expected DIFFICULTY:SPLIT:NUMBER"),
         ("--layout easy:test:0-3", "'easy:test:0-3', expected DIFFICULTY:SPLIT:NUMBER"),
         ("--layout esy:test:1", "did you mean 'easy'?"),
+        ("--layout ActiveHall-v0:test:1", "did you mean 'ActiveHalls-v0'?"),
         ("--layout easy:tst:1", "did you mean 'test'?"),
         ("--layout easy:test:1000000", "building: 1000000"),
         ("--layout nope", "nope"),

@@ -129,3 +129,11 @@ def test_a_wrong_custom_reward_is_named(custom, message) -> None:
 def test_what_cannot_be_registered(name, potential) -> None:
     with pytest.raises(ConfigError):
         register_reward(name, potential)
+
+
+@pytest.mark.parametrize(("value", "named"), [(math.nan, "nan"), (math.inf, "inf"), ("much", "'much'"), (None, "None")])
+def test_a_custom_potential_that_is_no_finite_number_is_named(value, named) -> None:
+    register_reward("wrong", lambda inputs: value)
+    env = make(layout="two_rooms", reward={"custom": {"wrong": 1.0}})
+    with pytest.raises(ConfigError, match=f"the potential 'wrong' gave {named}, a finite number expected"):
+        env.reset(seed=0)

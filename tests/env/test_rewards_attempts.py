@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.config import RewardConfig
+from mecp_env.episode.tasks import ACTIVE
 from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
@@ -100,3 +101,34 @@ def test_a_bigger_map_completes_for_more() -> None:
     small, big = explore(0, layout="two_rooms", laser={"sweeps": 1}), honest("paper", 0)
     assert big.paid("completion") > 4.0 * small.paid("completion") > 0.0
     assert np.isclose(big.paid("completion"), 10.0 * big.free_m2 / 100.0, rtol=0.1)
+
+
+POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality")
+IN_TASK = {
+    "layout": "paper",
+    "laser": {"sweeps": 1, "max_range_m": 4.0},
+    "reward": ACTIVE["reward"] | dict.fromkeys(POTENTIALS, 1.0),
+}
+OPTIMALITY_NAT = 3.5  # by which an episode changes a criterion of optimality at most
+
+
+def paid_by_task(episode: Episode) -> float:
+    """The return with the reward of the tasks of active SLAM."""
+    area = ACTIVE["reward"]["expected_area"] * episode.paid("expected_area")
+    return episode.paid() - episode.paid(*POTENTIALS) + area
+
+
+@pytest.fixture(scope="module")
+def explored() -> Episode:
+    return explore(0, **IN_TASK)
+
+
+@pytest.mark.parametrize("name", ["stand", "spin", "shuttle", "bump", "walk"])
+def test_a_map_pays_more_than_any_attempt_and_optimality_pays_little(name: str, explored: Episode) -> None:
+    """Criteria of optimality alone favour a robot that stays: standing earns most, but only once."""
+    given = attempt(name, 0, max_steps=150, **IN_TASK)
+    assert paid_by_task(given) < 0.3 * paid_by_task(explored)
+    for term in ("expected_area", "entropy"):
+        assert given.paid(term) < 0.5 * explored.paid(term)
+    for term in ("d_optimality", "a_optimality", "t_optimality"):
+        assert max(abs(given.paid(term)), abs(explored.paid(term))) < OPTIMALITY_NAT

@@ -472,6 +472,7 @@ def test_info_and_summary_say_how_much_of_the_map_is_correct():
         *_, info = env.step(np.array([0.3, 0.5], np.float32))
     summary = env.unwrapped.summary()
     assert first < info["correct_coverage"] < info["coverage"]
-    assert first <= summary["correct_coverage_over_steps"] < summary["correct_coverage"]
-    assert first <= summary["correct_coverage_over_metres"] < summary["correct_coverage"]
+    for area in ("correct_coverage_over_steps", "correct_coverage_over_metres"):
+        assert first <= summary[area] < summary["correct_coverage"]
+        assert info[area] == summary[area]
     assert 0.0 < info["map_error_m"] < 0.05

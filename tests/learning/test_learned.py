@@ -11,6 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 contrib = pytest.importorskip("sb3_contrib")
+stock = pytest.importorskip("stable_baselines3")
 pytest.importorskip("safetensors")
 
 from mecp_env.cli import main as cli  # noqa: E402
@@ -219,6 +220,33 @@ def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
     mask = env.get_wrapper_attr("action_masks")()
     assert mask[policy.act(observation, mask)]
     assert policy.actions == "goal"
+
+
+def stock_model(env, path, kind=contrib.MaskablePPO):
+    kind("MultiInputPolicy", env, n_steps=2, batch_size=2, device="cpu").save(path)
+    return str(path)
+
+
+@pytest.mark.parametrize("theirs", ["mecp_env/ActiveHalls-v0", "mecp_env/Rooms-v0"])
+def test_a_model_of_stable_baselines_is_evaluated_in_tasks_and_in_rooms(theirs, tmp_path, capsys):
+    """A model that was trained in a task got nine columns, even in the task."""
+    model = stock_model(gymnasium.make(theirs, actions="goal", observation={"map": True}), tmp_path / "model.zip")
+    for where in (["--task", "ActiveHalls-v0"], ["--difficulty", "easy"]):
+        line = ["evaluate", model, "--trust", "--episodes", "1", "--max-steps", "20", "--no-truth", *where]
+        assert cli.main([*line, "--out", str(tmp_path / where[1])]) == 0, capsys.readouterr().err
+
+
+def test_a_model_whose_spaces_do_not_fit_is_refused_with_both(tmp_path):
+    env = gymnasium.make("mecp_env/Rooms-v0", actions="goal", laser={"beams": 360}, observation={"scan": True})
+    policy = load(stock_model(env, tmp_path / "scan.zip"), trust=True)
+    other = gymnasium.make("mecp_env/Rooms-v0", actions="goal", observation={"scan": True})
+    with pytest.raises(
+        ConfigError, match=r"scan\.zip was trained on .*'scan': \(360,\).*, the observation has .*\(720,\)"
+    ):
+        policy.act(other.reset(seed=0)[0])
+    model = stock_model(gymnasium.make("mecp_env/Rooms-v0", actions="goal"), tmp_path / "ppo.zip", stock.PPO)
+    with pytest.raises(ConfigError, match=r"ppo\.zip was trained with the actions Discrete\(32\), expected Box"):
+        load(model, trust=True)
 
 
 def test_a_trained_policy_that_there_is_not_gets_a_guess():

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import types
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -89,6 +90,18 @@ def test_a_model_file_must_be_trusted(tmp_path: Path) -> None:
         make_policy(str(tmp_path / "model.zip"), trust=True)
 
 
+class NoFile(Nearest):
+    """A policy that cannot be made."""
+
+    def __init__(self) -> None:
+        raise ValueError("no model file")
+
+
+def test_a_policy_that_cannot_be_made_is_named_with_the_line() -> None:
+    with pytest.raises(ConfigError, match=r"NoFile' cannot be constructed: ValueError: no model file \(__init__, line"):
+        make_policy(f"{__name__}:NoFile")
+
+
 def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "EXPLORERS", dict(registry.EXPLORERS))
     registry.register_policy("closest", "mecp_env.policies.explorers:Nearest")
@@ -96,6 +109,9 @@ def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pyte
     assert registry.source_of("closest") == "mecp_env.policies.explorers:Nearest"
     assert registry.source_of("nearest") == "nearest"
     assert registry.policy_checksum("closest")
-    for name, path in (("nearest", "a:B"), ("two words", "a:B"), ("new", "no class"), ("ppo", "a:B")):
+    registry.register_policy("closest", "mecp_env.policies.gain:Gain")  # replaces the first
+    assert type(make_policy("closest")).__name__ == "Gain"
+    wrong: list[Any] = [("nearest", "a:B"), ("two words", "a:B"), (3, "a:B"), ("ppo", "a:B"), ("new", "no class")]
+    for name, path in [*wrong, ("new", Nearest), ("new", lambda: Nearest())]:
         with pytest.raises(ConfigError):
             registry.register_policy(name, path)

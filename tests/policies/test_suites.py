@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
 from mecp_env.cli import main as cli
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.provenance import checksum
 from mecp_env.policies import suites
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.policy import Mask
 from mecp_env.policies.rollout import Setting
 from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite, leaderboard, read_submission
 
@@ -49,16 +53,42 @@ def test_one_file_has_every_episode_of_every_setting(capsys: pytest.CaptureFixtu
     assert "| returning |" in capsys.readouterr().out
 
 
-def test_the_leaderboard_merges_files_and_puts_the_best_first(result: Path, tmp_path: Path) -> None:
+def renamed(content: dict[str, Any], value: float, suffix: str = "+") -> dict[str, Any]:
+    """A result with other names and figures."""
+    other = json.loads(json.dumps(content))
+    for row in other["results"]:
+        row["policy"] += suffix
+        row["figures"] |= {name: {"value": value, "low": 0.0, "high": 1.0} for name in suites.METRICS}
+    return other
+
+
+def test_the_leaderboard_merges_files_and_puts_the_best_first(result: Path) -> None:
     content = read_submission(result)
-    better = json.loads(json.dumps(content))
-    for row in better["results"]:
-        row["policy"] += "+"
-        row["figures"]["correct_over_steps"] = {"value": 0.9, "low": 0.8, "high": 1.0, "n": 2}
-    lines = leaderboard([content, better]).split("\n")
+    lines = leaderboard({"mine.json": content, "better.json": renamed(content, 0.9)}).split("\n")
     assert lines[0] == "| | easy | ActiveCheapRobot-v0 |"
-    assert lines[2].endswith("| 0.900 [0.800, 1.000] | 0.900 [0.800, 1.000] |")
+    assert lines[2].endswith("| 0.900 [0.000, 1.000] | 0.900 [0.000, 1.000] |")
     assert len(lines) == 6
+
+
+def test_who_is_lost_least_is_the_best(result: Path) -> None:
+    content = read_submission(result)
+    often, never = renamed(content, 0.9), renamed(content, 0.0, "-")
+    lines = leaderboard({"often.json": often, "never.json": never}, "lost").split("\n")
+    assert [line.split(" |")[0] for line in lines[2:]] == [f"| {n}{s}" for s in "-+" for n in ("nearest", "returning")]
+
+
+def test_policies_of_one_name_and_different_results_are_told_apart(result: Path) -> None:
+    content = read_submission(result)
+    other = renamed(content, 0.9, "")
+    lines = leaderboard({"a.json": content, "b.json": other, "again.json": content}).split("\n")
+    names = [line.split(" |")[0] for line in lines[2:]]
+    assert sorted(names) == [f"| {name}, {file}" for name in ("nearest", "returning") for file in ("a.json", "b.json")]
+
+
+def signed(content: dict[str, Any]) -> dict[str, Any]:
+    """A content with the checksum that belongs to it."""
+    rest = {name: value for name, value in content.items() if name != "checksum"}
+    return rest | {"checksum": checksum(json.dumps(rest, sort_keys=True).encode())}
 
 
 def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,7 +97,13 @@ def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.Capture
         ({"hash": "0123"}, "suite toy-v1 with the hash 0123, here"),
         ({"version": 7}, "version 7, this mecp_env reads mecp_env/suite version 1"),
         ({"suite": "toy-v9"}, "suite 'toy-v9', this mecp_env has"),
-        ({"results": []}, "it was changed by hand"),
+        ({"suite": ["toy-v1"]}, "suite ['toy-v1'], this mecp_env has"),
+        ({"results": []}, f"its checksum is {content['checksum']}, that of its content "),
+        (signed(content | {"results": [{"task": "easy"}]}), "results: "),
+        (
+            signed(content | {"results": [content["results"][0] | {"figures": {}}]}),
+            "nearest in easy has no correct_over",
+        ),
     ):
         result.write_text(json.dumps(content | change))
         assert cli.main(["leaderboard", str(result)]) == 2
@@ -85,6 +121,49 @@ def test_a_suite_that_this_version_would_change_is_refused(toy: str, monkeypatch
     definition_hash.cache_clear()
     with pytest.raises(ConfigError, match=f"published with the hash {frozen}, this mecp_env has"):
         find_suite(toy)
+
+
+class LongSight(Nearest):
+    """A policy that asks for another laser."""
+
+    settings: ClassVar[dict[str, Any]] = {"observation": {"map": True}, "laser": {"max_range_m": 30.0}}
+
+
+class Broken(Nearest):
+    """A policy with a bug."""
+
+    def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
+        raise RuntimeError("a bug")
+
+
+def test_a_policy_that_changes_the_robot_of_a_suite_is_refused(
+    toy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["evaluate", "nearest", f"{__name__}:LongSight", "--suite", toy, "--out", str(tmp_path / "out")]
+    assert cli.main(line) == 2
+    assert "LongSight' has settings of laser; a suite fixes layout, start," in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_all_episodes_there_is_no_result_and_the_user_knows_why(
+    toy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["evaluate", f"{__name__}:Broken", "--suite", toy, "--no-truth", "--out", str(tmp_path)]
+    assert cli.main(line) == 1
+    assert "2 episodes failed: no result; the same command repeats them" in capsys.readouterr().err
+    assert not (tmp_path / f"{toy}.json").exists()
+
+
+def test_a_suite_in_shards_gives_the_result_of_a_single_run(
+    toy: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(tmp_path / "shards")]
+    for shard in ("1/2", "2/2"):
+        assert cli.main([*line, "--shard", shard]) == 0
+        assert f"shard {shard}" in capsys.readouterr().out
+        assert not (tmp_path / "shards" / f"{toy}.json").exists()
+    assert cli.main(line) == 0
+    assert read_submission(tmp_path / "shards" / f"{toy}.json")["results"] == read_submission(result)["results"]
 
 
 def test_an_unknown_suite_is_refused_with_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
