@@ -12,6 +12,7 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import Belief, FeatureTable
 
 Floats = NDArray[np.float32]
+Part = tuple[int, int, int, int]
 
 FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
 LANDMARKS, GOALS = 128, 32  # rows
@@ -63,21 +64,22 @@ def pool_codes(codes: Bytes, width: int) -> Bytes:
 
 @compiled
 def window_layers(
-    pooled: Bytes, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
+    pooled: Bytes, part: Part, corner: Array, resolution: float, pose: Array, size: tuple[int, float], path: Array
 ) -> Bytes:
     """(8,n,n) 255 where a layer is set around `pose`: the first row lies ahead of the robot, the first column left.
 
-    `corner` (2,) is the lower left corner of the grid of pooled codes, `size` holds n and the side of a window cell in
+    `pooled` is the `part` of the grid of pooled codes that the window can show: its first row and column, and how many
+    the whole has; `corner` (2,) is the lower left corner of the whole. `size` holds n and the side of a window cell in
     metres, `path` (m,2) the points of the layer "path". Outside the grid everything is unknown.
     """
     n, side = size
-    rows, cols = pooled.shape
+    top, start, rows, cols = part
     flat = pooled.reshape(-1)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     c, s, half = cosine * side / resolution, sine * side / resolution, 0.5 * (n - 1)
     x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
     y = (pose[1] - corner[1]) / resolution + s * half + c * half
-    window, wide = np.empty((n, n), np.uint8), np.int32(cols)
+    window, wide, skipped = np.empty((n, n), np.uint8), np.int32(pooled.shape[1]), top * pooled.shape[1] + start
     down, right, place = np.empty(n), np.empty(n), np.empty(n, np.int32)
     for j in range(n):
         down[j], right[j] = c * j, s * j
@@ -92,7 +94,7 @@ def window_layers(
             window[i, last] = UNKNOWN
         at, row, below, beside = place[first:last], window[i, first:last], down[first:last], right[first:last]
         for j in range(at.shape[0]):  # several at a time; then those of one row after the other
-            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j])
+            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j]) - np.int32(skipped)
         for j in range(at.shape[0]):
             row[j] = flat[np.uint32(at[j])]
     for k in range(path.shape[0]):

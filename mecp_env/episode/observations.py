@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.episode import observation_arrays
-from mecp_env.episode.observation_arrays import GOALS, LANDMARKS
+from mecp_env.episode.observation_arrays import GOALS, LANDMARKS, Part
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
 
@@ -26,6 +26,8 @@ GAIN_MAX_NAT = 1000.0  # bound of a predicted gain of information
 LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
 TRAIL_STEP_M = 0.1
 GOAL_COLUMNS = 27  # of the tables pose, pose_cov, landmarks and goals, without the predicted ones of the goals
+BLOCK = 32  # cells: what is kept of a grid begins and ends at multiples
+FARTHEST = 2.0**40  # cells
 NOTHING_MERGED = np.empty(0, np.int64)
 
 
@@ -175,27 +177,40 @@ class GridWindows:
     """Windows of the semantic grid around the robot; keeps only a cache that follows from the version of the grid."""
 
     def __init__(self) -> None:
-        self._key = (-1, -1)
-        self._cache: dict[int, tuple[Bytes, Array]] = {}  # pool width -> codes, their corner
+        self._cache: dict[int, tuple[tuple[int, ...], Bytes]] = {}  # pool width -> what it was made of, codes
 
     def layers(self, output: SlamOutput, trail: TravelledPath, size: tuple[int, float]) -> Bytes:
         """(8,n,n) the layers of `Observer`'s `grid`; `size`: n, and the side of a cell in m."""
         grid, pose = output.grid, np.ascontiguousarray(output.belief.T_map_robot)
-        pooled, corner = self._pooled(grid, output.graph.current, max(1, round(size[1] / grid.resolution_m)))
+        width = max(1, round(size[1] / grid.resolution_m))
+        reach = math.ceil(0.5 * math.sqrt(2.0) * size[0] * size[1] / grid.resolution_m) + width + 1
+        pooled, part = self._pooled(grid, output.graph.current, width, around(grid, pose, reach))
+        corner = grid.origin - 0.5 * (width - 1) * grid.resolution_m
         path = trail.points[: trail.count]
-        layers: Bytes = observation_arrays.window_layers(pooled, corner, grid.resolution_m, pose, size, path)
+        layers: Bytes = observation_arrays.window_layers(pooled, part, corner, grid.resolution_m, pose, size, path)
         return layers
 
-    def _pooled(self, grid: SemanticGrid, room: int, width: int) -> tuple[Bytes, Array]:
-        if self._key != (grid.version, room):
-            self._key = (grid.version, room)
-            self._cache = {}
-        if width not in self._cache:
-            codes = observation_arrays.pool_codes(
-                observation_arrays.cell_codes(grid.label, grid.polygon, grid.room, room), width
-            )
-            self._cache[width] = codes, grid.origin - 0.5 * (width - 1) * grid.resolution_m
-        return self._cache[width]
+    def _pooled(self, grid: SemanticGrid, room: int, width: int, rect: Part) -> tuple[Bytes, Part]:
+        """The pooled codes of the rows and columns `rect`, right but for a rim of `width`, and where they are."""
+        (top, bottom, left, right), (rows, columns) = rect, grid.label.shape
+        key = (grid.version, room, *rect)
+        if width not in self._cache or self._cache[width][0] != key:
+            shown = np.s_[top:bottom, left:right]
+            label, polygon, rooms = grid.label[shown].copy(), grid.polygon[shown].copy(), grid.room[shown].copy()
+            codes = observation_arrays.pool_codes(observation_arrays.cell_codes(label, polygon, rooms, room), width)
+            self._cache[width] = key, codes
+        return self._cache[width][1], (top, left, rows + width - 1, columns + width - 1)
+
+
+def around(grid: SemanticGrid, pose: Array, reach: int) -> Part:
+    """First and last row and column of the cells within `reach` of a pose (3,), by whole blocks."""
+    place = np.nan_to_num((pose[:2] - grid.origin) / grid.resolution_m)
+    column, row = np.floor(np.clip(place, -FARTHEST, FARTHEST)).astype(np.int64).tolist()
+    (rows, columns), ends = grid.label.shape, list[int]()
+    for at, size in ((row, rows), (column, columns)):
+        low = min(max((at - reach) // BLOCK * BLOCK, 0), size)
+        ends += [low, min(max((at + reach) // BLOCK * BLOCK + BLOCK, low), size)]
+    return ends[0], ends[1], ends[2], ends[3]
 
 
 def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.float32]:

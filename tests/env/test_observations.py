@@ -1,22 +1,24 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mecp_env.episode import observation_arrays
+from mecp_env.episode import observation_arrays, observations
 from mecp_env.episode.observations import (
     COV_MAX,
     EXTENT_M,
     GOALS,
     GRID,
     LANDMARKS,
+    GridWindows,
     TravelledPath,
     make_space,
     rooms_after_merges,
 )
-from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
+from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph, SemanticGrid
 from tests.env.helpers import drive, make
 from tests.slam.tables import table_of
 
@@ -72,7 +74,7 @@ def test_pooling_against_a_plain_twin(width):
 def window_of(codes, pose, size, path=()):
     """(n,n) the codes that a window shows, its layers packed again."""
     points = np.array(path, np.float64).reshape(-1, 2)
-    layers = observation_arrays.window_layers(codes, np.zeros(2), 0.1, pose, size, points)
+    layers = observation_arrays.window_layers(codes, (0, 0, *codes.shape), np.zeros(2), 0.1, pose, size, points)
     return sum((layer == 255).astype(np.uint8) << bit for bit, layer in enumerate(layers))
 
 
@@ -213,3 +215,21 @@ def test_the_trail_grows_and_leaves_out_what_is_near():
     assert trail.count > 256  # it grew
     assert steps.min() >= 0.1
     assert steps.max() < 0.16
+
+
+@pytest.mark.parametrize("size", [(24, 0.2), (16, 0.8)])
+def test_a_window_is_the_same_from_a_part_of_the_grid(size, monkeypatch):
+    """Only the cells around the robot are coded; another block size takes another part."""
+    rng = np.random.default_rng(3)
+    grid = SemanticGrid(*random_grid(rng, 210, 330), np.array([-4.3, 2.1]), 0.1, 1)
+    trail = TravelledPath()
+    for _ in range(40):
+        x, y = rng.uniform((-9.0, -3.0), (34.0, 28.0))
+        belief = SimpleNamespace(T_map_robot=np.array([x, y, rng.uniform(-3.0, 3.0)]))
+        output = SimpleNamespace(grid=grid, belief=belief, graph=SimpleNamespace(current=1))
+        layers = []
+        for block in (1000, 32, 1):
+            monkeypatch.setattr(observations, "BLOCK", block)
+            layers.append(GridWindows().layers(output, trail, size))
+        assert np.array_equal(layers[0], layers[1])
+        assert np.array_equal(layers[0], layers[2])

@@ -6,17 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid import cells
+from mecp_env.slam.grid.pockets import apart_from, find_pockets
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 
 GROWTH_CELLS = 20  # the grid grows by multiples of this
 MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
 NOTHING = (2**40, -1, 2**40, -1)  # an empty window
-SEVERAL = -2  # more than one room, or a door
 
 
 def empty_grid(resolution_m: float) -> SemanticGrid:
@@ -142,37 +141,3 @@ class Canvas:
         if len(rows):
             self.dirty[::2] = np.minimum(self.dirty[::2], (rows[0], columns[0]))
             self.dirty[1::2] = np.maximum(self.dirty[1::2], (rows[-1] + 1, columns[-1] + 1))
-
-
-def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bools:
-    """(H,W) the unknown cells that only the walls and the floor of one completed room surround.
-
-    Such a component of unknown cells (4 neighbours) does not reach the border of the grid, touches no door and touches
-    cells of one room only, and that room is complete (`complete` (r,) by room id).
-    """
-    part, count = ndimage.label(label == cells.UNKNOWN_CELL)
-    inner = np.ones(count + 1, np.bool_)  # components that do not reach the border
-    for edge in (part[0], part[-1], part[:, 0], part[:, -1]):
-        inner[edge] = False
-    inner[0] = False
-    at = np.flatnonzero(inner.take(part))
-    around = (at + np.array([[-1], [1], [-label.shape[1]], [label.shape[1]]])).ravel()
-    owner = np.where(label.take(around) == cells.DOOR_CELL, SEVERAL, room.take(around))
-    beside = (part.take(around) == 0) & (owner != UNKNOWN_ROOM)
-    parts, owner = np.tile(part.take(at), 4)[beside], owner[beside]
-    least, most = np.full(count + 1, len(complete)), np.full(count + 1, UNKNOWN_ROOM)  # rooms beside each component
-    np.minimum.at(least, parts, owner)
-    np.maximum.at(most, parts, owner)
-    pocket = inner & (least == most) & (least >= 0)
-    pocket[pocket] = np.append(complete, False)[np.minimum(least[pocket], len(complete))]
-    pockets: Bools = pocket.take(part)
-    return pockets
-
-
-def apart_from(pockets: Bools, stood: Ints) -> Bools:
-    """The pockets (H,W) without those of which a cell is one of `stood` (n,2), column and row, or beside one."""
-    part, _ = ndimage.label(pockets)
-    near = (stood[:, None, None, :] + np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1)).reshape(-1, 2)
-    inside = near[((near >= 0) & (near < part.shape[::-1])).all(axis=1)]
-    kept: Bools = pockets & ~np.isin(part, part[inside[:, 1], inside[:, 0]])
-    return kept

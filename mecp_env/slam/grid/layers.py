@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
+from operator import attrgetter, is_
 
 import numpy as np
 
@@ -129,7 +129,8 @@ class PolygonLayer:
 
     def compare(self, canvas: Canvas, known: tuple[MapPolygon, ...]) -> None:
         """Take off what is no longer known; what is new waits to be painted."""
-        came, went = without(known, self.known), without(without(self.known, self.waiting), known)
+        now, before = unlike(known, self.known)
+        came, went = without(now, before), without(without(before, self.waiting), now)
         again = {ring_of(polygon) for polygon in came}
         for ids in map(ring_of, went):
             if ids in self.painted and ids not in again:
@@ -181,6 +182,13 @@ class PolygonLayer:
 def ring_of(polygon: MapPolygon) -> tuple[int, ...]:
     """The vertex ids, to look up."""
     return tuple(polygon.ids.tolist())
+
+
+def unlike(known: Sequence[MapPolygon], before: Sequence[MapPolygon]) -> tuple[list[MapPolygon], list[MapPolygon]]:
+    """Both lists without what they begin with in common: polygons are added at the end, and few go."""
+    same = list(map(is_, map(IDS, known), map(IDS, before)))
+    first = same.index(False) if False in same else len(same)
+    return list(known[first:]), list(before[first:])
 
 
 def without(polygons: Sequence[MapPolygon], others: Sequence[MapPolygon]) -> list[MapPolygon]:

@@ -71,7 +71,7 @@ class MapPolygonStore:
         if not self.outdated:
             return
         before, renamed = self.polygons, len(self.row) < len(self.polygons)
-        kept = still_whole(before, features, resolve)
+        kept = still_whole(before, groups_of(before) if renamed else self.groups, features, resolve)
         self.polygons = _seen_most(without_doubles(kept) if renamed else kept, self.most_per_room)
         self.outdated = False
         if renamed:
@@ -100,11 +100,7 @@ class MapPolygonStore:
 
     def _index(self) -> None:
         self.row = {tuple(polygon.ids.tolist()): i for i, polygon in enumerate(self.polygons)}
-        flat, lengths = all_vertices(self.polygons)
-        first, self.groups = np.cumsum(lengths) - lengths, {}
-        for cardinality in set(lengths.tolist()):
-            index = np.flatnonzero(lengths == cardinality)
-            self.groups[cardinality] = PolygonGroup(index, flat[first[index, None] + np.arange(cardinality)])
+        self.groups = groups_of(self.polygons)
 
     def _leave_out(self, before: list[MapPolygon]) -> None:
         """The index of those left of the polygons `before`; each has kept its array of ids."""
@@ -173,15 +169,19 @@ def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
     return [p for p in polygons if id(p) not in dropped] if dropped else polygons
 
 
-def still_whole(polygons: list[MapPolygon], features: FeatureTable, resolve: Callable[[int], int]) -> list[MapPolygon]:
-    """The polygons whose vertices live and lie in the room that theirs has become, with that room."""
+def still_whole(
+    polygons: list[MapPolygon], groups: dict[int, PolygonGroup], features: FeatureTable, resolve: Callable[[int], int]
+) -> list[MapPolygon]:
+    """The polygons, of which `groups` are the rings, whose vertices live and lie in the room that theirs has become."""
     named = [polygon.room for polygon in polygons]
     became = {room: resolve(room) for room in set(named)}
-    rooms, (flat, lengths) = [became[room] for room in named], all_vertices(polygons)
-    state, room = features.rows["state"][flat], features.rows["room"][flat]
-    wrong = (state == DEAD) | (room != np.repeat(np.array(rooms, np.int64), lengths))
-    whole = np.ones(len(polygons), np.bool_)
-    whole[np.repeat(np.arange(len(polygons)), lengths)[wrong]] = False
+    rooms, whole = [became[room] for room in named], np.ones(len(polygons), np.bool_)
+    state, room, wanted = features.rows["state"], features.rows["room"], np.array(rooms, np.int64)
+    for group in groups.values():
+        wrong = (state[group.ids] == DEAD) | (room[group.ids] != wanted[group.index, None])
+        whole[group.index] = ~wrong.any(axis=1)
+    if whole.all() and rooms == named:
+        return polygons
     kept = compress(zip(polygons, rooms, strict=True), whole.tolist())
     return [polygon if polygon.room == room else replace(polygon, room=room) for polygon, room in kept]
 
@@ -190,6 +190,16 @@ def without_doubles(polygons: list[MapPolygon]) -> list[MapPolygon]:
     """Without those that name a vertex twice; of those with the same vertices the last one, in place of the first."""
     rings = {tuple(polygon.ids.tolist()): polygon for polygon in polygons}
     return [polygon for ring, polygon in rings.items() if len(set(ring)) == len(ring)]
+
+
+def groups_of(polygons: list[MapPolygon]) -> dict[int, PolygonGroup]:
+    """The polygons by how many vertices they have."""
+    (flat, lengths), groups = all_vertices(polygons), dict[int, PolygonGroup]()
+    first = np.cumsum(lengths) - lengths
+    for cardinality in set(lengths.tolist()):
+        index = np.flatnonzero(lengths == cardinality)
+        groups[cardinality] = PolygonGroup(index, flat[first[index, None] + np.arange(cardinality)])
+    return groups
 
 
 def all_vertices(polygons: list[MapPolygon]) -> tuple[Ints, Ints]:

@@ -7,7 +7,8 @@ import pytest
 import shapely
 
 from mecp_env.slam.grid import cells
-from mecp_env.slam.grid.canvas import NOTHING, apart_from, find_pockets
+from mecp_env.slam.grid.canvas import NOTHING
+from mecp_env.slam.grid.pockets import apart_from, find_pockets
 from mecp_env.slam.messages import Cell
 
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
