@@ -204,10 +204,9 @@ class GridWindows:
 
 def around(grid: SemanticGrid, pose: Array, reach: int) -> Part:
     """First and last row and column of the cells within `reach` of a pose (3,), by whole blocks."""
-    place = np.nan_to_num((pose[:2] - grid.origin) / grid.resolution_m)
-    column, row = np.floor(np.clip(place, -FARTHEST, FARTHEST)).astype(np.int64).tolist()
-    (rows, columns), ends = grid.label.shape, list[int]()
-    for at, size in ((row, rows), (column, columns)):
+    (x, y, _), (left, low_y), (rows, columns), ends = pose.tolist(), grid.origin.tolist(), grid.label.shape, list[int]()
+    for away, size in ((y - low_y, rows), (x - left, columns)):
+        at = math.floor(min(FARTHEST, max(-FARTHEST, away / grid.resolution_m)))  # nan is taken as far away
         low = min(max((at - reach) // BLOCK * BLOCK, 0), size)
         ends += [low, min(max((at + reach) // BLOCK * BLOCK + BLOCK, low), size)]
     return ends[0], ends[1], ends[2], ends[3]

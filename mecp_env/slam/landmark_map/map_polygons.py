@@ -10,7 +10,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints, Rows
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import inside_polygon
 from mecp_env.slam.messages import (
@@ -175,15 +175,21 @@ def still_whole(
     """The polygons, of which `groups` are the rings, whose vertices live and lie in the room that theirs has become."""
     named = [polygon.room for polygon in polygons]
     became = {room: resolve(room) for room in set(named)}
-    rooms, whole = [became[room] for room in named], np.ones(len(polygons), np.bool_)
-    state, room, wanted = features.rows["state"], features.rows["room"], np.array(rooms, np.int64)
-    for group in groups.values():
-        wrong = (state[group.ids] == DEAD) | (room[group.ids] != wanted[group.index, None])
-        whole[group.index] = ~wrong.any(axis=1)
+    rooms = [became[room] for room in named]
+    whole = are_whole(groups, np.array(rooms, np.int64), features)
     if whole.all() and rooms == named:
         return polygons
     kept = compress(zip(polygons, rooms, strict=True), whole.tolist())
     return [polygon if polygon.room == room else replace(polygon, room=room) for polygon, room in kept]
+
+
+def are_whole(groups: dict[int, PolygonGroup], rooms: Ints, features: FeatureTable) -> Bools:
+    """(P,) whether all vertices of each polygon live and lie in its one of the `rooms` (P,)."""
+    state, room, whole = features.rows["state"], features.rows["room"], np.ones(len(rooms), np.bool_)
+    for group in groups.values():
+        wrong = (state[group.ids] == DEAD) | (room[group.ids] != rooms[group.index, None])
+        whole[group.index] = ~wrong.any(axis=1)
+    return whole
 
 
 def without_doubles(polygons: list[MapPolygon]) -> list[MapPolygon]:
