@@ -147,7 +147,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._oracle = ORACLES[self.config.estimator]
         self._weights = weights_of(self.config.reward)
-        self._reward_keys = {name: f"reward_{name}" for name in self._weights}
+        self._reward_keys = tuple(f"reward_{name}" for name in self._weights)
         self._episode: EpisodeState | None = None
         self._screen: Any = None
         self._window: Any = None
@@ -487,7 +487,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             "saturated": episode.saturated,
             "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
             **figures(episode.metrics, self._true_world.truth, episode.slam_output),
-            **{self._reward_keys[name]: value for name, value in terms.items()},
+            **dict(zip(self._reward_keys, terms.values(), strict=True)),
         }
 
     def _paint(self) -> Bytes:

@@ -53,7 +53,7 @@ class EpisodeState:
 
     def note_recognised(self, match: Match) -> None:
         """Follow the share of corners that are matched; a scan without corners has none."""
-        share = len(match.recognised()) / max(1, len(match.ids))
+        share = match.found / max(1, len(match.ids))
         self.recognised += RECENT * (share - self.recognised)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from operator import mul
 
 import numpy as np
 
@@ -135,7 +136,7 @@ def events(
 
 def apply_weights(weights: dict[str, float], terms: dict[str, float]) -> dict[str, float]:
     """Each term times its weight, in the order of `weights_of`; the reward is their sum."""
-    return {name: weight * terms[name] for name, weight in weights.items()}
+    return dict(zip(weights, map(mul, weights.values(), map(terms.__getitem__, weights)), strict=True))
 
 
 @compiled

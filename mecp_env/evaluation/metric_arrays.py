@@ -245,18 +245,25 @@ def count_correct(p_world: Array, wall: Ints, p_walls: Array, T_map_world: Array
     `place` (3,): the lower left corner of the grid `label` (H,W) in the map frame and the size of its cells, m.
     """
     cells, walls, reach = to_map(T_map_world, p_world), to_map(T_map_world, p_walls), WALL_M / place[2]
-    known, correct = np.zeros(walls.shape[0], np.bool_), 0
+    asked, known = np.zeros(walls.shape[0], np.bool_), np.zeros(walls.shape[0], np.bool_)
+    beside, count, correct = np.empty(cells.shape[0], np.int64), 0, 0  # the walls of the cells that are mapped
+    for k in range(cells.shape[0]):
+        i, j = math.floor((cells[k, 1] - place[1]) / place[2]), math.floor((cells[k, 0] - place[0]) / place[2])
+        if i >= 0 and j >= 0 and i < label.shape[0] and j < label.shape[1]:
+            beside[count] = wall[k]
+            if label[i, j] == FREE or label[i, j] == DOOR:
+                asked[wall[k]] = True
+                count += 1
     for k in range(walls.shape[0]):
         x, y = (walls[k, 0] - place[0]) / place[2], (walls[k, 1] - place[1]) / place[2]
-        for i in range(max(math.floor(y - reach), 0), min(math.floor(y + reach) + 1, label.shape[0])):
+        rows = min(math.floor(y + reach) + 1, label.shape[0]) if asked[k] else 0
+        for i in range(max(math.floor(y - reach), 0), rows):
             for j in range(max(math.floor(x - reach), 0), min(math.floor(x + reach) + 1, label.shape[1])):
                 if label[i, j] == OCCUPIED and (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= reach * reach:
                     known[k] = True
                     break
             if known[k]:
                 break
-    for k in range(cells.shape[0]):
-        i, j = math.floor((cells[k, 1] - place[1]) / place[2]), math.floor((cells[k, 0] - place[0]) / place[2])
-        if i >= 0 and j >= 0 and i < label.shape[0] and j < label.shape[1] and known[wall[k]]:
-            correct += label[i, j] == FREE or label[i, j] == DOOR
+    for k in range(count):
+        correct += known[beside[k]]
     return correct

@@ -99,19 +99,17 @@ def seen_points(beams: MergedScan, control: ControlConfig, T_robot_laser: Array 
 def near_points(ranges: Array, bearings: Array, hit: Bools, reach: float, T_robot_laser: Array) -> Array:
     """Hits (n,2) m, robot frame, nearer to the laser than `reach`, each range the median of five neighbours."""
     count, n = ranges.shape[0], 0
-    points = np.empty((count, 2))
-    five = np.empty(5)
+    points, ring = np.empty((count, 2)), np.empty(count + 4)  # twice the first two and the last two
+    for i in range(count + 4):
+        ring[i] = ranges[(i - 2) % count]
     for i in range(count):
         if not hit[i] or ranges[i] > reach:
             continue
-        for k in range(5):
-            value, at = ranges[(i + k - 2) % count], k
-            while at > 0 and five[at - 1] > value:
-                five[at] = five[at - 1]
-                at -= 1
-            five[at] = value
-        points[n, 0] = five[2] * math.cos(bearings[i])
-        points[n, 1] = five[2] * math.sin(bearings[i])
+        a, b, c, d, e = ring[i], ring[i + 1], ring[i + 2], ring[i + 3], ring[i + 4]
+        low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))  # the median is one of these two, or e
+        middle = max(min(low, high), min(max(low, high), e))
+        points[n, 0] = middle * math.cos(bearings[i])
+        points[n, 1] = middle * math.sin(bearings[i])
         n += 1
     return to_map(T_robot_laser, points[:n])
 

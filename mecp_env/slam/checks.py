@@ -133,14 +133,22 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
     _require_arrays(match, COLUMNS, (corners,), "match", MatchError)
-    for corner, (id_, decision) in enumerate(zip(match.ids.tolist(), match.decision.tolist(), strict=True)):
+    ids, decisions = match.ids.tolist(), match.decision.tolist()
+    named = [id_ for id_, decision in zip(ids, decisions, strict=True) if decision in WITH_ID]
+    if not (DECISIONS.issuperset(decisions) and min(named, default=0) >= 0 and max(named, default=-1) < features):
+        _refuse(ids, decisions, features)
+    return match
+
+
+def _refuse(ids: list[int], decisions: list[int], features: int) -> None:
+    """Raise `MatchError` for the first corner without a sound decision."""
+    for corner, (id_, decision) in enumerate(zip(ids, decisions, strict=True)):
         if decision not in DECISIONS:
             raise MatchError(
                 f"match.decision[{corner}]: {decision} is not a Decision, {min(DECISIONS)} to {max(DECISIONS)}"
             )
         if decision in WITH_ID and not 0 <= id_ < features:
             raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")
-    return match
 
 
 def _require_arrays(
@@ -149,7 +157,7 @@ def _require_arrays(
     """Raise `error` unless the fields of `kinds` are arrays of that type and `shape`."""
     for name, kind in kinds.items():
         given = getattr(carrier, name)
-        if type(given) is np.ndarray and given.dtype == kind and given.shape == shape:
+        if type(given) is np.ndarray and given.dtype is kind and given.shape == shape:
             continue
         if not isinstance(given, np.ndarray):
             raise error(f"{what}.{name}: {type(given).__name__}, an array of {kind} expected")

@@ -232,7 +232,7 @@ class AssociationConfig(Settings):
 
     def is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that one linearisation is enough."""
-        x, y, heading = belief.pose_cov.diagonal().tolist()
+        x, y, heading = map(belief.pose_cov.item, (0, 4, 8))
         known: bool = max(x, y) < self.sharp_sigma_m**2
         return known and heading < math.radians(self.sharp_sigma_deg) ** 2
 

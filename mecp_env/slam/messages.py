@@ -105,12 +105,12 @@ class MergedScan:
     @property
     def step(self) -> float:
         """The spacing of the bearings, rad."""
-        return float(self.bearings[-1] - self.bearings[0]) / max(len(self.bearings) - 1, 1)
+        return (self.bearings.item(-1) - self.bearings.item(0)) / max(len(self.bearings) - 1, 1)
 
     @property
     def blind(self) -> bool:
         """True when the field of view has ends: the first beam does not follow the last."""
-        return float(self.bearings[0] - self.bearings[-1]) + 2.0 * math.pi > 2.0 * self.step
+        return self.bearings.item(0) - self.bearings.item(-1) + 2.0 * math.pi > 2.0 * self.step
 
 
 @quick
@@ -171,7 +171,7 @@ class Corners:
 
     def with_floor(self, sigma_m: float) -> Corners:
         """The same corners with an independent position error of `sigma_m` added to each."""
-        cov = np.empty_like(self.cov)
+        cov = np.empty(self.cov.shape)
         inflate(self.cov, self.z, sigma_m, cov)
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
@@ -310,6 +310,12 @@ class Match:
         corners: Ints = (self.decision == LANDMARK).nonzero()[0]
         return corners
 
+    @property
+    def found(self) -> int:
+        """How many corners are landmarks."""
+        decisions: list[int] = self.decision.tolist()
+        return decisions.count(LANDMARK)
+
 
 @quick
 @dataclass(frozen=True, slots=True, eq=False)
@@ -397,23 +403,21 @@ class RoomGraph:
 
     def rooms_behind(self, through: Ints) -> Ints:
         """(n,) the room, or UNKNOWN_ROOM, behind the door that each corner is seen `through` (n,); HERE without one."""
-        doors = through.tolist()
-        seen = set(doors)
-        if max(seen, default=-1) < 0:
-            return np.full(len(doors), HERE)
-        known = [door for door in self.doors if door.id in seen]
-        behind = {door.id: door.rooms[1] if door.rooms[0] == self.current else door.rooms[0] for door in known}
-        return np.array([behind.get(door, HERE) for door in doors])
+        return np.array(self._behind(through.tolist()), np.int64)
+
+    def _behind(self, through: list[int]) -> list[int]:
+        if max(through, default=-1) < 0:
+            return [HERE] * len(through)
+        behind = {door.id: door.rooms[door.rooms[0] == self.current] for door in self.doors if door.id in through}
+        return [behind.get(door, HERE) for door in through]
 
     def rooms_of(self, beyond: Ints, through: Ints) -> Ints:
         """(n,) the room of each corner, UNKNOWN_ROOM `beyond` (n,) a gap that is no door, and seen from a doorway."""
         if self.in_doorway:
             return np.full(len(beyond), UNKNOWN_ROOM)
-        rooms = self.rooms_behind(through)
-        here = rooms == HERE
-        rooms[here] = self.current
-        rooms[here & (beyond >= 0)] = UNKNOWN_ROOM
-        return rooms
+        here, behind = (self.current, UNKNOWN_ROOM), self._behind(through.tolist())
+        rooms = [here[gap >= 0] if room == HERE else room for room, gap in zip(behind, beyond.tolist(), strict=True)]
+        return np.array(rooms, np.int64)
 
 
 @quick

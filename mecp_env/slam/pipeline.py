@@ -166,9 +166,10 @@ class SlamPipeline(SlamParts):
         self.rooms.forget(pruned)
         matched = seen.match.ids[seen.match.recognised()]
         painted = self.dynamic_objects.without(beams, segments, dynamic)
-        self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, self.rooms.graph())
+        graph = self.rooms.graph()
+        self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, graph)
         still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
-        self.recent.remember(still, seen.match, self.rooms.graph(), self.filter)
+        self.recent.remember(still, seen.match, graph, self.filter)
         return seen.match, belief
 
     def _extend_map(self, seen: Sighting, around: Surroundings, wide: bool) -> Sighting:

@@ -12,14 +12,16 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import NO_ID, Decision, Match, Reason
 
 ROW = np.dtype([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)], align=True)
-INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)  # copied, faster than filled
+INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)
+INITIAL_BYTES = INITIAL.view(np.uint8)  # copied, faster than filled, and faster than as rows
 
 
 class MatchBuilder:
     """The rows (n,) of a match: id, `Decision`, `Reason` and NIS of each corner; at first every corner is new."""
 
     def __init__(self, n: int) -> None:
-        self.rows: Rows = INITIAL[:n].copy() if n <= len(INITIAL) else np.repeat(INITIAL[:1], n)
+        few = n <= len(INITIAL)
+        self.rows: Rows = INITIAL_BYTES[: n * ROW.itemsize].copy().view(ROW) if few else np.repeat(INITIAL[:1], n)
         self.polygon = -1  # index of the matched polygon of the scan
         self.map_polygon = -1  # index of the map polygon matched
 

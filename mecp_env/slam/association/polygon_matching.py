@@ -128,9 +128,9 @@ def _agreed(
     """The best hypothesis, cut down to the vertices on which all serious rivals agree; None under three of them."""
     if not hypotheses:
         return None
-    nis, map_polygon, ids = min(hypotheses, key=lambda h: (h[0], h[1]))
     if len(hypotheses) == 1:
-        return map_polygon, corners, ids
+        return hypotheses[0][1], corners, hypotheses[0][2]
+    nis, map_polygon, ids = min(hypotheses, key=lambda h: (h[0], h[1]))
     agreed = np.ones(len(ids), np.bool_)
     for rival in hypotheses:
         if rival[0] < nis + rival_gap:

@@ -24,6 +24,7 @@ from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
+FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
 
@@ -186,8 +187,8 @@ class LandmarkFilter:
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
-        pose, pose_cov = np.empty(3), np.empty((3, 3))
-        p_map, covs = np.empty((self.count, 2)), np.empty((self.count, 2, 2))
+        pose, pose_cov, count = np.empty(3), np.empty((3, 3)), self.count
+        p_map, covs = np.empty((count, 2)), np.empty((count, 2, 2))
         if world_belief(self.state, self.slot_ids, self.invariant, pose, pose_cov, p_map, covs):
             kept = self.slot_ids > NO_ID
             return Belief(pose, pose_cov, self.slot_ids[kept], p_map[kept], covs[kept])
@@ -303,17 +304,17 @@ def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
 
 def as_floats(values: Array) -> Array:
     """An array as the compiled functions take it."""
-    return np.ascontiguousarray(values, np.float64)
+    return contiguous(values, FLOAT)
 
 
 def integers(values: Ints) -> Ints:
     """An array as the compiled functions take it."""
-    return np.ascontiguousarray(values, np.int64)
+    return contiguous(values, INT)
 
 
 def observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
     """The same as the compiled functions take them. Raises `FilterError` for shapes that do not fit."""
-    z, R, ids, n = as_floats(z), as_floats(R), integers(ids), len(ids)
+    z, R, ids, n = contiguous(z, FLOAT), contiguous(R, FLOAT), contiguous(ids, INT), len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids

@@ -67,7 +67,9 @@ def find_corners(
     for k in range(line.shape[0]):
         length[k] = math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1])
     lines = Lines(line, line_cov, cluster, first, last, length)
-    polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.roll(beams[3], -roll)
+    polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.empty(beams[3].shape[0], np.bool_)
+    for k in range(hit.shape[0]):
+        hit[k] = beams[3][k + roll if k + roll < hit.shape[0] else k + roll - hit.shape[0]]
     step = (beams[1][-1] - beams[1][0]) / max(beams[1].shape[0] - 1, 1)
     scan = RolledScan(polar, hit, beams[4], beams[5], roll, step, max_range)
     count, size, width = 0, line.shape[0], scan.polar.shape[1]

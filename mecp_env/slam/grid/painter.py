@@ -57,7 +57,7 @@ class GridPainter:
         self._follow(p_landmark, graph, change)
         self._add_key_scan(belief, beams, segments, graph)
         self.scans.anchor_to(p_landmark, matched_ids, belief)
-        if not self.scans.has_room.all():
+        if np.count_nonzero(self.scans.has_room) < len(self.scans.has_room):
             self.scans.paint_rooms(self.canvas, self.doors.cuts(graph))
         self._update_pockets(graph)
         return self.canvas.publish(self.config.occupied_ratio)

@@ -44,7 +44,7 @@ class MapPolygonStore:
         """Add this scan's polygons whose vertices all have an id and are in this room, or note them seen again."""
         added = len(self.polygons)
         for polygon in () if graph.in_doorway else polygons:
-            ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty_like(polygon.intervals)
+            ring, intervals = np.empty(len(polygon.corners), np.int64), np.empty(polygon.intervals.shape)
             # Fig. 6: polygons of different rooms share no vertex
             if link(polygon.corners, match.ids, features.rows, graph.current, ring, polygon.intervals, intervals):
                 self._note(ring, intervals, graph.current, step)

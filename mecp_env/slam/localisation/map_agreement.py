@@ -124,12 +124,13 @@ def count_ends(
         row = math.floor((T_map_robot[1] + ranges[i] * math.sin(angle) - origin[1]) / resolution)
         if not (2 <= row < label.shape[0] - 2 and 2 <= column < label.shape[1] - 2):
             continue
-        wall, clear, k = label[row, column] == OCCUPIED, True, 0
-        while not wall and k < 25:
-            r, c = k // 5 - 2, k % 5 - 2
-            cell = label[row + r, column + c]
-            clear = clear and cell == FREE
-            wall = (cell in (OCCUPIED, DOOR)) and abs(r) < 2 and abs(c) < 2
-            k += 1
-        walls, floors = walls + wall, floors + (clear and not wall)
+        wall = False
+        for r in range(row - 1, row + 2):
+            for c in range(column - 1, column + 2):
+                wall |= label[r, c] == OCCUPIED or label[r, c] == DOOR
+        clear = not wall
+        for r in range(row - 2, row + 3 if clear else row - 2):
+            for c in range(column - 2, column + 3):
+                clear &= label[r, c] == FREE
+        walls, floors = walls + wall, floors + clear
     return walls, floors, count

@@ -57,8 +57,11 @@ class PoseGuard:
     def follow(self, odometry: Odometry) -> None:
         """Note how far the robot has moved until the pose is searched for."""
         if self.localised:
+            travelled, turned = self.travelled, self.turned
             for metres, turn in odometry.increments.tolist():
-                self.travelled, self.turned = self.travelled + abs(metres), self.turned + abs(turn)
+                travelled += abs(metres)
+                turned += abs(turn)
+            self.travelled, self.turned = travelled, turned
 
     def ask(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Agreement:
         """What the map says of a scan at the pose of a belief."""
@@ -67,7 +70,10 @@ class PoseGuard:
     def slack(self) -> Array:
         """(3,3) covariance by which a predicted pose is wrong if odometry since the last trusted scan failed."""
         metres, turn = self.travelled + self.config.inlier_m, self.turned + self.config.inlier_m
-        return np.diag([metres**2, metres**2, turn**2])
+        slack = np.zeros((3, 3))
+        slack[0, 0] = slack[1, 1] = metres**2
+        slack[2, 2] = turn**2
+        return slack
 
     def update(self, estimate: Filter, z: Array, R: Array, ids: Ints, iterate: bool) -> None:
         """Correct a filter by pairs z[i] - ids[i]; loosen it before where these say that odometry has failed."""
@@ -81,7 +87,7 @@ class PoseGuard:
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
-        seen, found = len(match.ids), len(match.recognised())
+        seen, found = len(match.ids), match.found
         if self.certain:
             refused = int(np.count_nonzero(match.reason == REFUSED))
             known = found / (found + refused) if found + refused else math.nan

@@ -21,8 +21,9 @@ class Trail:
     def add(self, step: int, features: int, T_map_robot: Array, config: RoomConfig) -> None:
         """Note where the robot is in a step, and how many features there are."""
         (x, y, _), n = T_map_robot.tolist(), len(self.places)
-        if n > 1 and math.dist(self.places[n - 2, :2].tolist(), (x, y)) < config.trail_step_m:
-            self.places[n - 1, :2] = x, y
+        places = self.places
+        if n > 1 and math.dist((places.item(n - 2, 0), places.item(n - 2, 1)), (x, y)) < config.trail_step_m:
+            places[n - 1, 0], places[n - 1, 1] = x, y
             return
         kept = self.places[max(n - config.trail_places, 0) :]
         self.places = np.empty((len(kept) + 1, 4))
