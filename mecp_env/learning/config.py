@@ -81,8 +81,8 @@ class NetworkConfig(Settings):
     width: int = Field(64, ge=4, le=1024)  # of the code of a goal and of the context
     grid_channels: int = Field(16, ge=2, le=256)  # of the convolutions
     attention: bool = True  # between goals, before they are scored
-    # the explorer that the untrained policy imitates; stachniss in a task
-    prior: Literal["gain", "nearest", "stachniss", "none"] = "gain"
+    # the explorer that the untrained policy imitates; returning and stachniss in a task
+    prior: Literal["gain", "nearest", "returning", "stachniss", "none"] = "gain"
     sharpness: float = Field(5.0, ge=0.0, le=100.0)  # of the logits of that explorer
     lstm: int = Field(128, ge=4, le=1024)  # recurrent_ppo
     uncertainty: bool = True  # no: it sees no covariance, prediction or confidence, to measure what they are worth
@@ -235,10 +235,11 @@ def check_batches(config: TrainConfig) -> None:
 
 def check_prior(config: TrainConfig) -> None:
     """Raise `ConfigError` for a prior that reads predictions where the network has none."""
-    if config.network.prior != "stachniss" or (config.env.observation.uncertainty and config.network.uncertainty):
+    prior, visible = config.network.prior, config.env.observation.uncertainty
+    if prior not in ("returning", "stachniss") or (visible and config.network.uncertainty):
         return
-    why = "network.uncertainty hides" if config.env.observation.uncertainty else "only a `task` shows"
-    raise ConfigError(f"network.prior: stachniss reads predictions, which {why}; expected one of gain, nearest, none")
+    why = "network.uncertainty hides" if visible else "only a `task` shows"
+    raise ConfigError(f"network.prior: {prior} reads predictions, which {why}; expected one of gain, nearest, none")
 
 
 def check_observation(config: TrainConfig) -> None:

@@ -132,7 +132,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         score = None
         if self.prior is not None:
             promise = observations["promise"][:, : goals.shape[1]]
-            score = self.prior(goals, valid, promise)
+            score = self.prior(goals, valid, promise, tables.drawing_sigma(observations["pose_cov"]))
             around.append(tables.promise_rows(promise, score, goals))
         codes = of_rows(self.goal, torch.cat([rows, *around], -1), valid)
         if self.attention is not None:

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from mecp_env.learning import tables
-from mecp_env.policies.active import AHEAD_M, InformationWeights
+from mecp_env.policies.active import AHEAD_M, InformationWeights, Triggers
 from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT
 
 START_M = 2.0  # added to every way, so that what lies at hand is not worth all
@@ -19,9 +20,10 @@ LEAST_SCORE = -4.0  # below the best goal's: nothing is ruled out
 NOTHING = 1e-6
 SELDOM = -1.0  # score of a goal on known ground
 LEAST_SIGMA_M = 1e-3, 0.01  # of a predicted pose, for what a map is worth and for its entropy, as `stachniss` has it
-INFORMATION = InformationWeights()
+INFORMATION, TRIGGERS = InformationWeights(), Triggers()
 
-Prior = Callable[[Tensor, Tensor, Tensor], Tensor]
+Explorer = Callable[[Tensor, Tensor, Tensor], Tensor]
+Prior = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]  # also of the present drawing sigma (B,1) m
 
 
 def like_nearest(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
@@ -30,10 +32,7 @@ def like_nearest(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
 
 
 def like_gain(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
-    """(B,G) the logarithm of what `gain` chooses by: promise^0.7 for the way, alone or with the best goal to go on to.
-
-    Its caution where the pose is unsure is left to learning.
-    """
+    """(B,G) the logarithm of what `next_best_view` chooses by: promise^0.7 for the way, alone or with the next goal."""
     much = torch.where(valid, promise, 0.0).amax(-1, keepdim=True) >= LEAST_M2
     value = torch.where(much, promise, 1.0) ** POWER * valid
     way = goals[..., 2] + START_M
@@ -49,7 +48,7 @@ def like_stachniss(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
 
     The present sigma of the pose counts for all goals alike, so it is left out. It never waits.
     """
-    sigma_m, floors = torch.hypot(goals[..., SIGMA], AHEAD_M * goals[..., SIGMA_RAD]), LEAST_SIGMA_M
+    sigma_m, floors = sigma_there(goals), LEAST_SIGMA_M
     worth = 1.0 - torch.exp(-(INFORMATION.tau_m**2) / (2.0 * sigma_m.clamp(min=floors[0]) ** 2))
     known = INFORMATION.cell_nat_m2 * promise * worth + INFORMATION.landmark_nat * goals[..., GAIN]
     known = known - 2.0 * INFORMATION.pose_nat * torch.log(sigma_m.clamp(min=floors[1]))
@@ -69,7 +68,12 @@ def below_best(score: Tensor, valid: Tensor) -> Tensor:
     return torch.where(valid, (score - best).clamp(min=LEAST_SCORE), 0.0)
 
 
-def with_known_ground(prior: Prior) -> Prior:
+def sigma_there(goals: Tensor) -> Tensor:
+    """(B,G) m: the drawing sigma on arrival at goals (B,G,12), as predicted."""
+    return torch.hypot(goals[..., SIGMA], AHEAD_M * goals[..., SIGMA_RAD])
+
+
+def with_known_ground(prior: Explorer) -> Explorer:
     """The score of an explorer of new floor, where known ground is among the goals: it seldom drives there."""
 
     def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
@@ -80,10 +84,10 @@ def with_known_ground(prior: Prior) -> Prior:
     return score
 
 
-def looking_first(prior: Prior) -> Prior:
+def looking_first(prior: Explorer) -> Prior:
     """An explorer's score; while the pose is searched for, it looks elsewhere, as the explorers of `active` do."""
 
-    def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
+    def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
         look = valid & (torch.round(goals[..., KIND]) == LOOK)
         scores = prior(goals, valid, promise)
         first = torch.where(look, torch.zeros_like(scores), torch.full_like(scores, LEAST_SCORE))
@@ -92,9 +96,27 @@ def looking_first(prior: Prior) -> Prior:
     return score
 
 
+def returning_first(prior: Prior) -> Prior:
+    """A score; where the drawing sigma exceeds its trigger, the place that `returning` drives to comes first.
+
+    It remembers no drive: it returns as long as the sigma exceeds the trigger.
+    """
+
+    def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
+        scores, there = prior(goals, valid, promise, sigma_m), sigma_there(goals)
+        of_use = valid & (torch.round(goals[..., KIND]) == PLACE) & (there < TRIGGERS.share * sigma_m)
+        cost = torch.where(of_use, there / sigma_m.clamp(min=NOTHING) + TRIGGERS.metre * goals[..., PATH], torch.inf)
+        best = functional.one_hot(cost.argmin(-1), cost.shape[-1]).bool()
+        first = torch.where(best, torch.zeros_like(scores), torch.full_like(scores, SELDOM)) * valid
+        return torch.where((sigma_m > TRIGGERS.sigma_m) & of_use.any(-1, keepdim=True), first, scores)
+
+    return score
+
+
 PRIORS: dict[str, Prior] = {
     "nearest": looking_first(with_known_ground(like_nearest)),
     "gain": looking_first(with_known_ground(like_gain)),
+    "returning": returning_first(looking_first(with_known_ground(like_gain))),
     "stachniss": looking_first(like_stachniss),
     "none": looking_first(with_known_ground(like_none)),
 }

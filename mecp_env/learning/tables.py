@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from mecp_env.policies.active import AHEAD_M
+
 NEAR_M = 10.0  # a length that is large for the network
 WIDE_M = 10.0  # a goal that is wider counts as so wide
 CROWD_M = 3.0  # goals as near to each other are neighbours
@@ -112,6 +114,11 @@ def pose_row(pose: Tensor, cov: Tensor) -> Tensor:
     home = torch.hypot(pose[..., 0], pose[..., 1])
     columns = [*deviations, *(value.clamp(-1.0, 1.0) for value in correlations), home / 20.0]
     return torch.cat([torch.stack(columns, -1), pose[..., 2:4]], -1)
+
+
+def drawing_sigma(cov: Tensor) -> Tensor:
+    """(B,1) m: standard deviation of where a wall is drawn ahead, by the covariance (B,6) of the pose."""
+    return torch.sqrt(0.5 * (cov[:, :1] + cov[:, 3:4]) + AHEAD_M**2 * cov[:, 5:6])
 
 
 def log_sigma(variance: Tensor) -> Tensor:

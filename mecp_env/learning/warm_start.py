@@ -26,7 +26,7 @@ from mecp_env.learning.run_log import RunLog
 from mecp_env.policies.registry import make_policy
 
 ACTIVE = ("pause", "returning", "stachniss")  # explorers that act on their uncertainty
-TEACHERS = ("nearest", "gain", "bfs", *ACTIVE)  # explorers that select goals
+TEACHERS = ("nearest", "next_best_view", "gain", "bfs", *ACTIVE)  # explorers that select goals
 BATCH = 128
 FIRST_SEED = 1_000_000_000  # of the teacher's episodes: outside those of the training itself
 Lesson = dict[str, np.ndarray]  # downsampled observations (n,...), `action` and `returns` (n,)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.gain import Gain
+from mecp_env.policies.gain import Gain, NextBestView
 from mecp_env.policies.policy import GAIN, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, Mask, choices, of_kind
 
 Floats = NDArray[np.float32]
@@ -59,8 +59,8 @@ class Active:
 
     actions, settings = "goal", SETTINGS
 
-    def __init__(self) -> None:
-        self.explorer = Gain()
+    def __init__(self, explorer: NextBestView | None = None) -> None:
+        self.explorer = explorer or Gain()
         self.reset()
 
     def reset(self, seed: int = 0) -> None:
@@ -93,33 +93,43 @@ class Pause(Active):
         return int(rows[0]) if self.in_a_row else self.explorer.act(observation, mask)
 
 
-class Returning(Active):
-    """As `Gain` while the pose is well known; otherwise to the place where it is predicted to be known best.
+@dataclass(frozen=True, slots=True)
+class Triggers:
+    """When `Returning` returns, and where to; tuned on the validation split (docs/tasks.md)."""
 
-    It returns when its drawing sigma exceeds `sigma_m`, if some place promises less than `share` of it, and goes on as
-    soon as it is below `share` of the trigger, or after `most_returns` drives. Each metre of the way to a place counts
-    as the share `metre` of the present sigma.
+    sigma_m: float = 0.25  # drawing sigma at which it returns
+    share: float = 0.6  # of it: what a place must promise, and at which it goes on
+    most_returns: int = 3  # drives in a row
+    metre: float = 0.02  # what a metre of the way costs, as a share of the present sigma
+
+
+class Returning(Active):
+    """As `NextBestView` while the pose is well known; otherwise to the place where it is predicted to be known best.
+
+    It returns when its drawing sigma exceeds a trigger and some place promises less than a share of it, and goes on as
+    soon as it is below that share of the trigger, or after a few drives.
     """
 
-    def __init__(self, sigma_m: float = 0.25, share: float = 0.6, most_returns: int = 3, metre: float = 0.02) -> None:
-        super().__init__()
-        self.sigma_m, self.share, self.most_returns, self.metre = sigma_m, share, most_returns, metre
+    def __init__(self, triggers: Triggers | None = None) -> None:
+        super().__init__(NextBestView())
+        self.triggers = triggers or Triggers()
 
     def choose(self, observation: dict[str, Any], mask: Mask) -> int:
         """Row of the place, or that of the explorer."""
-        sigma_m, places = sigma_now(observation["pose_cov"]), of_kind(PLACE, observation, mask)
-        level = self.sigma_m * (self.share if self.in_a_row else 1.0)
+        given, sigma_m = self.triggers, sigma_now(observation["pose_cov"])
+        level = given.sigma_m * (given.share if self.in_a_row else 1.0)
+        places = of_kind(PLACE, observation, mask)
         place = self.best(observation["goals"], places, sigma_m) if sigma_m > level else None
-        self.in_a_row = self.in_a_row + 1 if place is not None and self.in_a_row < self.most_returns else 0
+        self.in_a_row = self.in_a_row + 1 if place is not None and self.in_a_row < given.most_returns else 0
         return place if place is not None and self.in_a_row else self.explorer.act(observation, mask)
 
     def best(self, goals: Floats, places: Ints, sigma_m: float) -> int | None:
         """The place with the least predicted sigma and cost of the way; None where no place is of use."""
-        there = sigma_there(goals[places])
-        if not len(places) or there.min() >= self.share * sigma_m:
+        there, given = sigma_there(goals[places]), self.triggers
+        if not len(places) or there.min() >= given.share * sigma_m:
             return None
-        cost = np.where(there < self.share * sigma_m, there / sigma_m + self.metre * goals[places, PATH], np.inf)
-        return int(places[np.argmin(cost)])
+        way = given.metre * goals[places, PATH]
+        return int(places[np.argmin(np.where(there < given.share * sigma_m, there / sigma_m + way, np.inf))])
 
 
 @dataclass(frozen=True, slots=True)

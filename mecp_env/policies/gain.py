@@ -32,14 +32,13 @@ class Weights:
     caution: float = 1.0  # rate at which a goal away from known landmarks loses value beyond that
 
 
-class Gain:
+class NextBestView:
     """Drives to the goal with the most expected new floor per path, area^0.7 / (path + 2 m), one goal ahead.
 
     The value of a goal is that of the best pair that starts with it: the floor of both, for the path to the first and
     on to the second. The area is that of the unknown cells of the observation's grid that an imaginary scan from the
-    goal would see, up to the walls known so far (next best view: Gonzalez-Banos and Latombe 2002). When the position's
-    standard deviation exceeds `sure_m`, goals near landmarks that are known better than the pose are preferred: seeing
-    these again reduces the uncertainty (Stachniss, Grisetti and Burgard 2005 close loops for that).
+    goal would see, up to the walls known so far (Gonzalez-Banos and Latombe 2002). How well the pose is known plays no
+    role.
     """
 
     actions = "goal"
@@ -59,7 +58,11 @@ class Gain:
         area = self.expected_area(observation["grid"], goals)
         if area.max() < self.weights.least_m2:
             area = np.ones(len(rows))
-        return int(rows[np.argmax(self.value_of(area, goals) * self.certainty(observation, goals))])
+        return int(rows[np.argmax(self.worth(observation, area, goals))])
+
+    def worth(self, observation: dict[str, Any], area: Array, goals: Array) -> Array:
+        """(k,) by which the goals (k,9) with so much new floor (k,) m^2 are compared."""
+        return self.value_of(area, goals)
 
     def value_of(self, area: Array, goals: Array) -> Array:
         """(k,) value of the goals (k,9) per path, each alone or together with the best second goal."""
@@ -77,6 +80,18 @@ class Gain:
         outside = np.abs(goals[:, [X, Y]]).max(axis=1) > 0.5 * CELLS * CELL_M - STEP_M
         area[outside & (goals[:, KIND] == DOOR)] = self.weights.beyond_m2
         return area
+
+
+class Gain(NextBestView):
+    """As `NextBestView`; while the pose is uncertain, it prefers goals near well-known landmarks.
+
+    That is when the position's standard deviation exceeds `sure_m`. To see landmarks again that are known better than
+    the pose reduces its uncertainty (Stachniss, Grisetti and Burgard 2005 close loops for that).
+    """
+
+    def worth(self, observation: dict[str, Any], area: Array, goals: Array) -> Array:
+        """(k,) the value of the goals (k,9), times their certainty."""
+        return self.value_of(area, goals) * self.certainty(observation, goals)
 
     def certainty(self, observation: dict[str, Any], goals: Array) -> Array:
         """(k,) factors up to 1 of the goals (k,9): 1 while the pose is certain, less away from well-known landmarks."""

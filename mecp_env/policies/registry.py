@@ -16,6 +16,7 @@ from mecp_env.policies.policy import Policy
 EXPLORERS = {  # name -> "module:Class", constructed without arguments
     "bfs": "mecp_env.policies.explorers:BreadthFirstPolicy",
     "nearest": "mecp_env.policies.explorers:Nearest",
+    "next_best_view": "mecp_env.policies.gain:NextBestView",
     "gain": "mecp_env.policies.gain:Gain",
     "pause": "mecp_env.policies.active:Pause",
     "returning": "mecp_env.policies.active:Returning",

@@ -14,7 +14,7 @@ from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa:
 from mecp_env.learning.encoder import of_rows, used_rows  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.policies.explorers import Nearest  # noqa: E402
-from mecp_env.policies.gain import Gain  # noqa: E402
+from mecp_env.policies.gain import NextBestView  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
 
@@ -94,7 +94,7 @@ def test_rows_that_hold_nothing_have_no_influence(algorithm, seen):
         assert torch.equal(mine, theirs)
 
 
-@pytest.mark.parametrize(("prior", "explorer"), [("nearest", Nearest()), ("gain", Gain())])
+@pytest.mark.parametrize(("prior", "explorer"), [("nearest", Nearest()), ("gain", NextBestView())])
 def test_an_untrained_policy_does_as_the_explorer_it_begins_with(prior, explorer, seen):
     policy = make_network(quick(network={"width": 16, "grid_channels": 4, "prior": prior}))
     for observation in seen:

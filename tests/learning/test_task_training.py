@@ -22,8 +22,8 @@ from mecp_env.learning.environments import make_env  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.learning.warm_start import check_teacher  # noqa: E402
-from mecp_env.policies.active import Active, Stachniss  # noqa: E402
-from mecp_env.policies.policy import KIND, LOOK, PATH, PLACE, SIGMA, VALID, WAIT  # noqa: E402
+from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
+from mecp_env.policies.policy import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402
 from tests.learning.training import quick, resume, run  # noqa: E402
 
@@ -116,12 +116,29 @@ def test_an_untrained_policy_drives_as_stachniss_to_places_and_new_floor(seen):
     assert chosen[-1] == PLACE
 
 
+def test_an_untrained_policy_returns_as_returning_does_when_its_pose_is_uncertain(seen):
+    network = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4, "prior": "returning"}))
+    chosen = list[int]()
+    for observation in seen:
+        for sigma_m, there in ((0.05, 0.02), (0.5, 0.02), (0.5, 0.4)):
+            given = {name: values.copy() for name, values in observation.items()}
+            given["pose_cov"][:] = [sigma_m**2, 0, 0, sigma_m**2, 0, 1e-8]
+            given["goals"][:, SIGMA], given["goals"][:, SIGMA_RAD] = there, 1e-3
+            row, valid = Returning().act(given), given["goals"][:, VALID] > 0.5
+            scores = logits(network, given)
+            assert scores[valid].max() == scores[row]
+            chosen.append(int(given["goals"][row, KIND]))
+    assert PLACE in chosen[1::3]
+    assert PLACE not in chosen[::3] + chosen[2::3]
+
+
+@pytest.mark.parametrize("prior", ["returning", "stachniss"])
 @pytest.mark.parametrize(
     ("fields", "why"), [({}, "only a `task` shows"), ({"task": TASK}, "network.uncertainty hides")]
 )
-def test_stachniss_is_no_prior_without_predictions(fields, why):
-    with pytest.raises(ConfigError, match=f"network.prior: stachniss reads predictions, which {why}"):
-        TrainConfig.build({**fields, "network": {"prior": "stachniss", "uncertainty": "task" not in fields}})
+def test_predictions_are_needed_by_a_prior_that_reads_them(prior, fields, why):
+    with pytest.raises(ConfigError, match=f"network.prior: {prior} reads predictions, which {why}"):
+        TrainConfig.build({**fields, "network": {"prior": prior, "uncertainty": "task" not in fields}})
 
 
 @pytest.mark.parametrize("name", ["sigma", "trust", "pose_cov", "landmarks"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.active import AHEAD_M, Pause, Returning, Stachniss, sigma_now, sigma_there
+from mecp_env.policies.active import AHEAD_M, Pause, Returning, Stachniss, Triggers, sigma_now, sigma_there
 from mecp_env.policies.gain import Gain
 from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, X, Y
 from tests.policies.scenes import UNKNOWN, goal, observation, paint
@@ -43,18 +43,18 @@ def test_the_drawing_sigma_has_both_position_and_heading() -> None:
 def test_returning_explores_while_the_pose_is_known_and_returns_when_it_is_not() -> None:
     goals = (NEW, place(8.0, 0.02), place(4.0, 0.05), place(3.0, 0.45))
     assert Returning().act(scene(*goals, sigma_m=0.1)) == 0
-    assert Returning(metre=0.0).act(scene(*goals)) == 1  # the best known
-    assert Returning(metre=0.05).act(scene(*goals)) == 2  # nearly as good, and nearer
+    assert Returning(Triggers(metre=0.0)).act(scene(*goals)) == 1  # the best known
+    assert Returning(Triggers(metre=0.05)).act(scene(*goals)) == 2  # nearly as good, and nearer
 
 
 def test_returning_goes_nowhere_for_nothing_and_not_for_ever() -> None:
     assert Returning().act(scene(NEW, place(3.0, 0.45))) == 0
-    policy, seen = Returning(most_returns=2), scene(NEW, place(3.0, 0.05))
+    policy, seen = Returning(Triggers(most_returns=2)), scene(NEW, place(3.0, 0.05))
     assert [policy.act(seen) for _ in range(4)] == [1, 1, 0, 1]
 
 
 def test_returning_goes_on_only_when_the_pose_is_clearly_better() -> None:
-    policy, goals = Returning(sigma_m=0.25, share=0.6), (NEW, place(3.0, 0.05))
+    policy, goals = Returning(Triggers(sigma_m=0.25, share=0.6)), (NEW, place(3.0, 0.05))
     assert policy.act(scene(*goals, sigma_m=0.2)) == 0
     assert policy.act(scene(*goals, sigma_m=0.3)) == 1
     assert policy.act(scene(*goals, sigma_m=0.2)) == 1
