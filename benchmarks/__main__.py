@@ -261,7 +261,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="POLICY",
-        help="of uncertainty: names, run folders or module:Class; default: nearest gain pause returning stachniss",
+        help="of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others",
     )
     made.add_argument("--buildings", type=positive, default=0, metavar="N", help="of uncertainty: at each point, 50")
     return made

@@ -27,7 +27,7 @@ from mecp_env.policies.rollout import EpisodeTask, run_episode
 from mecp_env.policies.setting import Setting
 
 TASK = "ActiveHalls-v0"
-POLICIES = ("nearest", "gain", "pause", "returning", "stachniss")
+POLICIES = ("nearest", "next_best_view", "gain", "pause", "returning", "stachniss")
 ESTIMATORS = {"slam": "estimator", "known": "known correspondences", "truth": "true pose"}
 BASE = "base"  # the task as it is
 SCALES, RANGES_M = (2.0, 4.0, 8.0), (3.0, 5.0, 8.0, 30.0)
@@ -46,7 +46,7 @@ PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
 GATES = tuple(
     Gate(f"points/{point}/{policy}/slam/{METRIC}", "share", 0.03)
     for point in (BASE, "odometry_x4", "range_8_m")
-    for policy in ("gain", "stachniss")
+    for policy in ("next_best_view", "returning")
 )
 Unit = tuple[str, str, str, str, str, int]  # task, point, policy, its checksum, estimator, building
 
