@@ -97,18 +97,19 @@ def looking_first(prior: Explorer) -> Prior:
 
 
 def returning_first(prior: Prior) -> Prior:
-    """A score; where the drawing sigma exceeds its trigger, the place that `returning` drives to comes first.
+    """A score; where the place that `returning` drives to takes away enough of the drawing sigma, it comes first.
 
-    It remembers no drive: it returns as long as the sigma exceeds the trigger.
+    It remembers no drive: it returns as long as that is so. The learned part can say when not to.
     """
 
     def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
         scores, there = prior(goals, valid, promise, sigma_m), sigma_there(goals)
-        of_use = valid & (torch.round(goals[..., KIND]) == PLACE) & (there < TRIGGERS.share * sigma_m)
+        places = valid & (torch.round(goals[..., KIND]) == PLACE)
+        of_use = places & (there < sigma_m - TRIGGERS.lost_m)
         cost = torch.where(of_use, there / sigma_m.clamp(min=NOTHING) + TRIGGERS.metre * goals[..., PATH], torch.inf)
         best = functional.one_hot(cost.argmin(-1), cost.shape[-1]).bool()
         first = torch.where(best, torch.zeros_like(scores), torch.full_like(scores, SELDOM)) * valid
-        return torch.where((sigma_m > TRIGGERS.sigma_m) & of_use.any(-1, keepdim=True), first, scores)
+        return torch.where(of_use.any(-1, keepdim=True), first, scores)
 
     return score
 

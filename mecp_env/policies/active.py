@@ -95,41 +95,47 @@ class Pause(Active):
 
 @dataclass(frozen=True, slots=True)
 class Triggers:
-    """When `Returning` returns, and where to; tuned on the validation split (docs/tasks.md)."""
+    """When `Returning` returns, and where to; tuned on the train and validation splits (docs/tasks.md)."""
 
-    sigma_m: float = 0.25  # drawing sigma at which it returns
-    share: float = 0.6  # of it: what a place must promise, and at which it goes on
+    lost_m: float = 0.2  # drawing sigma that a place takes away: it returns
+    share: float = 0.6  # of it: as long as a place takes away as much, it goes on to return
     most_returns: int = 3  # drives in a row
+    between: int = 6  # drives to new floor, at least, before it returns again
     metre: float = 0.02  # what a metre of the way costs, as a share of the present sigma
 
 
 class Returning(Active):
     """As `NextBestView` while the pose is well known; otherwise to the place where it is predicted to be known best.
 
-    It returns when its drawing sigma exceeds a trigger and some place promises less than a share of it, and goes on as
-    soon as it is below that share of the trigger, or after a few drives.
+    It returns when its drawing sigma is larger than that at a place by a trigger. What is uncertain there, too, is
+    where the map as a whole lies, which no return makes better known. It goes on when no place promises a share of
+    that, or after a few drives, and then does not return for some time: where few corners are, sigma grows fast.
     """
 
     def __init__(self, triggers: Triggers | None = None) -> None:
-        super().__init__(NextBestView())
         self.triggers = triggers or Triggers()
+        super().__init__(NextBestView())
+
+    def reset(self, seed: int = 0) -> None:
+        """Start an episode; nothing here is random."""
+        super().reset(seed)
+        self.explored = self.triggers.between  # drives since the last return
 
     def choose(self, observation: dict[str, Any], mask: Mask) -> int:
         """Row of the place, or that of the explorer."""
-        given, sigma_m = self.triggers, sigma_now(observation["pose_cov"])
-        level = given.sigma_m * (given.share if self.in_a_row else 1.0)
-        places = of_kind(PLACE, observation, mask)
-        place = self.best(observation["goals"], places, sigma_m) if sigma_m > level else None
-        self.in_a_row = self.in_a_row + 1 if place is not None and self.in_a_row < given.most_returns else 0
-        return place if place is not None and self.in_a_row else self.explorer.act(observation, mask)
+        given = self.triggers
+        may = self.in_a_row < given.most_returns and (self.in_a_row or self.explored >= given.between)
+        place = self.best(observation, of_kind(PLACE, observation, mask)) if may else None
+        self.in_a_row, self.explored = (0, self.explored + 1) if place is None else (self.in_a_row + 1, 0)
+        return self.explorer.act(observation, mask) if place is None else place
 
-    def best(self, goals: Floats, places: Ints, sigma_m: float) -> int | None:
-        """The place with the least predicted sigma and cost of the way; None where no place is of use."""
-        there, given = sigma_there(goals[places]), self.triggers
-        if not len(places) or there.min() >= given.share * sigma_m:
-            return None
-        way = given.metre * goals[places, PATH]
-        return int(places[np.argmin(np.where(there < given.share * sigma_m, there / sigma_m + way, np.inf))])
+    def best(self, observation: Mapping[str, Any], places: Ints) -> int | None:
+        """The place with the least predicted sigma and cost of the way; None where none takes away enough of it."""
+        given, goals, sigma_m = self.triggers, observation["goals"], sigma_now(observation["pose_cov"])
+        there, least_m = sigma_there(goals[places]), given.lost_m * (given.share if self.in_a_row else 1.0)
+        of_use = there < sigma_m - least_m
+        cost = np.where(of_use, there / sigma_m + given.metre * goals[places, PATH], np.inf)
+        return int(places[np.argmin(cost)]) if of_use.any() else None
 
 
 @dataclass(frozen=True, slots=True)

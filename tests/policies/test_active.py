@@ -49,16 +49,22 @@ def test_returning_explores_while_the_pose_is_known_and_returns_when_it_is_not()
 
 def test_returning_goes_nowhere_for_nothing_and_not_for_ever() -> None:
     assert Returning().act(scene(NEW, place(3.0, 0.45))) == 0
-    policy, seen = Returning(Triggers(most_returns=2)), scene(NEW, place(3.0, 0.05))
-    assert [policy.act(seen) for _ in range(4)] == [1, 1, 0, 1]
+    policy, seen = Returning(Triggers(most_returns=2, between=3)), scene(NEW, place(3.0, 0.05))
+    assert [policy.act(seen) for _ in range(7)] == [1, 1, 0, 0, 0, 1, 1]
 
 
 def test_returning_goes_on_only_when_the_pose_is_clearly_better() -> None:
-    policy, goals = Returning(Triggers(sigma_m=0.25, share=0.6)), (NEW, place(3.0, 0.05))
+    policy, goals = Returning(Triggers(lost_m=0.2, share=0.6)), (NEW, place(3.0, 0.05))
     assert policy.act(scene(*goals, sigma_m=0.2)) == 0
     assert policy.act(scene(*goals, sigma_m=0.3)) == 1
     assert policy.act(scene(*goals, sigma_m=0.2)) == 1
     assert policy.act(scene(*goals, sigma_m=0.1)) == 0
+
+
+def test_returning_does_not_return_for_what_is_uncertain_there_too() -> None:
+    """A map whose place is known to 0.3 m only, as wheels slipped at its start."""
+    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.45)) == 0
+    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.55)) == 1
 
 
 def test_pause_waits_a_few_times_where_little_is_recognised() -> None:

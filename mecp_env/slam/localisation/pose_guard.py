@@ -110,8 +110,11 @@ class PoseGuard:
         return self.localised and (not self.doubts or evidence.tracked)
 
     def _count_doubts(self, evidence: Evidence) -> None:
-        self.doubts = 0 if evidence.is_enough else self.doubts + 1
-        self.astray = 0 if evidence.is_enough or evidence.tracked else self.astray + 1
+        """A doubt stays until something speaks for the pose: a scan that does not contradict it may show new floor."""
+        against = not evidence.is_enough
+        settled = not against and (evidence.is_strong or not self.doubts)
+        self.doubts = 0 if settled else self.doubts + against
+        self.astray = 0 if settled or evidence.tracked else self.astray + against
 
     @property
     def patience(self) -> int:
