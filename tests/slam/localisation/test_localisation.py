@@ -254,6 +254,17 @@ def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
     assert not guard.trusts(seen(1.0, 1.0))  # only a search ends it
 
 
+def test_a_doubt_stays_until_something_speaks_for_the_pose():
+    """Of two known corners beyond the mapped floor nobody can tell where they were seen from."""
+    guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), seen(math.nan, math.nan)
+    assert guard.trusts(silent)
+    assert not guard.trusts(seen(0.3, 0.1))
+    assert not any(guard.trusts(silent) for _ in range(10))
+    assert guard.localised
+    assert guard.trusts(seen(math.nan, 1.0))
+    assert guard.trusts(silent)
+
+
 def test_where_nothing_is_mapped_confidence_stays(mapped):
     guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
     before = guard.confidence(belief)
