@@ -52,10 +52,10 @@ READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.n
 @dataclass(frozen=True)
 class Evaluate(Command):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
-    and, with --record, a film. A policy is bfs, nearest, gain, pause, returning, stachniss, random_goal, random_walk,
-    maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished episodes are kept in
-    OUT/episodes: the same command continues after a kill. Jobs with --shard 1/4 to 4/4 divide the buildings; then the
-    command without --shard combines their episodes."""
+    and, with --record, a film. A policy is bfs, nearest, next_best_view, gain, pause, returning, stachniss,
+    random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished
+    episodes are kept in OUT/episodes: the same command continues after a kill. Jobs with --shard 1/4 to 4/4 divide the
+    buildings; then the command without --shard combines their episodes."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",

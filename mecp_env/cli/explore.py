@@ -25,9 +25,9 @@ EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task i
 
 @dataclass(frozen=True)
 class Explore(Command):
-    """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest, gain, pause,
-    returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as
-    module:Class."""
+    """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest,
+    next_best_view, gain, pause, returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training
+    run, or a custom class as module:Class."""
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env explore gain --layout office",

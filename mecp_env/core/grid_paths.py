@@ -28,6 +28,7 @@ DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 def clearance(label: Bytes, reach: float) -> Distances:
     """(H,W) distance of each cell to the nearest OCCUPIED one, centre to centre, in cells, up to `reach`."""
     (height, width), near = label.shape, math.ceil(reach)
+    assert near < 180  # the sum of two squares of near + 1 fits into 16 bits
     far = np.uint16(near + 1)
     away = np.empty((height, width), np.uint16)  # rows to the nearest OCCUPIED cell of the column, up to near + 1
     for column in range(width if height else 0):

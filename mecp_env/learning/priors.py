@@ -99,14 +99,14 @@ def looking_first(prior: Explorer) -> Prior:
 def returning_first(prior: Prior) -> Prior:
     """A score; where the place that `returning` drives to takes away enough of the drawing sigma, it comes first.
 
-    It remembers no drive: it returns as long as that is so. The learned part can say when not to.
+    It remembers no drive: it returns in every decision for which that holds. The learned part may outweigh it.
     """
 
     def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
         scores, there = prior(goals, valid, promise, sigma_m), sigma_there(goals)
         places = valid & (torch.round(goals[..., KIND]) == PLACE)
         of_use = places & (there < sigma_m - TRIGGERS.lost_m)
-        cost = torch.where(of_use, there / sigma_m.clamp(min=NOTHING) + TRIGGERS.metre * goals[..., PATH], torch.inf)
+        cost = torch.where(of_use, there + TRIGGERS.metre * sigma_m * goals[..., PATH], torch.inf)
         best = functional.one_hot(cost.argmin(-1), cost.shape[-1]).bool()
         first = torch.where(best, torch.zeros_like(scores), torch.full_like(scores, SELDOM)) * valid
         return torch.where(of_use.any(-1, keepdim=True), first, scores)

@@ -134,7 +134,7 @@ class Returning(Active):
         given, goals, sigma_m = self.triggers, observation["goals"], sigma_now(observation["pose_cov"])
         there, least_m = sigma_there(goals[places]), given.lost_m * (given.share if self.in_a_row else 1.0)
         of_use = there < sigma_m - least_m
-        cost = np.where(of_use, there / sigma_m + given.metre * goals[places, PATH], np.inf)
+        cost = np.where(of_use, there + given.metre * sigma_m * goals[places, PATH], np.inf)
         return int(places[np.argmin(cost)]) if of_use.any() else None
 
 

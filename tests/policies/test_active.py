@@ -67,6 +67,12 @@ def test_returning_does_not_return_for_what_is_uncertain_there_too() -> None:
     assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.55)) == 1
 
 
+def test_returning_does_not_return_while_the_pose_is_known_exactly() -> None:
+    seen = scene(NEW, place(3.0, 0.05))
+    seen["pose_cov"][:] = 0.0
+    assert Returning().act(seen) == 0
+
+
 def test_pause_waits_a_few_times_where_little_is_recognised() -> None:
     policy = Pause(most_waits=2)
     assert policy.act(scene(NEW, WAITING, recognised=1.0)) == 0

@@ -255,7 +255,7 @@ def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
 
 
 def test_a_doubt_stays_until_something_speaks_for_the_pose():
-    """Of two known corners beyond the mapped floor nobody can tell where they were seen from."""
+    """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
     guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), seen(math.nan, math.nan)
     assert guard.trusts(silent)
     assert not guard.trusts(seen(0.3, 0.1))
