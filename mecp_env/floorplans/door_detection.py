@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, Polygon, box
+from shapely.geometry import LineString, Polygon
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.floorplans.door_candidates import STRAIGHT, crossings, wall_faces
 from mecp_env.floorplans.furniture import without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions
@@ -24,6 +24,7 @@ SAME_WIDTH_M = 0.08  # a passage may vary so much between its faces
 POST_M = 0.5  # a wall continues at least so far behind a post
 SAME_DOOR_M = 0.5  # two doorways so near to each other are one
 SIGHT_M = 4.0  # how far is far enough
+BESIDE_M = 1e-3  # no line meets a face that is further beside it
 LEAST_DEPTH_M = 0.004  # of a doorway: of a wall as thin as a pixel less than a pixel may be left
 FRAME_M, FRAME_WIDTH_M = 0.25, 1.45  # a thinner doorway of less width may be a frame,
 FRAME_GAIN_M = 0.12  # beside which it is wider by so much;
@@ -72,10 +73,11 @@ class Walls:
         faces = wall_faces(area)
         return cls(area, faces, shapely.STRtree(shapely.linestrings(faces)), np.empty((0, 2, 2)))
 
-    def near(self, points: Array) -> Array:
-        """Faces and closed doors (n,2,2) within sight of `points` (k,2)."""
-        low, high = points.min(axis=0) - SIGHT_M, points.max(axis=0) + SIGHT_M
-        faces = self.faces[self.tree.query(box(*low, *high))]
+    def near(self, points: Array, along: Array) -> Array:
+        """Faces and closed doors (n,2,2) within sight of `points` (k,2) against `along` or with it."""
+        margin = SIGHT_M * np.abs(along) + BESIDE_M
+        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+        faces = self.faces[self.tree.query(shapely.box(*low, *high))]
         return np.concatenate([faces, self.closed_near((low + high) / 2.0, math.dist(low, high))])
 
     def closed_near(self, point: Array, reach_m: float) -> Array:
@@ -168,21 +170,36 @@ def _straight(along: Array, axes: tuple[float, ...]) -> Array:
 
 def extent(points: Array, along: Array, walls: Walls) -> tuple[Array, Array]:
     """How far (n,) it is from each of `points` to the wall against `along` and with it; 0 both for points in a wall."""
-    place = _hits(points, along, walls.near(points))
-    right = np.where(place > 0.0, place, np.inf).min(axis=1, initial=SIGHT_M)
-    left = np.where(place <= 0.0, -place, np.inf).min(axis=1, initial=SIGHT_M)
+    point, place = _hits(points, along, walls.near(points, along))
+    left, right = np.full((2, len(points)), SIGHT_M)
+    ahead = place > 0.0
+    np.minimum.at(right, point[ahead], place[ahead])
+    np.minimum.at(left, point[~ahead], -place[~ahead])
     floor = shapely.contains_xy(walls.area, points)
     return np.where(floor, left, 0.0), np.where(floor, right, 0.0)
 
 
-def _hits(points: Array, along: Array, faces: Array) -> Array:
-    """Where (n,f) the line through each point meets each face, m ahead of it or nan."""
+def _hits(points: Array, along: Array, faces: Array) -> tuple[Ints, Array]:
+    """Where (h,) the lines through `points` meet faces: the index of the point, and m ahead of it."""
     normal = np.array([-along[1], along[0]])
     height, across = faces @ normal, faces @ along
     rise = height[:, 1] - height[:, 0]
-    share = ((points @ normal)[:, None] - height[:, 0]) / np.where(rise == 0.0, np.nan, rise)
-    place = across[:, 0] + share * (across[:, 1] - across[:, 0]) - (points @ along)[:, None]
-    return np.where((share >= 0.0) & (share < 1.0), place, np.nan)
+    level = points @ normal
+    point, face = _between(level, height)
+    share = (level[point] - height[face, 0]) / rise[face]
+    place = across[face, 0] + share * (across[face, 1] - across[face, 0]) - (points @ along)[point]
+    met = (share >= 0.0) & (share < 1.0)
+    return point[met], place[met]
+
+
+def _between(level: Array, height: Array) -> tuple[Ints, Ints]:
+    """The pairs (h,) of a level (n,) and a face whose ends are at `height` (f,2), one of them on each side of it."""
+    order = np.argsort(level)
+    low, high = height.min(axis=1), height.max(axis=1)
+    first = np.searchsorted(level, low, "left", order)
+    count = np.where(high > low, np.searchsorted(level, high, "right", order) - first, 0)
+    face = np.repeat(np.arange(len(height)), count)
+    return order[np.arange(len(face)) - (count.cumsum() - count - first)[face]], face
 
 
 def _passage(width: Array) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.outline import ROBOT_RADIUS_M
 
 CLEARANCE_M = ROBOT_RADIUS_M + 0.02
+BESIDE_M = 3.0 * CLEARANCE_M  # what is further away from a place does not bound it
 NICHE_M = 0.4  # a niche too narrow for the robot stays when it is no deeper
 FINE_M = 2e-3  # details smaller than this come from rounding
 ON_EDGE_M = 1e-6  # the middle of an edge this close to a line is on it
@@ -37,12 +38,24 @@ def reachable_floor(area: BaseGeometry) -> Polygon:
 
 def left_out(floor: Polygon, area: Polygon, options: PlanOptions) -> str:
     """Which places of a `floor`, as large as a room, are not part of the building's `area`, in words; or nothing."""
-    inner = floor.buffer(-CLEARANCE_M, quad_segs=4).difference(area)
+    near = _around_large_parts(floor.difference(area), options.smallest_room_m2)
+    inner = floor.intersection(near).buffer(-CLEARANCE_M, quad_segs=4).difference(area)
     places = shapely.buffer(shapely.get_parts(inner), CLEARANCE_M)
     sizes = shapely.area(places)[shapely.area(places) >= options.smallest_room_m2]
     if not len(sizes):
         return ""
     return f"Places that no wide enough doorway leads to: {len(sizes)}, of {sizes.sum():.1f} m2 in all."
+
+
+def _around_large_parts(rest: BaseGeometry, least_m2: float) -> BaseGeometry:
+    """Boxes around those parts of `rest` that may be a place of at least so much: the others are edges of pixels.
+
+    They are so wide that a place in a part is the same whether the floor ends at its box or not.
+    """
+    left, bottom, right, top = shapely.bounds(shapely.get_parts(rest)).T
+    large = (right - left + 2.0 * CLEARANCE_M) * (top - bottom + 2.0 * CLEARANCE_M) >= least_m2
+    corners = [left - BESIDE_M, bottom - BESIDE_M, right + BESIDE_M, top + BESIDE_M]
+    return shapely.union_all(shapely.box(*(corner[large] for corner in corners)))
 
 
 def _inner(area: BaseGeometry, radius: float) -> BaseGeometry:

@@ -25,7 +25,6 @@ from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.returns import returns_of
 from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
-from mecp_env.policies.seeds import seeds_of
 from mecp_env.policies.setting import Setting, plan_names
 
 
@@ -95,7 +94,6 @@ class Evaluation:
 
     def figures(self, rows: Sequence[Row], command: str) -> Figures:
         """The result as JSON data. Apart from date, command and `timing`, every repetition gives the same."""
-        estimated = [row for row in rows if row.estimator == self.setting.estimator]
         return {
             "date": datetime.now(UTC).date().isoformat(),
             "command": command,
@@ -108,8 +106,7 @@ class Evaluation:
             "interrupted": self.interrupted,
             "failures": sorted(str(failure) for failure in self.failures),
             "rows": compare(rows, self.reference),
-            "seeds": seeds_of(estimated),
-            "returns": returns_of(estimated),
+            "returns": returns_of([row for row in rows if row.estimator == self.setting.estimator]),
             "timing": timing(rows),
         }
 

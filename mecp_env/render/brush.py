@@ -52,10 +52,11 @@ class Camera:
         pixels: Array = p_world * (self.scale, -self.scale) + self.offset
         return pixels
 
-    def world(self, pixels: Array) -> Array:
-        """Pixels (n,2) as points (n,2) m of the world."""
-        p_world: Array = (pixels - self.offset) / (self.scale, -self.scale)
-        return p_world
+    def pixel_centres(self, box: Box) -> tuple[Array, Array]:
+        """World coordinates, m, of the middles of the pixels in `box`: x (width,), and y (height,) from the top."""
+        x = (box.left + (np.arange(box.width, dtype=np.float64) + 0.5) - self.offset[0]) / self.scale
+        y = (box.top + (np.arange(box.height, dtype=np.float64) + 0.5) - self.offset[1]) / -self.scale
+        return x, y
 
 
 class Brush:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
@@ -91,16 +91,19 @@ def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Bo
 
     Walls are smooth: cells, whose sides are seldom parallel to the picture's, would be teeth of a saw.
     """
-    colours, wall = shapes.cell_colours(grid, walls=False), gaussian_filter((grid.label == OCCUPIED).astype(float), 0.8)
-    across, down = np.meshgrid(np.arange(box.width) + 0.5, np.arange(box.height) + 0.5)
-    pixels = np.column_stack([box.left + across.ravel(), box.top + down.ravel()])
-    p_map = to_map(inverse(T_world_map), camera.world(pixels))
-    places = (p_map - grid.origin) / grid.resolution_m
-    cols, rows = np.floor(places.T).astype(np.int64)
-    inside = (rows >= 0) & (rows < grid.label.shape[0]) & (cols >= 0) & (cols < grid.label.shape[1])
-    picture = np.full((len(pixels), 3), palette.UNSEEN, np.uint8)
-    picture[inside] = colours[rows[inside], cols[inside]]
-    picture[map_coordinates(wall, places.T[::-1] - 0.5, order=1) > WALL] = palette.SOLID
+    wall = gaussian_filter((grid.label == OCCUPIED).astype(float), 0.8)
+    colours, by_wall = shapes.cell_colours(grid, walls=False), maximum_filter(wall, 3) > 0.99 * WALL
+    x, y = camera.pixel_centres(box)
+    p_world = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1).reshape(-1, 2)
+    p_map = to_map(inverse(T_world_map), p_world)
+    across, up = ((p_map[:, i] - grid.origin[i]) / grid.resolution_m for i in (0, 1))  # by column: fast
+    cols, rows = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
+    inside = np.flatnonzero((rows >= 0) & (rows < wall.shape[0]) & (cols >= 0) & (cols < wall.shape[1]))
+    cells = rows[inside], cols[inside]
+    picture = np.full((len(p_map), 3), palette.UNSEEN, np.uint8)
+    picture[inside] = colours[cells]
+    near = inside[by_wall[cells]]
+    picture[near[map_coordinates(wall, np.stack([up[near], across[near]]) - 0.5, order=1) > WALL]] = palette.SOLID
     return picture.reshape(box.height, box.width, 3)
 
 
