@@ -38,7 +38,7 @@ def checkout(ref: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="mecp_env-tree-") as folder:
         with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
             files.extractall(folder, filter="data")
-        compileall.compile_dir(folder, quiet=2)  # as in a tree that has been used
+        compileall.compile_dir(Path(folder, "mecp_env"), quiet=2)  # as in a tree that has been used
         yield Path(folder).resolve()
 
 

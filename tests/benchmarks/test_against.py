@@ -27,10 +27,15 @@ def temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 @needs_git
-def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(temporary: Path) -> None:
+def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[tuple[int, tuple[int, ...]]]()
+    monkeypatch.setattr(against.peers, "measure", lambda *given: asked.append(given) or {})  # test_peers.py has them
     sizes = against.Sizes(block=10, episode=20, warm_up=30, total=40)
     figures = against.run(Options(against="HEAD", sweeps=(1,)), sizes)
     assert set(figures) == {"against", "K=1", "peers"}
+    assert asked == [(4, (1,))]
     for values in figures["K=1"].values():
         assert values["ratio"]["value"] > 0.0
         assert values["ratio"]["n"] + values["left_out"] >= 2

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import mecp_env
 from mecp_env.core.jit_key import fingerprint
 from mecp_env.core.se2 import inverse
 from mecp_env.slam.messages import Cell
+from tests.launcher import Launcher
 
 PACKAGE = Path(mecp_env.__file__).parent
 CALLED = (
@@ -33,7 +35,8 @@ COMPILING = "compiling functions"
 class Tree:
     """A small package with two compiled functions, one calling the other, and a separate cache."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, launcher: Launcher) -> None:
+        self.launcher = launcher
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         (self.package / "core").mkdir(parents=True)
         for name in ("jit.py", "jit_cache.py", "jit_dispatcher.py", "jit_key.py", "warm_up_list.py"):
@@ -52,8 +55,7 @@ class Tree:
         variables = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
         variables |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONPATH": str(self.package.parent)}
         variables |= {"MECP_ENV_WARM_UP": "0"} | environment
-        here = self.package.parent
-        done = subprocess.run([sys.executable, "-c", code], env=variables, cwd=here, capture_output=True, text=True)
+        done = self.launcher.run(code, cwd=self.package.parent, env=variables)
         assert done.returncode == 0, done.stderr
         first, second = done.stdout.split()
         assert first == second
@@ -63,9 +65,16 @@ class Tree:
         return sorted(self.cache.rglob(f"*.{suffix}"))
 
 
+@pytest.fixture(scope="module")
+def launcher() -> Iterator[Launcher]:
+    """Of processes that have numba, and have compiled something, and know nothing of a package."""
+    with Launcher("numba") as launcher:
+        yield launcher
+
+
 @pytest.fixture
-def tree(tmp_path: Path) -> Tree:
-    return Tree(tmp_path)
+def tree(tmp_path: Path, launcher: Launcher) -> Tree:
+    return Tree(tmp_path, launcher)
 
 
 def test_first_compilation_says_so_in_one_line_and_the_second_process_takes_the_cache(tree: Tree) -> None:

@@ -25,7 +25,8 @@ from mecp_env.learning.models import check_size, make_model  # noqa: E402
 from mecp_env.learning.rollouts import OptionBuffer  # noqa: E402
 from mecp_env.learning.run_log import RunLog  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
-from tests.learning.training import QUICK, quick, run, start, write_config  # noqa: E402
+from tests.launcher import Launcher  # noqa: E402
+from tests.learning.training import QUICK, ROOT, quick, run, start, write_config  # noqa: E402
 
 
 def rows(path):
@@ -138,6 +139,13 @@ def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
     assert (folder / "policy.json").read_bytes() == before
 
 
+@pytest.fixture(scope="module")
+def launcher():
+    """Of processes that have imported PyTorch and the training."""
+    with Launcher("mecp_env.learning.train", "mecp_env.cli.main", path=ROOT) as launcher:
+        yield launcher
+
+
 def wait_for_checkpoint(process, checkpoints, beyond=-1):
     """Wait until a run has written a checkpoint after more than this number of decisions."""
     give_up = time.monotonic() + 300
@@ -158,38 +166,38 @@ def resumed_after(process):
     raise AssertionError(f"did not resume: {said}")
 
 
-def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+def test_a_killed_run_goes_on_from_its_last_checkpoint(launcher, tmp_path):
     """`kill -9` in the middle of training; the tables have every update once."""
-    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=96)
+    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=48)
     checkpoints = Checkpoints(folder / "checkpoints", 3)
-    process = start("--config", str(config), "--out", str(folder))
+    process = start(launcher, "--config", str(config), "--out", str(folder))
     wait_for_checkpoint(process, checkpoints, beyond=12)
     process.kill()
     process.communicate()
     last = int(checkpoints.paths()[-1].stem)
-    again = start("--resume", str(folder))
+    again = start(launcher, "--resume", str(folder))
     said, _ = again.communicate(timeout=300)
     assert again.returncode == 0, said
     assert f"resumed after {last}" in said
-    assert [int(float(row["decisions"])) for row in rows(folder / "progress.csv")] == list(range(12, 97, 12))
+    assert [int(float(row["decisions"])) for row in rows(folder / "progress.csv")] == list(range(12, 49, 12))
     assert [event["event"] for event in json.loads((folder / "run.json").read_text())] == ["begun", "resumed"]
     assert load(folder)
 
 
 @pytest.mark.slow
-def test_killed_at_random_times_it_always_goes_on(tmp_path):
+def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
     """One run, killed repeatedly: nothing that was saved is lost."""
     rng = random.Random(0)
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
     checkpoints = Checkpoints(folder / "checkpoints", 3)
-    process, reached = start("--config", str(config), "--out", str(folder)), 0
-    for _ in range(2):  # each costs a start of PyTorch
+    process, reached = start(launcher, "--config", str(config), "--out", str(folder)), 0
+    for _ in range(2):
         wait_for_checkpoint(process, checkpoints, beyond=reached)
         time.sleep(rng.uniform(0.0, 1.5))
         process.kill()
         process.communicate()
         newest = int(checkpoints.paths()[-1].stem)
-        process = start("--resume", str(folder))
+        process = start(launcher, "--resume", str(folder))
         assert resumed_after(process) == newest > reached
         reached = newest
     process.kill()
@@ -197,9 +205,9 @@ def test_killed_at_random_times_it_always_goes_on(tmp_path):
     assert load(folder)
 
 
-def test_ctrl_c_saves_and_says_where(tmp_path):
+def test_ctrl_c_saves_and_says_where(launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
-    process = start("--config", str(config), "--out", str(folder))
+    process = start(launcher, "--config", str(config), "--out", str(folder))
     wait_for_checkpoint(process, Checkpoints(folder / "checkpoints", 3))
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=300)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 from mecp_env.cli import main as cli
 from mecp_env.learning.config import TrainConfig
+from tests.launcher import Launcher, Process
 
 ROOT = Path(__file__).parent.parent.parent
 QUICK = {
@@ -47,13 +46,8 @@ def resume(folder: Path, *words: str) -> int:
     return cli.main(["train", "--resume", str(folder), *words])
 
 
-def start(*words: str) -> subprocess.Popen[str]:
+def start(launcher: Launcher, *words: str) -> Process:
     """`mecp-env train` with these arguments, in a separate process."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "mecp_env", "train", *words],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    code = "import runpy; runpy.run_module('mecp_env', run_name='__main__')"
+    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    return launcher.start(code, "train", *words, cwd=ROOT, env=env)

@@ -1,0 +1,172 @@
+"""Processes that start at once: forks of one that has imported what is slow to import, and nothing else of ours.
+
+Each is a process of its own, with its own memory, environment variables and exit code, as one that a shell starts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+LONGEST = 1 << 17  # bytes of a message
+GIVE_UP_S = 300.0
+
+
+class Process:
+    """A process that a `Launcher` started, with those methods of `subprocess.Popen` that tests use."""
+
+    def __init__(self, answers: socket.socket, stdout: IO[str]) -> None:
+        self.stdout, self.returncode, self._answers = stdout, None, answers
+        self.pid: int = self._answer(GIVE_UP_S)
+
+    def _answer(self, timeout: float | None) -> int:
+        self._answers.settimeout(timeout)
+        return int(self._answers.recv(LONGEST))
+
+    def wait(self, timeout: float | None = None) -> int:
+        """The exit code; minus the number of the signal that ended it."""
+        if self.returncode is None:
+            self.returncode = self._answer(timeout)
+        return self.returncode
+
+    def poll(self) -> int | None:
+        """The exit code, or None while it runs."""
+        with contextlib.suppress(BlockingIOError):
+            self.wait(0.0)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        if self.poll() is None:
+            self.send_signal(signal.SIGKILL)
+
+    def communicate(self, timeout: float = GIVE_UP_S) -> tuple[str, None]:
+        """The rest of what it wrote, at its end."""
+        self.wait(timeout)
+        with self.stdout:
+            return self.stdout.read(), None
+
+
+class Launcher:
+    """Starts processes that have imported some modules already."""
+
+    def __init__(self, *modules: str, path: Path | None = None) -> None:
+        self._control, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with far:
+            self._server = subprocess.Popen(
+                [sys.executable, "-P", __file__, str(far.fileno()), *modules],
+                pass_fds=[far.fileno()],
+                env=os.environ | ({"PYTHONPATH": str(path)} if path else {}),
+                stdin=subprocess.DEVNULL,
+                cwd=path,
+            )
+
+    def __enter__(self) -> Launcher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._control.close()
+        self._server.wait(GIVE_UP_S)
+
+    def start(self, code: str, *words: str, cwd: Path, env: dict[str, str]) -> Process:
+        """`python -c CODE WORDS` in a folder; its errors are among its output."""
+        reading, writing = os.pipe()
+        return Process(self._begin(code, words, cwd, env, (writing, writing)), os.fdopen(reading))
+
+    def run(self, code: str, *, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+        """The end of `python -c CODE` in a folder; it writes a few lines at most."""
+        (out, writing), (err, also) = os.pipe(), os.pipe()
+        with os.fdopen(out) as stdout, os.fdopen(err) as stderr:
+            begun = self._begin(code, (), cwd, env, (writing, also))
+            ended = Process(begun, stdout).wait(GIVE_UP_S)
+            return subprocess.CompletedProcess(code, ended, stdout.read(), stderr.read())
+
+    def _begin(
+        self, code: str, words: tuple[str, ...], cwd: Path, env: dict[str, str], files: tuple[int, int]
+    ) -> socket.socket:
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        job = {"code": code, "words": words, "cwd": str(cwd), "env": env}
+        with far:
+            socket.send_fds(self._control, [json.dumps(job).encode()], [far.fileno(), *files])
+        for file in set(files):
+            os.close(file)
+        return near
+
+
+def jobs(control: socket.socket) -> Iterator[dict[str, Any]]:
+    """In the forks of this process: the job of each; here it waits for the next one, until nobody can ask any more."""
+    signal.signal(signal.SIGCHLD, reap)
+    while True:
+        message, files, _, _ = socket.recv_fds(control, LONGEST, 3)
+        if not message:
+            return
+        if os.fork() == 0:
+            control.close()
+            if supervise(*files):
+                yield json.loads(message)
+            os._exit(0)
+        for file in files:
+            os.close(file)
+
+
+def reap(*_: object) -> None:
+    """Take note of all children that have ended, so that their time counts as that of this process."""
+    with contextlib.suppress(ChildProcessError):
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+
+
+def supervise(answers: int, out: int, err: int) -> bool:
+    """Fork a job and tell who asked for it its id and exit code. True in the job itself."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    pid = os.fork()
+    if pid == 0:
+        os.dup2(out, 1)
+        os.dup2(err, 2)
+    for file in (out, err, *([answers] if pid == 0 else [])):
+        os.close(file)
+    if pid:
+        with socket.socket(fileno=answers) as asked:
+            asked.send(str(pid).encode())
+            asked.send(str(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])).encode())
+    return pid == 0
+
+
+def become(job: dict[str, Any]) -> None:
+    """Take the environment of a job, as far as Python and numba read it at their start."""
+    os.environ.clear()
+    os.environ.update(job["env"])
+    os.chdir(job["cwd"])
+    sys.argv = ["-c", *job["words"]]
+    sys.path[:0] = [job["cwd"], *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.reload_config()
+
+
+def warm_up_numba() -> None:
+    """Let numba make what it makes at its first compilation."""
+    import numba
+
+    numba.njit(lambda x: 2.0 * x)(1.0)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[2:]:
+        importlib.import_module(name)
+    if "numba" in sys.modules:
+        warm_up_numba()
+    for job in jobs(socket.socket(fileno=int(sys.argv[1]))):
+        become(job)
+        exec(compile(job["code"], "<string>", "exec"), {"__name__": "__main__"})  # noqa: S102  (as `python -c` does)
+        break
