@@ -33,6 +33,27 @@ def ratio(parts: ArrayLike, wholes: ArrayLike) -> Figures:
     return {"value": float(part.sum() / whole.sum()), "low": float(low), "high": float(high), "n": len(part)}
 
 
+def over_runs(runs: ArrayLike, others: ArrayLike | None = None) -> Figures:
+    """Mean of r runs in n cases (r,n), minus that of others (k,n) in the same cases: {value, low, high, n}.
+
+    A draw of the bootstrap takes runs, others and cases with replacement, so that the 95 % interval is about another
+    training, too. A case with a nan counts as missing.
+    """
+    ours = np.atleast_2d(np.asarray(runs, float))
+    theirs = np.zeros((1, ours.shape[1])) if others is None else np.atleast_2d(np.asarray(others, float))
+    known = np.isfinite(ours).all(axis=0) & np.isfinite(theirs).all(axis=0)
+    n, rng = int(known.sum()), np.random.default_rng(0)
+    if not n:
+        return {"value": None, "low": None, "high": None, "n": 0}
+    cases, drawn = rng.integers(0, n, (RESAMPLES, n)), np.zeros((RESAMPLES, n))
+    for sign, sample in ((1.0, ours[:, known]), (-1.0, theirs[:, known])):
+        picked = rng.integers(0, len(sample), (RESAMPLES, len(sample)))
+        drawn += sign * np.take_along_axis(sample[picked].mean(axis=1), cases, axis=1)
+    low, high = np.percentile(drawn.mean(axis=1), [2.5, 97.5])
+    value = float(ours[:, known].mean() - theirs[:, known].mean())
+    return {"value": value, "low": float(low), "high": float(high), "n": n}
+
+
 def correlation(first: ArrayLike, second: ArrayLike) -> Figures:
     """Pearson's correlation of two measures (p,n) of n runs, with a bootstrap 95 % interval over the runs.
 

@@ -25,6 +25,7 @@ from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.returns import returns_of
 from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
+from mecp_env.policies.seeds import seeds_of
 from mecp_env.policies.setting import Setting, plan_names
 
 
@@ -94,6 +95,7 @@ class Evaluation:
 
     def figures(self, rows: Sequence[Row], command: str) -> Figures:
         """The result as JSON data. Apart from date, command and `timing`, every repetition gives the same."""
+        estimated = [row for row in rows if row.estimator == self.setting.estimator]
         return {
             "date": datetime.now(UTC).date().isoformat(),
             "command": command,
@@ -106,7 +108,8 @@ class Evaluation:
             "interrupted": self.interrupted,
             "failures": sorted(str(failure) for failure in self.failures),
             "rows": compare(rows, self.reference),
-            "returns": returns_of([row for row in rows if row.estimator == self.setting.estimator]),
+            "seeds": seeds_of(estimated),
+            "returns": returns_of(estimated),
             "timing": timing(rows),
         }
 

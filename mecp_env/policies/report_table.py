@@ -80,6 +80,7 @@ def page(result: Figures) -> str:
         section(
             "The effect of known correspondences", table(DIFFERENCES, labelled(rows, "with_known_correspondences"))
         ),
+        section("Trainings with several seeds, in the same buildings", seeds_table(result)),
         section("Return of lost episodes and of the others, in the same buildings", returns_table(result)),
         section("Decisions per second of CPU time", rates(result["timing"])),
         section("Episodes that failed", "\n".join(f"- {line}" for line in result["failures"])),
@@ -138,6 +139,16 @@ def number(value: float, form: str) -> str:
     """A number as text; a value that is rounded to 0 has no sign."""
     text = f"{value:{form}}"
     return text if float(text) else text.lstrip("+-")
+
+
+def seeds_table(result: Figures, columns: Sequence[Column] = DIFFERENCES) -> str:
+    """The mean of each group of trainings minus each other policy; nothing of a result without groups."""
+    rows = [
+        (f"{group['policy']} ({group['seeds']} seeds) - {other}", figures)
+        for group in result.get("seeds", ())
+        for other, figures in group["differences"].items()
+    ]
+    return table(columns, rows)
 
 
 def returns_table(result: Figures) -> str:
