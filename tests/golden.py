@@ -2,7 +2,7 @@
 
 The promise is "the same bits for one version on one machine type": sin, cos and atan2 of the C library differ between
 processors with and without fused multiply-add, and products of matrices between the kernels that OpenBLAS has for
-processors (which matters where recent scans complete a scan). So the hashes are stored by a probe of these functions.
+processors. So the hashes are stored by a probe of these functions.
 OPENBLAS_CORETYPE=Zen or SkylakeX in the environment gives those of the other processors.
 """
 

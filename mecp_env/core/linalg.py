@@ -235,3 +235,49 @@ def inflate(cov: Array, z: Array, sigma: float, inflated: Array) -> None:
     for i in range(z.shape[0]):
         inflated[2 * i, 2 * i] += sigma * sigma
         inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
+
+
+@compiled
+def solve3(A: Array, g: Array) -> None:
+    """Replaces g (3,) by d of (A + a little) d = g for a symmetric positive A (3,3), which is overwritten."""
+    for k in range(3):
+        A[k, k] *= 1.0 + 1e-6
+    for k in range(3):
+        for i in range(k + 1, 3):
+            share = A[i, k] / A[k, k]
+            g[i] -= share * g[k]
+            for j in range(k, 3):
+                A[i, j] -= share * A[k, j]
+    for k in range(2, -1, -1):
+        for j in range(k + 1, 3):
+            g[k] -= A[k, j] * g[j]
+        g[k] /= A[k, k]
+
+
+@compiled
+def sandwich(J: Array, P: Array) -> Array:
+    """J P J^T for J (m,n) and a symmetric P (n,n)."""
+    m, n = J.shape
+    half, whole = np.zeros((m, n)), np.zeros((m, m))
+    for i in range(m):
+        for k in range(n):
+            for j in range(n):
+                half[i, j] += J[i, k] * P[k, j]
+    for i in range(m):
+        for j in range(m):
+            for k in range(n):
+                whole[i, j] += half[i, k] * J[j, k]
+    return whole
+
+
+@compiled
+def inverse3(S: Array) -> Array:
+    """The inverse of a symmetric S (3,3), by its cofactors: the same bits with every kernel of a BLAS."""
+    inverse, determinant = np.empty((3, 3)), 0.0
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            c, d = (j + 1) % 3, (j + 2) % 3
+            inverse[j, i] = S[a, c] * S[b, d] - S[a, d] * S[b, c]
+        determinant += S[0, i] * (S[1, a] * S[2, b] - S[1, b] * S[2, a])
+    return inverse / determinant

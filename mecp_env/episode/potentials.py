@@ -13,8 +13,9 @@ import numpy as np
 import scipy.spatial
 
 from mecp_env.config import REWARDS
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.jit import compiled
 from mecp_env.core.settings import shown
 from mecp_env.slam.messages import Belief, SemanticGrid
 
@@ -61,15 +62,26 @@ def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
     grid, belief = inputs.grid, inputs.belief
     if inputs.diverged or not len(belief.ids) or not grid.label.size:
         return np.empty(0), np.empty(0)
-    rows, columns = (np.arange(0, size, BLOCK_CELLS) for size in grid.label.shape)
-    known = (grid.label > 0).astype(np.int64)  # UNKNOWN is 0
-    cells = np.add.reduceat(np.add.reduceat(known, rows, axis=0), columns, axis=1)
+    cells = mapped_cells(grid.label)
     row, column = np.nonzero(cells)
     middles = grid.origin + (np.stack([column, row], axis=1) + 0.5) * BLOCK_CELLS * grid.resolution_m
     _, nearest = scipy.spatial.cKDTree(belief.p_map).query(middles)
     s2 = 0.5 * np.trace(belief.covs, axis1=1, axis2=2)[nearest]
-    reliability = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
-    return cells[row, column] * grid.resolution_m**2, reliability
+    reliability: Array = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
+    area_m2: Array = cells[row, column] * grid.resolution_m**2
+    return area_m2, reliability
+
+
+@compiled
+def mapped_cells(label: Bytes) -> Ints:
+    """(H/8,W/8), rounded up: how many cells of each block of (H,W) are mapped."""
+    height, width = label.shape
+    cells = np.zeros(((height + BLOCK_CELLS - 1) // BLOCK_CELLS, (width + BLOCK_CELLS - 1) // BLOCK_CELLS), np.int64)
+    for row in range(height):
+        counts = cells[row // BLOCK_CELLS]
+        for column in range(width):
+            counts[column // BLOCK_CELLS] += label[row, column] > 0  # UNKNOWN is 0
+    return cells
 
 
 def d_optimality(inputs: RewardInputs) -> float:

@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from mecp_env.core.linalg import (
     add_product,
     block_of,
+    inverse3,
     mirror_lower,
     own_blocks,
     pick_lower,
     product,
     product_of,
+    sandwich,
+    solve3,
 )
 
 Ints = NDArray[np.int64]
@@ -84,3 +87,15 @@ def test_own_blocks_are_to_the_bit_those_of_the_whole(depth: int) -> None:
     own_blocks(P, numbers, A, B, some, first)
     for i in range(first, 11, 2):
         np.testing.assert_array_equal(some[i : i + 2, i : i + 2], whole[i : i + 2, i : i + 2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_small_systems_are_those_of_numpy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J, root = rng.normal(size=(4, 3)), rng.normal(size=(3, 5)) * [[1.0], [30.0], [0.02]]
+    P, g = root @ root.T, rng.normal(size=3)
+    np.testing.assert_allclose(sandwich(J, P), J @ P @ J.T, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(inverse3(P) @ P, np.eye(3), atol=1e-6)
+    solved, spoilt = g.copy(), P.copy()
+    solve3(spoilt, solved)
+    np.testing.assert_allclose(solved, np.linalg.solve(P + np.diag(1e-6 * np.diag(P)), g), rtol=1e-6)

@@ -16,6 +16,7 @@ from mecp_env.episode.potentials import (
     d_optimality,
     entropy,
     expected_area,
+    mapped_cells,
     register_reward,
     t_optimality,
 )
@@ -137,3 +138,12 @@ def test_a_custom_potential_that_is_no_finite_number_is_named(value, named) -> N
     env = make(layout="two_rooms", reward={"custom": {"wrong": 1.0}})
     with pytest.raises(ConfigError, match=f"the potential 'wrong' gave {named}, a finite number expected"):
         env.reset(seed=0)
+
+
+@pytest.mark.parametrize("shape", [(64, 80), (37, 41), (8, 8), (1, 3)])
+def test_mapped_cells_are_counted_by_blocks(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    label = (rng.integers(0, 4, shape) * (rng.random(shape) < 0.5)).astype(np.uint8)
+    rows, columns = (np.arange(0, size, 8) for size in shape)
+    expected = np.add.reduceat(np.add.reduceat((label > 0).astype(int), rows, axis=0), columns, axis=1)
+    assert (mapped_cells(label) == expected).all()

@@ -10,7 +10,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
-from mecp_env.core.linalg import mirror_lower
+from mecp_env.core.linalg import block_of, mirror_lower
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose
 from mecp_env.slam.config import FilterConfig
@@ -163,8 +163,9 @@ class LandmarkFilter:
         part = take(state, slots_of(slot_ids, ids))
         size = part.shape[1]
         change_chart(part, size, 1.0, self.invariant)
-        order = np.array([1, 2, 0, *range(3, size)])
-        return part[0, order], part[1:][np.ix_(order, order)]
+        order = np.arange(size)
+        order[:3] = 1, 2, 0
+        return part[0, order], block_of(part[1:], order, order)
 
     def fuse(self, keep: int, drop: int) -> None:
         """Merge two landmarks that are one corner: l_keep - l_drop = 0 within the prior's sigma, then `drop` goes."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import solve3
 from mecp_env.slam.frontend.beams import Noise, Record
 from mecp_env.slam.frontend.split_and_merge import line_cost
 
@@ -68,20 +69,3 @@ def circle_cost(points: Array, first: int, last: int, largest: float, outlier: f
         if not 0.0 < radius < largest:
             return math.inf
     return cost if math.hypot(x, y) > math.hypot(mx, my) - 0.5 * radius else math.inf
-
-
-@compiled
-def solve3(A: Array, g: Array) -> None:
-    """Replaces g (3,) by d of (A + a little) d = g for a symmetric positive A (3,3), which is overwritten."""
-    for k in range(3):
-        A[k, k] *= 1.0 + 1e-6
-    for k in range(3):
-        for i in range(k + 1, 3):
-            share = A[i, k] / A[k, k]
-            g[i] -= share * g[k]
-            for j in range(k, 3):
-                A[i, j] -= share * A[k, j]
-    for k in range(2, -1, -1):
-        for j in range(k + 1, 3):
-            g[k] -= A[k, j] * g[j]
-        g[k] /= A[k, k]

@@ -14,59 +14,76 @@ import math
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import block_of, sandwich
 from mecp_env.core.se2 import inverse, wrap_angle
 from mecp_env.slam.protocols import Filter
 
 LEVER_M = 10.0  # of a mark from its pose: a range and a bearing are nearly linear at this distance
 RIGID_SIGMA_M = 1e-4 * LEVER_M  # of the marks in the frame of their pose: measurements of them stay invertible
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by 90 degrees
 
 
+@compiled
 def seen_from(T_past_now: Array, cov: Array) -> tuple[Array, Array]:
     """T_now_past (3,) and its covariance (3,3), from T_past_now (3,) and that of it."""
-    T_now_past = inverse(T_past_now)
+    T_now_past, J = inverse(T_past_now), np.zeros((3, 3))
     c, s = math.cos(T_now_past[2]), math.sin(T_now_past[2])
-    J = np.array([[-c, s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
-    J[:2, 2] = -TURN @ T_now_past[:2]
-    return T_now_past, J @ cov @ J.T
+    J[0, 0], J[0, 1], J[0, 2] = -c, s, T_now_past[1]
+    J[1, 0], J[1, 1], J[1, 2] = -s, -c, -T_now_past[0]
+    J[2, 2] = -1.0
+    return T_now_past, sandwich(J, cov)
 
 
+@compiled
 def marks_seen(T_past_now: Array, cov: Array) -> tuple[Array, Array]:
     """z (2,2) and R (4,4) of the two marks of a past pose, seen from a pose T_past_now with a covariance (3,3)."""
     T_now_past, spread = seen_from(T_past_now, cov)
-    axis = LEVER_M * np.array([math.cos(T_now_past[2]), math.sin(T_now_past[2])])
     z, J = np.empty((2, 2)), np.empty((4, 3))
-    for k, ahead in enumerate((axis, -axis)):
-        p = T_now_past[:2] + ahead
-        r = math.hypot(*p)
-        z[k] = r, math.atan2(p[1], p[0])
-        by_point = np.array([p / r, TURN @ p / r**2])
-        J[2 * k : 2 * k + 2] = by_point @ np.column_stack((np.eye(2), TURN @ ahead))
-    rigid = np.array([RIGID_SIGMA_M, RIGID_SIGMA_M / LEVER_M] * 2) ** 2
-    return z, J @ spread @ J.T + np.diag(rigid)
+    for k in range(2):
+        lever = LEVER_M - 2.0 * LEVER_M * k  # ahead, then behind
+        dx, dy = lever * math.cos(T_now_past[2]), lever * math.sin(T_now_past[2])
+        x, y = T_now_past[0] + dx, T_now_past[1] + dy
+        r = math.hypot(x, y)
+        z[k, 0], z[k, 1] = r, math.atan2(y, x)
+        for row, (u, v) in enumerate(((x / r, y / r), (-y / r**2, x / r**2))):
+            J[2 * k + row, 0], J[2 * k + row, 1], J[2 * k + row, 2] = u, v, v * dx - u * dy
+    R = sandwich(J, spread)
+    for k in range(2):
+        R[2 * k, 2 * k] += RIGID_SIGMA_M**2
+        R[2 * k + 1, 2 * k + 1] += (RIGID_SIGMA_M / LEVER_M) ** 2
+    return z, R
 
 
 def poses_since(landmark_filter: Filter, ids: Ints) -> tuple[Array, Array]:
     """T_past_now (w,3) since each of w past poses, and its covariance (w,3,3); `ids` (w,2) are those of the marks."""
-    mean, cov = landmark_filter.marginal(ids.ravel())
-    found = [_pose_since(mean, cov, 3 + 4 * k) for k in range(len(ids))]
-    return np.array([pose for pose, _ in found]), np.array([spread for _, spread in found])
+    poses, covs = poses_of_marks(*landmark_filter.marginal(ids.ravel()))
+    return poses, covs
 
 
-def _pose_since(mean: Array, cov: Array, at: int) -> tuple[Array, Array]:
-    """T_past_now and its covariance from those of the pose and of two marks, the first of which begins at `at`."""
-    ahead, behind = mean[at : at + 2], mean[at + 2 : at + 4]
-    middle, axis = 0.5 * (ahead + behind), ahead - behind
-    heading, length = math.atan2(axis[1], axis[0]), math.hypot(*axis)
-    c, s = math.cos(heading), math.sin(heading)
-    to_past = np.array([[c, s], [-s, c]])
-    moved = to_past @ (mean[:2] - middle)
-    by_heading = np.append(-TURN @ moved, -1.0)  # of the past pose
-    heading_by_ahead = TURN @ axis / length**2
-    J = np.zeros((3, 7))
-    J[:2, :2], J[2, 2] = to_past, 1.0
-    for column, side in ((3, 1.0), (5, -1.0)):
-        J[:2, column : column + 2] = -0.5 * to_past
-        J[:, column : column + 2] += side * np.outer(by_heading, heading_by_ahead)
-    rows = np.r_[0:3, at : at + 4]
-    return np.array([*moved, wrap_angle(mean[2] - heading)]), J @ cov[np.ix_(rows, rows)] @ J.T
+@compiled
+def poses_of_marks(mean: Array, cov: Array) -> tuple[Array, Array]:
+    """T_past_now (w,3) and covariances (w,3,3), from mean (3+4w,) and covariance of the pose and of two marks each."""
+    count = (mean.shape[0] - 3) // 4
+    poses, covs, J = np.empty((count, 3)), np.empty((count, 3, 3)), np.zeros((3, 7))
+    rows = np.arange(7)
+    for k in range(count):
+        at = 3 + 4 * k
+        axis_x, axis_y = mean[at] - mean[at + 2], mean[at + 1] - mean[at + 3]
+        heading, square = math.atan2(axis_y, axis_x), axis_x * axis_x + axis_y * axis_y
+        c, s = math.cos(heading), math.sin(heading)
+        dx, dy = mean[0] - 0.5 * (mean[at] + mean[at + 2]), mean[1] - 0.5 * (mean[at + 1] + mean[at + 3])
+        x, y = c * dx + s * dy, c * dy - s * dx
+        poses[k, 0], poses[k, 1], poses[k, 2] = x, y, wrap_angle(mean[2] - heading)
+        J[0, 0], J[0, 1], J[1, 0], J[1, 1], J[2, 2] = c, s, -s, c, 1.0
+        for mark in range(2):  # the first is ahead of the past pose: its heading, and half of its place
+            side = 1.0 - 2.0 * mark
+            for i, by_heading in enumerate((y, -x, -1.0)):
+                J[i, 3 + 2 * mark] = -side * axis_y / square * by_heading
+                J[i, 4 + 2 * mark] = side * axis_x / square * by_heading
+            for i in range(2):
+                for j in range(2):
+                    J[i, 3 + 2 * mark + j] -= 0.5 * J[i, j]
+        for i in range(4):
+            rows[3 + i] = at + i
+        covs[k] = sandwich(J, block_of(cov, rows, rows))
+    return poses, covs

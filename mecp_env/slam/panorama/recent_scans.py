@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import compose, inverse, polar_to_points
 from mecp_env.slam.config import PanoramaConfig, SensorModel, SlamConfig
 from mecp_env.slam.messages import (
@@ -29,7 +30,7 @@ from mecp_env.slam.messages import (
 from mecp_env.slam.panorama.pose_marks import marks_seen, poses_since, seen_from
 from mecp_env.slam.panorama.registration import RegistrationLimits, register
 from mecp_env.slam.panorama.surfaces import Surfaces, joined_surfaces, surfaces_of
-from mecp_env.slam.panorama.surroundings import Surroundings, moved_corners, surround
+from mecp_env.slam.panorama.surroundings import Surroundings, are_new, moved_corners, surround
 from mecp_env.slam.protocols import Filter
 
 FIRST_MARK = -2  # NO_ID is -1
@@ -88,15 +89,15 @@ class RecentScans:
         """A scan with what the window shows on its blind side of the room that the robot is in."""
         if not (self.scans and scan.beams.blind and self.are_used(scan.beams)):
             return Surroundings.of(scan)
-        newest_first = self.scans[::-1]
+        newest_first, sight = self.scans[::-1], (scan.beams.bearings[0], scan.beams.bearings[-1])
+        known, here = (features.rows["room"], features.rows["state"]), rooms_like(graph)
         past, walls, taken = [], [], polar_to_points(scan.corners.z)
         for recent, T_past_now, cov in zip(newest_first, *self._poses(newest_first, landmark_filter), strict=True):
             T_now_past, cov = seen_from(T_past_now, cov)
-            kept = self._in_this_room(recent, features, graph)
-            kept[kept] = self._new(moved_corners(recent.corners, kept, T_now_past, np.zeros((3, 3))), scan.beams, taken)
-            moved = moved_corners(recent.corners, kept, T_now_past, cov)
-            taken = np.concatenate((taken, polar_to_points(moved.z)))
-            past.append((moved, recent.ids[kept]))
+            kept = is_in_room((recent.ids, recent.corners.beyond, recent.still), recent.room, known, here)
+            kept[kept], places = are_new(recent.corners.z[kept], T_now_past, sight, taken, self.limits.inside_m)
+            taken = np.concatenate((taken, places))
+            past.append((moved_corners(recent.corners, kept, T_now_past, cov), recent.ids[kept]))
             walls.append(recent.surfaces.seen_from(T_now_past))
         return surround(scan, past, walls, self.limits.inside_m)
 
@@ -141,20 +142,26 @@ class RecentScans:
         x, y, turn = self._poses(self.scans[-1:], landmark_filter)[0][0]
         return math.hypot(x, y) > self.config.spacing_m or abs(turn) > self.config.spacing_rad
 
-    def _in_this_room(self, recent: RecentScan, features: FeatureTable, graph: RoomGraph) -> Bools:
-        """(n,) which corners of a past scan are of the room that the robot is in, on nothing that moves."""
-        known = recent.ids >= 0
-        rooms = np.where(recent.corners.beyond < 0, recent.room, UNKNOWN_ROOM)
-        rooms[known] = features.rows["room"][recent.ids[known]]
-        rooms = np.array([graph.resolve(room) for room in rooms.tolist()], np.int64)
-        kept: Bools = recent.still & (rooms == graph.current)
-        kept[known] &= features.rows["state"][recent.ids[known]] != FeatureState.DEAD
-        return kept
 
-    def _new(self, moved: Corners, beams: MergedScan, taken: Array) -> Bools:
-        """(n,) which past corners, as seen from now, the present scan cannot see, and no newer one has shown."""
-        bearing, points = moved.z[:, 1], polar_to_points(moved.z)
-        blind = (bearing < beams.bearings[0]) | (bearing > beams.bearings[-1])
-        near = np.hypot(*np.moveaxis(points[:, None] - taken, 2, 0)) < self.limits.inside_m
-        new: Bools = blind & ~near.any(axis=1)
-        return new
+def rooms_like(graph: RoomGraph) -> Ints:
+    """(r,) the room that the robot is in, with all that were merged into it."""
+    merged = [room for room in graph.merged if graph.resolve(room) == graph.current]
+    return np.array([graph.current, *merged], np.int64)
+
+
+@compiled
+def is_in_room(corners: tuple[Ints, Ints, Bools], room: int, features: tuple[Ints, Ints], here: Ints) -> Bools:
+    """(n,) which corners of a scan taken in a `room` are of one of the rooms `here` (r,), on nothing that moves.
+
+    Of the `corners`: the features that they are, the gap beyond which they lie, and whether they are still. Of the
+    `features` (F,): room and state. One that is known is where its feature is.
+    """
+    (ids, beyond, still), (rooms, states) = corners, features
+    kept = np.zeros(ids.shape[0], np.bool_)
+    for i in range(ids.shape[0]):
+        if not still[i] or (ids[i] >= 0 and states[ids[i]] == FeatureState.DEAD):
+            continue
+        own = rooms[ids[i]] if ids[i] >= 0 else (room if beyond[i] < 0 else UNKNOWN_ROOM)
+        for k in range(here.shape[0]):
+            kept[i] |= own == here[k]
+    return kept

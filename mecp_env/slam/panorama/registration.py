@@ -9,13 +9,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.se2 import wrap_angle
+from mecp_env.core.linalg import inverse3, quadratic
+from mecp_env.core.se2 import to_map, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import MergedScan
+from mecp_env.slam.panorama.alignment import Index, align, count_against, index_of
 from mecp_env.slam.panorama.surfaces import Surfaces
 
 Prior = tuple[Array, Array]  # T_past_now (3,) and its covariance (3,3)
@@ -84,12 +85,13 @@ class Registration:
         """Normalised innovation squared: how far it is from the prior, by the covariance of both."""
         off = self.T_past_now - prior[0]
         off[2] = wrap_angle(off[2])
-        return float(off @ np.linalg.solve(prior[1] + self.cov(limits), off))
+        return float(quadratic(inverse3(prior[1] + self.cov(limits)), off, off))
 
     def cov(self, limits: RegistrationLimits) -> Array:
         """(3,3) covariance of `T_past_now`: neighbouring points err together; large where nothing tells."""
         left_open = np.diag([limits.reach_m**-2, limits.reach_m**-2, limits.turn_rad**-2])
-        return np.linalg.inv(self.information / limits.alike_beams + left_open).astype(np.float64)
+        cov: Array = inverse3(self.information / limits.alike_beams + left_open)
+        return cov
 
 
 def register(
@@ -114,7 +116,7 @@ def register_all(
     """As `register`, of all points alike."""
     if min(len(past), len(now)) < limits.least_pairs:
         return None
-    known, found = (past, cKDTree(past.points)), list[Registration]()
+    known, found = (past, index_of(past.points)), list[Registration]()
     for turn in limits.turns:
         found += _from(prior[0] + [0.0, 0.0, turn], known, now, past_beams, prior, limits)
         best = max(found, key=lambda one: one.lead, default=None)
@@ -125,65 +127,20 @@ def register_all(
 
 def _from(
     T: Array,
-    past: tuple[Surfaces, cKDTree],
+    past: tuple[Surfaces, Index],
     now: Surfaces,
     past_beams: MergedScan,
     prior: Prior,
     limits: RegistrationLimits,
 ) -> list[Registration]:
     """Gauss-Newton from a start, none where too few points meet; those that are paired come nearer with every step."""
-    weight, spread = np.linalg.inv(prior[1]), 3.0 * math.sqrt(np.trace(prior[1]))
+    spread = 3.0 * math.sqrt(np.trace(prior[1]))
     near = max(limits.near_m, 3.0 * float(np.median(now.sigmas) + np.median(past[0].sigmas)))
-    reach = max(min(spread, limits.reach_m), near)
-    mine, information = np.empty(0, np.int64), np.zeros((3, 3))
-    for _ in range(2 * math.ceil(math.log2(reach / near)) + 4):  # halved in two steps, then four more
-        there = now.seen_from(T)
-        mine, theirs = _pairs(past, there, reach, limits.facing)
-        if len(mine) < limits.least_pairs:
-            return []
-        information, push = _normal_equations(past[0], there, (mine, theirs), T, reach)
-        from_prior = T - prior[0]
-        from_prior[2] = wrap_angle(from_prior[2])
-        T = T - np.linalg.solve(information + weight, push + weight @ from_prior)
-        reach = max(near, reach * math.sqrt(0.5))
-    T[2] = wrap_angle(T[2])
-    return [Registration(T, information, mine, _against(now.seen_from(T), mine, past_beams, limits.inside_m))]
-
-
-def _against(there: Surfaces, paired: Ints, past_beams: MergedScan, inside_m: float) -> int:
-    """How many points that are not paired lie on floor that the past scan saw free."""
-    alone = np.delete(there.points, paired, axis=0)
-    bearing = np.arctan2(alone[:, 1], alone[:, 0])
-    inside = (bearing > past_beams.bearings[0]) & (bearing < past_beams.bearings[-1])
-    seen = np.interp(bearing, past_beams.bearings, past_beams.ranges)
-    return int((inside & (np.hypot(*alone.T) < seen - inside_m)).sum())
-
-
-def _normal_equations(
-    past: Surfaces, there: Surfaces, pairs: tuple[Ints, Ints], T: Array, reach_m: float
-) -> tuple[Array, Array]:
-    """J^T W J (3,3) and J^T W r (3,) of the distances along the normals, and in x and y where there are none."""
-    mine, theirs = pairs
-    normals = past.normals[theirs]
-    loose = np.flatnonzero(~normals.any(axis=1))
-    normals[loose] = 1.0, 0.0
-    normals = np.concatenate((normals, np.broadcast_to([0.0, 1.0], (len(loose), 2))))
-    rows = np.concatenate((np.arange(len(mine)), loose))
-    sigmas = np.hypot(there.sigmas[mine], past.sigmas[theirs])[rows]
-    off = (normals * (there.points[mine] - past.points[theirs])[rows]).sum(axis=1)
-    arms = (there.points[mine] - T[:2])[rows]
-    J = np.column_stack((normals, normals[:, 1] * arms[:, 0] - normals[:, 0] * arms[:, 1]))
-    weights = 1.0 / (sigmas**2 + off**2 * (sigmas / np.maximum(sigmas, reach_m / 3.0)) ** 2)  # Cauchy
-    return (J.T * weights) @ J, J.T @ (weights * off)
-
-
-def _pairs(past: tuple[Surfaces, cKDTree], there: Surfaces, reach_m: float, facing: float) -> tuple[Ints, Ints]:
-    """Points of now (p,) and the nearest of the past (p,), nearer than `reach_m`, whose surfaces face the same way."""
-    surfaces, tree = past
-    distance, at = tree.query(there.points, distance_upper_bound=reach_m)
-    mine = np.flatnonzero(np.isfinite(distance))
-    theirs: Ints = np.asarray(at)[mine]
-    ours, other = there.normals[mine], surfaces.normals[theirs]
-    loose = ~(ours.any(axis=1) & other.any(axis=1))
-    alike = loose | ((ours * other).sum(axis=1) > facing)
-    return mine[alike], theirs[alike]
+    reaches, known = (max(min(spread, limits.reach_m), near), near), (prior[0], inverse3(prior[1]))
+    pairing = limits.facing, limits.least_pairs
+    T, information, meets = align(past[0].plain, past[1], now.plain, T, known, reaches, pairing)
+    if not meets.any():
+        return []
+    points, beams = to_map(T, now.points), (past_beams.bearings, past_beams.ranges)
+    against = count_against(points, ~meets, *beams, limits.inside_m)
+    return [Registration(T, information, np.flatnonzero(meets), against)]

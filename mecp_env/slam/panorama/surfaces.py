@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.config import SensorModel
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import MergedScan, Segments
 
 
@@ -27,6 +29,11 @@ class Surfaces:
         turn = np.array([0.0, 0.0, T_a_b[2]])
         return replace(self, points=to_map(T_a_b, self.points), normals=to_map(turn, self.normals))
 
+    @property
+    def plain(self) -> tuple[Array, Array, Array]:
+        """The fields, as the compiled functions take them."""
+        return self.points, self.normals, self.sigmas
+
     def flat(self) -> Surfaces:
         """Those on flat surfaces."""
         on = self.normals.any(axis=1)
@@ -41,28 +48,36 @@ def surfaces_of(beams: MergedScan, segments: Segments, wall: Bools, sensor: Sens
 
     A normal fitted to a few beams is too noisy: along a corridor, thousands of them tell a motion that nobody made.
     """
-    points, sigmas, normals = points_of(beams), range_sigmas(beams, sensor), np.zeros((len(beams.ranges), 2))
-    for first, last, (alpha, _) in zip(segments.first, segments.last, segments.line, strict=True):
-        normals[(segments.roll + np.arange(first, last + 1)) % len(normals)] = -math.cos(alpha), -math.sin(alpha)
-    loose = ~normals.any(axis=1)  # another scan may have hit the same thing beside it
-    sigmas[loose] *= sensor.noise_sigmas
-    solid = beams.hit & (wall | ~loose)
-    return Surfaces(points[solid], normals[solid], sigmas[solid])
+    scan = beams.ranges, beams.bearings, beams.hit & wall, beams.hit, beams.count
+    lines = segments.line, segments.first, segments.last, segments.roll
+    return Surfaces(*_surfaces(scan, lines, sensor.record))
+
+
+@compiled
+def _surfaces(
+    scan: tuple[Array, Array, Bools, Bools, Ints], lines: tuple[Array, Ints, Ints, int], sensor: Rows
+) -> tuple[Array, Array, Array]:
+    """See `surfaces_of`: points, normals and sigmas; the third of `scan` are the hits that are on a wall."""
+    (ranges, bearings, solid, hit, count), (line, first, last, roll) = scan, lines
+    size, noise = ranges.shape[0], laser_noise(sensor)
+    points, normals, sigmas, n = np.empty((size, 2)), np.zeros((size, 2)), np.empty(size), 0
+    for i in range(line.shape[0]):
+        for position in range(first[i], last[i] + 1):
+            beam = (roll + position) % size
+            normals[beam, 0], normals[beam, 1] = -math.cos(line[i, 0]), -math.sin(line[i, 0])
+    for beam in range(size):
+        flat = normals[beam, 0] != 0.0 or normals[beam, 1] != 0.0
+        if not (solid[beam] or (hit[beam] and flat)):
+            continue
+        points[n, 0], points[n, 1] = ranges[beam] * math.cos(bearings[beam]), ranges[beam] * math.sin(bearings[beam])
+        normals[n, 0], normals[n, 1] = normals[beam, 0], normals[beam, 1]
+        sigma = max(noise.range_m, noise.share * ranges[beam]) / math.sqrt(max(count[beam], 1))
+        sigmas[n] = sigma if flat else noise.gate * sigma  # another scan may have hit the same thing beside it
+        n += 1
+    return points[:n].copy(), normals[:n].copy(), sigmas[:n].copy()
 
 
 def joined_surfaces(parts: Sequence[Surfaces]) -> Surfaces:
     """All surfaces of at least one part, in one frame."""
     points, normals, sigmas = zip(*((part.points, part.normals, part.sigmas) for part in parts), strict=True)
     return Surfaces(np.concatenate(points), np.concatenate(normals), np.concatenate(sigmas))
-
-
-def points_of(beams: MergedScan) -> Array:
-    """(B,2) m, where the beams end."""
-    return np.stack((beams.ranges * np.cos(beams.bearings), beams.ranges * np.sin(beams.bearings)), axis=1)
-
-
-def range_sigmas(beams: MergedScan, sensor: SensorModel) -> Array:
-    """(B,) m, of the ranges of merged beams."""
-    raw = np.maximum(sensor.range_sigma_m, sensor.range_sigma_share * beams.ranges)
-    sigmas: Array = np.maximum(raw, sensor.least_range_sigma_m) / np.sqrt(np.maximum(beams.count, 1))
-    return sigmas

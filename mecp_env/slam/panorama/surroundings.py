@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.jit import compiled
+from mecp_env.core.linalg import quadratic
 from mecp_env.core.quick import quick
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.messages import (
@@ -22,7 +24,6 @@ from mecp_env.slam.messages import (
     Reason,
     ScanFeatures,
 )
-from mecp_env.slam.panorama.pose_marks import TURN
 from mecp_env.slam.panorama.surfaces import Surfaces
 
 
@@ -92,20 +93,57 @@ class Surroundings:
 def moved_corners(corners: Corners, kept: Bools, T_now_past: Array, spread: Array) -> Corners:
     """Those of a past scan's corners that are `kept` (n,), as seen from now; `spread` (3,3) is that of T_now_past."""
     index = np.flatnonzero(kept)
-    z, R = corners.measurements(index)
-    before = polar_to_points(z)
-    points = to_map(T_now_past, before)
-    seen = np.column_stack((np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])))
-    J, by_pose = np.zeros((2 * len(index), 2 * len(index))), np.empty((2 * len(index), 3))
-    c, s = math.cos(T_now_past[2]), math.sin(T_now_past[2])
-    for k, (p, q, (r, _)) in enumerate(zip(points, before, z, strict=True)):
-        rows, far = slice(2 * k, 2 * k + 2), math.hypot(*p)
-        to_polar = np.array([p / far, TURN @ p / far**2])
-        J[rows, rows] = to_polar @ np.array([[c, -s], [s, c]]) @ np.column_stack((q / r, TURN @ q))
-        by_pose[rows] = to_polar @ np.column_stack((np.eye(2), TURN @ (p - T_now_past[:2])))
+    z, cov = moved_measurements(*corners.measurements(index), T_now_past, spread)
     nothing = np.full(len(index), -1)
     marks = corners.kind[index], corners.convex[index], wrapped(corners.normals[index] + T_now_past[2])
-    return Corners(seen, J @ R @ J.T + by_pose @ spread @ by_pose.T, *marks, nothing, corners.sites[index], NO_DOORS)
+    return Corners(z, cov, *marks, nothing, corners.sites[index], NO_DOORS)
+
+
+@compiled
+def moved_measurements(z: Array, R: Array, T_now_past: Array, spread: Array) -> tuple[Array, Array]:
+    """Ranges and bearings z (n,2) and their covariance R (2n,2n) from a past pose, as seen from now.
+
+    To the covariance comes that of T_now_past (3,), which is `spread` (3,3).
+    """
+    n = z.shape[0]
+    moved, cov, J, by_pose = np.empty((n, 2)), np.empty((2 * n, 2 * n)), np.empty((n, 2, 2)), np.empty((n, 2, 3))
+    points, heading = to_map(T_now_past, polar_to_points(z)), T_now_past[2]
+    for k in range(n):
+        x, y = points[k, 0], points[k, 1]
+        far = math.hypot(x, y)
+        moved[k, 0], moved[k, 1] = far, math.atan2(y, x)
+        for row, (u, v) in enumerate(((x / far, y / far), (-y / far**2, x / far**2))):  # d (range, bearing) / d point
+            c, s = math.cos(heading + z[k, 1]), math.sin(heading + z[k, 1])
+            J[k, row, 0], J[k, row, 1] = u * c + v * s, z[k, 0] * (v * c - u * s)
+            by_pose[k, row, 0], by_pose[k, row, 1] = u, v
+            by_pose[k, row, 2] = v * (x - T_now_past[0]) - u * (y - T_now_past[1])
+    for a in range(2 * n):
+        k, mine = a // 2, J[a // 2, a % 2]
+        for b in range(2 * n):
+            j, other = b // 2, J[b // 2, b % 2]
+            of_corners = quadratic(R[2 * k : 2 * k + 2, 2 * j : 2 * j + 2], mine, other)
+            cov[a, b] = of_corners + quadratic(spread, by_pose[k, a % 2], by_pose[j, b % 2])
+    return moved, cov
+
+
+@compiled
+def are_new(
+    z: Array, T_now_past: Array, sight: tuple[float, float], taken: Array, near_m: float
+) -> tuple[Bools, Array]:
+    """Which corners z (n,2) of a past scan the present one cannot see, and their places (m,2) m, as seen from now.
+
+    They lie outside of its `sight`, the first and the last bearing, and no nearer than `near_m` to places `taken`.
+    """
+    points, new, n = to_map(T_now_past, polar_to_points(z)), np.empty(z.shape[0], np.bool_), 0
+    for k in range(z.shape[0]):
+        x, y = points[k, 0], points[k, 1]
+        bearing = math.atan2(y, x)
+        new[k] = bearing < sight[0] or bearing > sight[1]
+        for j in range(taken.shape[0]):
+            new[k] = new[k] and math.hypot(x - taken[j, 0], y - taken[j, 1]) >= near_m
+        if new[k]:
+            points[n, 0], points[n, 1], n = x, y, n + 1
+    return new, points[:n]
 
 
 NO_DOORS = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
@@ -155,7 +193,7 @@ def all_around(scan: ScanFeatures, walls: Sequence[Surfaces], one_wall_m: float)
     blind = np.concatenate((before, np.arange(beams.bearings[-1] + step, math.pi, step)))
     ranges, found = np.full(len(blind), beams.max_range_m), np.zeros(len(blind), np.bool_)
     for surfaces in walls:
-        far, meets = ranges_of(surfaces, blind, one_wall_m)
+        far, meets = ranges_of(surfaces.points, blind, one_wall_m)
         new = meets & ~found
         ranges[new], found = far[new], found | new
     ring = np.argsort(np.concatenate((beams.bearings, blind)), kind="stable")
@@ -169,14 +207,19 @@ def all_around(scan: ScanFeatures, walls: Sequence[Surfaces], one_wall_m: float)
     return around, np.concatenate((scan.wall, found))[ring]
 
 
-def ranges_of(surfaces: Surfaces, bearings: Array, one_wall_m: float) -> tuple[Array, Bools]:
-    """How far (B,) the surfaces are at bearings (B,), and where there are any: between two points of one wall."""
-    if len(surfaces) == 0:
-        return np.zeros(len(bearings)), np.zeros(len(bearings), np.bool_)
-    at = np.arctan2(surfaces.points[:, 1], surfaces.points[:, 0])
-    order = np.argsort(at)
-    points, at = surfaces.points[order], at[order]
-    apart = np.append(np.hypot(*np.diff(points, axis=0).T), np.inf)
-    left = np.searchsorted(at, bearings, side="right") - 1
-    meets = (left >= 0) & (apart[left] < one_wall_m)
-    return np.interp(bearings, at, np.hypot(*points.T)), meets
+@compiled
+def ranges_of(points: Array, bearings: Array, one_wall_m: float) -> tuple[Array, Bools]:
+    """How far (B,) surfaces with points (n,2) are at rising bearings (B,), and where: between two of one wall."""
+    n = points.shape[0]
+    far, meets = np.zeros(bearings.shape[0]), np.zeros(bearings.shape[0], np.bool_)
+    at, reach = np.arctan2(points[:, 1], points[:, 0]), np.hypot(points[:, 0], points[:, 1])
+    order, left = np.argsort(at), -1
+    for i in range(bearings.shape[0]):
+        while left + 1 < n and at[order[left + 1]] <= bearings[i]:
+            left += 1
+        if not 0 <= left < n - 1:
+            continue
+        a, b = order[left], order[left + 1]
+        meets[i] = math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1]) < one_wall_m
+        far[i] = reach[a] + (reach[b] - reach[a]) * (bearings[i] - at[a]) / (at[b] - at[a])
+    return far, meets

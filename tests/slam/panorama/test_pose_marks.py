@@ -11,7 +11,7 @@ from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.panorama.pose_marks import marks_seen, poses_since, seen_from
+from mecp_env.slam.panorama.pose_marks import marks_seen, poses_of_marks, poses_since, seen_from
 
 MARKS = np.array([-2, -3])
 TINY = np.eye(3) * 1e-12
@@ -82,3 +82,19 @@ def test_a_registration_moves_the_pose_to_where_it_was_found():
     after = poses_since(landmark_filter, MARKS[None])[0][0]
     assert np.hypot(*(after - found)[:2]) < 2e-3
     assert abs(wrap_angle(after[2] - found[2])) < math.radians(0.2)
+
+
+def test_poses_since_have_the_covariance_of_pose_and_marks():
+    """Two past poses, whose marks are seen from afar and a little bent."""
+    rng = np.random.default_rng(0)
+    mean = np.array([1.0, 2.0, 0.4, 11.0, -1.0, -8.0, 3.0, 4.0, 12.0, 2.0, -7.5])
+    root = rng.normal(size=(11, 30))
+    cov = 1e-3 * root @ root.T
+    poses, covs = poses_of_marks(mean, cov)
+    for k in range(2):
+        J = numerical_jacobian(lambda x, k=k: poses_of_marks(x, cov)[0][k], mean)
+        assert np.allclose(covs[k], J @ cov @ J.T, rtol=1e-5, atol=1e-7)
+        middle, axis = 0.5 * (mean[3 + 4 * k : 5 + 4 * k] + mean[5 + 4 * k : 7 + 4 * k]), mean[3 + 4 * k : 5 + 4 * k]
+        axis = axis - middle
+        past = np.array([*middle, math.atan2(axis[1], axis[0])])
+        assert np.allclose(compose(past, poses[k]), mean[:3])

@@ -1,0 +1,102 @@
+"""What past scans show of the place, compiled, against finite differences and plain twins."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.slam.mecp.polygons import beams_on_walls
+from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
+from mecp_env.slam.panorama.recent_scans import is_in_room
+from mecp_env.slam.panorama.surfaces import surfaces_of
+from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
+from tests.slam.panorama.test_pose_marks import SPREAD, numerical_jacobian
+from tests.slam.scans import PAPER, front_end, ring, take_scan
+
+T = np.array([0.4, -0.3, 0.8])
+
+
+def seen(z: np.ndarray, T_now_past: np.ndarray) -> np.ndarray:
+    x, y = to_map(T_now_past, polar_to_points(z)).T
+    return np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_moved_corners_have_the_covariance_of_measurement_and_pose(count):
+    rng = np.random.default_rng(count)
+    z, root = (
+        np.stack([rng.uniform(1.0, 4.0, count), rng.uniform(-1.0, 1.0, count)], 1),
+        rng.normal(size=(2 * count, 9)),
+    )
+    R = 1e-4 * root @ root.T
+    moved, cov = moved_measurements(z, R, T, SPREAD)
+    assert np.allclose(moved, seen(z, T))
+    if count:
+        by_z = numerical_jacobian(lambda x: seen(x.reshape(-1, 2), T).ravel(), z.ravel())
+        by_pose = numerical_jacobian(lambda x: seen(z, x).ravel(), T)
+        assert np.allclose(cov, by_z @ R @ by_z.T + by_pose @ SPREAD @ by_pose.T, rtol=1e-6, atol=1e-9)
+
+
+def test_a_corner_is_new_outside_of_sight_and_away_from_those_taken():
+    rng = np.random.default_rng(0)
+    z = np.stack([rng.uniform(0.5, 4.0, 200), rng.uniform(-math.pi, math.pi, 200)], 1)
+    taken = 3.0 * rng.normal(size=(20, 2))
+    new, places = are_new(z, T, (-1.2, 1.3), taken, 0.4)
+    points = to_map(T, polar_to_points(z))
+    bearing, far = np.arctan2(points[:, 1], points[:, 0]), np.linalg.norm(points[:, None] - taken, axis=2)
+    expected = ((bearing < -1.2) | (bearing > 1.3)) & ~(far < 0.4).any(axis=1)
+    assert (new == expected).all()
+    assert np.allclose(places, points[expected])
+    assert 20 < expected.sum() < 180
+
+
+def test_ranges_lie_on_the_lines_between_points_of_one_wall():
+    rng, bearings = np.random.default_rng(0), np.sort(np.random.default_rng(1).uniform(-math.pi, math.pi, 300))
+    points = to_map(np.zeros(3), rng.uniform(0.5, 3.0, (80, 1)) * rng.normal(size=(80, 2)))
+    far, meets = ranges_of(points, bearings, 1.0)
+    at = np.arctan2(points[:, 1], points[:, 0])
+    order = np.argsort(at)
+    apart = np.append(np.linalg.norm(np.diff(points[order], axis=0), axis=1), np.inf)
+    left = np.searchsorted(at[order], bearings, side="right") - 1
+    expected = (left >= 0) & (apart[left] < 1.0)
+    assert (meets == expected).all()
+    assert 20 < meets.sum() < 280
+    assert np.allclose(far[meets], np.interp(bearings, at[order], np.hypot(*points[order].T))[meets])
+    assert not ranges_of(np.empty((0, 2)), bearings, 1.0)[1].any()
+
+
+def test_a_corner_is_in_the_room_of_its_feature_else_in_that_of_its_scan():
+    ids, beyond = np.array([0, 1, 2, 3, -1, -1, -1]), np.array([-1, -1, -1, -1, -1, 2, -1])
+    still = np.array([True, True, True, False, True, True, False])
+    dead, alive = int(FeatureState.DEAD), int(FeatureState.LANDMARK)
+    features = np.array([5, 6, 5, 5]), np.array([alive, alive, dead, alive])
+    corners = ids, beyond, still
+    assert is_in_room(corners, 5, features, np.array([5])).tolist() == [True, False, False, False, True, False, False]
+    assert is_in_room(corners, 6, features, np.array([5, 6])).tolist() == [True, True, False, False, True, False, False]
+    assert is_in_room(corners, UNKNOWN_ROOM, features, np.array([5])).tolist() == [True] + [False] * 6
+
+
+def test_surfaces_are_hits_on_walls_with_the_normals_of_their_segments():
+    body = ring((1.0, -0.2), (1.1, -0.2), (1.1, -0.1), (1.0, -0.1))
+    faces = np.concatenate((ring((-2.0, -1.5), (3.0, -1.5), (3.0, 2.5), (-2.0, 2.5)), body))
+    beams, clusters, segments, _ = front_end(take_scan(faces, seed=3, max_range_m=2.6))
+    fewer = {name: getattr(segments, name)[1:] for name in ("points", "line", "cov", "cluster", "first", "last")}
+    segments, wall = replace(segments, **fewer), beams_on_walls(clusters, beams)  # a wall without a line is not flat
+    found, normals = surfaces_of(beams, segments, wall, PAPER), np.zeros((len(beams.ranges), 2))
+    for first, last, (alpha, _) in zip(segments.first, segments.last, segments.line, strict=True):
+        normals[(segments.roll + np.arange(first, last + 1)) % len(normals)] = -math.cos(alpha), -math.sin(alpha)
+    flat = normals.any(axis=1)
+    solid = beams.hit & (wall | flat)
+    sigmas = np.maximum(
+        np.maximum(PAPER.range_sigma_m, PAPER.range_sigma_share * beams.ranges), PAPER.least_range_sigma_m
+    )
+    sigmas = sigmas / np.sqrt(np.maximum(beams.count, 1)) * np.where(flat, 1.0, PAPER.noise_sigmas)
+    points = polar_to_points(np.stack([beams.ranges, beams.bearings], axis=1))
+    assert np.array_equal(found.points, points[solid])
+    assert np.array_equal(found.normals, normals[solid])
+    assert np.allclose(found.sigmas, sigmas[solid], rtol=1e-15)
+    assert 0 < flat[solid].sum() < solid.sum() < len(solid)
