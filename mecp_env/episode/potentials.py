@@ -68,8 +68,7 @@ def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
     _, nearest = scipy.spatial.cKDTree(belief.p_map).query(middles)
     s2 = 0.5 * np.trace(belief.covs, axis1=1, axis2=2)[nearest]
     reliability: Array = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
-    area_m2: Array = cells[row, column] * grid.resolution_m**2
-    return area_m2, reliability
+    return cells[row, column].astype(np.float64) * grid.resolution_m**2, reliability
 
 
 @compiled

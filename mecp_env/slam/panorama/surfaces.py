@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.config import SensorModel
-from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import MergedScan, Segments
 
 
@@ -50,16 +49,23 @@ def surfaces_of(beams: MergedScan, segments: Segments, wall: Bools, sensor: Sens
     """
     scan = beams.ranges, beams.bearings, beams.hit & wall, beams.hit, beams.count
     lines = segments.line, segments.first, segments.last, segments.roll
-    return Surfaces(*_surfaces(scan, lines, sensor.record))
+    least_m = max(sensor.range_sigma_m, sensor.least_range_sigma_m)
+    noise = float(least_m), float(sensor.range_sigma_share), float(sensor.noise_sigmas)
+    return Surfaces(*_surfaces(scan, lines, noise))
 
 
 @compiled
 def _surfaces(
-    scan: tuple[Array, Array, Bools, Bools, Ints], lines: tuple[Array, Ints, Ints, int], sensor: Rows
+    scan: tuple[Array, Array, Bools, Bools, Ints],
+    lines: tuple[Array, Ints, Ints, int],
+    noise: tuple[float, float, float],
 ) -> tuple[Array, Array, Array]:
-    """See `surfaces_of`: points, normals and sigmas; the third of `scan` are the hits that are on a wall."""
+    """See `surfaces_of`: points, normals and sigmas; the third of `scan` are the hits that are on a wall.
+
+    `noise`: the least standard deviation of a raw range (m), the share of the range, the number of standard deviations.
+    """
     (ranges, bearings, solid, hit, count), (line, first, last, roll) = scan, lines
-    size, noise = ranges.shape[0], laser_noise(sensor)
+    size, (least_m, of_range, sigmas_apart) = ranges.shape[0], noise
     points, normals, sigmas, n = np.empty((size, 2)), np.zeros((size, 2)), np.empty(size), 0
     for i in range(line.shape[0]):
         for position in range(first[i], last[i] + 1):
@@ -71,8 +77,8 @@ def _surfaces(
             continue
         points[n, 0], points[n, 1] = ranges[beam] * math.cos(bearings[beam]), ranges[beam] * math.sin(bearings[beam])
         normals[n, 0], normals[n, 1] = normals[beam, 0], normals[beam, 1]
-        sigma = max(noise.range_m, noise.share * ranges[beam]) / math.sqrt(max(count[beam], 1))
-        sigmas[n] = sigma if flat else noise.gate * sigma  # another scan may have hit the same thing beside it
+        sigma = max(least_m, of_range * ranges[beam]) / math.sqrt(max(count[beam], 1))
+        sigmas[n] = sigma if flat else sigmas_apart * sigma  # another scan may have hit the same thing beside it
         n += 1
     return points[:n].copy(), normals[:n].copy(), sigmas[:n].copy()
 
