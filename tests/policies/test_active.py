@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.active import AHEAD_M, Pause, Returning, Stachniss, Triggers, sigma_now, sigma_there
+from mecp_env.policies.active import (
+    AHEAD_M,
+    InformationWeights,
+    Pause,
+    Returning,
+    Stachniss,
+    Triggers,
+    sigma_now,
+    sigma_there,
+)
 from mecp_env.policies.gain import Gain
 from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, X, Y
 from tests.policies.scenes import UNKNOWN, goal, observation, paint
@@ -86,7 +95,8 @@ def test_stachniss_weighs_new_floor_against_the_pose() -> None:
     new = NEW | {SIGMA: 0.1}
     assert Stachniss().act(scene(new, place(4.0, 0.09), sigma_m=0.1)) == 0
     lost = NEW | {SIGMA: 0.9}
-    assert Stachniss().act(scene(lost, place(4.0, 0.05), sigma_m=0.8)) == 1
+    at_home = Stachniss(InformationWeights(pose_nat=1.0, metre_nat=0.4))
+    assert at_home.act(scene(lost, place(4.0, 0.05), sigma_m=0.8)) == 1
     assert Stachniss().act(scene(new, NEAR | {SIGMA: 0.1}, sigma_m=0.1)) == 0  # no new floor there, though nearer
 
 
