@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.spatial
 
 from mecp_env.config import REWARDS
 from mecp_env.core.array_types import Array, Bytes, Ints
@@ -65,10 +64,22 @@ def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
     cells = mapped_cells(grid.label)
     row, column = np.nonzero(cells)
     middles = grid.origin + (np.stack([column, row], axis=1) + 0.5) * BLOCK_CELLS * grid.resolution_m
-    _, nearest = scipy.spatial.cKDTree(belief.p_map).query(middles)
-    s2 = 0.5 * np.trace(belief.covs, axis1=1, axis2=2)[nearest]
+    s2 = 0.5 * (belief.covs[:, 0, 0] + belief.covs[:, 1, 1])[nearest_landmarks(middles, belief.p_map)]
     reliability: Array = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
     return cells[row, column].astype(np.float64) * grid.resolution_m**2, reliability
+
+
+@compiled
+def nearest_landmarks(places: Array, p_map: Array) -> Ints:
+    """(b,) the row of the landmark (N,2) that is nearest to each place (b,2)."""
+    nearest = np.empty(places.shape[0], np.int64)
+    for i in range(places.shape[0]):
+        best = math.inf
+        for k in range(p_map.shape[0]):
+            square = (p_map[k, 0] - places[i, 0]) ** 2 + (p_map[k, 1] - places[i, 1]) ** 2
+            if square < best:
+                nearest[i], best = k, square
+    return nearest
 
 
 @compiled

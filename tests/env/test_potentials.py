@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.potentials import (
@@ -17,6 +18,7 @@ from mecp_env.episode.potentials import (
     entropy,
     expected_area,
     mapped_cells,
+    nearest_landmarks,
     register_reward,
     t_optimality,
 )
@@ -147,3 +149,9 @@ def test_mapped_cells_are_counted_by_blocks(shape: tuple[int, int]) -> None:
     rows, columns = (np.arange(0, size, 8) for size in shape)
     expected = np.add.reduceat(np.add.reduceat((label > 0).astype(int), rows, axis=0), columns, axis=1)
     assert (mapped_cells(label) == expected).all()
+
+
+def test_the_nearest_landmark_is_that_of_a_tree() -> None:
+    rng = np.random.default_rng(0)
+    places, p_map = rng.uniform(-9.0, 9.0, (200, 2)), rng.uniform(-9.0, 9.0, (60, 2))
+    assert (nearest_landmarks(places, p_map) == cKDTree(p_map).query(places)[1]).all()
