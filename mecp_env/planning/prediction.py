@@ -151,6 +151,8 @@ def in_sight(view: tuple[Ints, float, float], p_cell: Array, clear: tuple[Distan
     """True when a place (2,), in cells, is within the range and the field of view, and nothing known is before it."""
     cell, heading, cell_m = view
     x, y = p_cell[0] - cell[1] - 0.5, p_cell[1] - cell[0] - 0.5
+    if max(abs(x), abs(y)) * cell_m > noise[3]:  # most landmarks, at a low cost
+        return False
     far = math.hypot(x, y)
     if far * cell_m > noise[3] or abs(wrap_angle(math.atan2(y, x) - heading)) > 0.5 * noise[4]:
         return False
