@@ -53,9 +53,10 @@ class Process:
 
     def communicate(self, timeout: float = GIVE_UP_S) -> tuple[str, None]:
         """The rest of what it wrote, at its end."""
-        self.wait(timeout)
         with self.stdout:
-            return self.stdout.read(), None
+            said = self.stdout.read()  # until nobody can write any more
+        self.wait(timeout)
+        return said, None
 
 
 class Launcher:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +14,33 @@ import pytest
 
 from agents.bfs import RoomByRoom
 from mecp_env.policies.explorers import BreadthFirstPolicy
+from tests.launcher import Launcher
 from tests.policies.scenes import goal, observation
 
 ROOT = Path(__file__).parents[2]
 SMALL = "--steps 8 --environments 2 --difficulty easy --rollout 4 --batch 4 --validation 1 --max-steps 20"
 
 
-def run_script(name: str, folder: Path, *options: str) -> str:
+@pytest.fixture(scope="module")
+def launcher() -> Iterator[Launcher]:
+    """Of processes that have imported the package; where that is installed, with PyTorch and the training."""
+    learning = ["sb3_contrib", "mecp_env.learning"] if importlib.util.find_spec("sb3_contrib") else []
+    with Launcher("mecp_env.env", "mecp_env.policies", *learning, path=ROOT) as launcher:
+        yield launcher
+
+
+def run_script(launcher: Launcher, name: str, folder: Path, *options: str) -> str:
     """What a script prints; it runs in another folder, with nothing but `mecp_env` to import."""
-    environ = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, str(ROOT / "agents" / f"{name}.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environ)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    path = str(ROOT / "agents" / f"{name}.py")
+    code = f"import runpy, sys; sys.path[0] = {str(ROOT / 'agents')!r}; runpy.run_path({path!r}, run_name='__main__')"
+    done = launcher.start(code, *options, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    printed, _ = done.communicate()
+    assert done.returncode == 0, printed
+    return printed
 
 
-def test_breadth_first_explores(tmp_path: Path) -> None:
-    printed = run_script("bfs", tmp_path, "--layout", "two_rooms")
+def test_breadth_first_explores(launcher: Launcher, tmp_path: Path) -> None:
+    printed = run_script(launcher, "bfs", tmp_path, "--layout", "two_rooms")
     assert "rooms_found                        2" in printed
     assert list(tmp_path.iterdir()) == []
 
@@ -44,17 +56,19 @@ def test_the_example_selects_as_the_policy_of_the_package() -> None:
             assert RoomByRoom().act(seen, given) == BreadthFirstPolicy().act(seen, given)
 
 
-def test_evaluation_prints_the_means(tmp_path: Path) -> None:
-    printed = run_script("evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "30")
+def test_evaluation_prints_the_means(launcher: Launcher, tmp_path: Path) -> None:
+    printed = run_script(launcher, "evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "30")
     assert "building   1: coverage" in printed
     assert "mean coverage" in printed
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])
-def test_training_ends_with_weights(algorithm: str, tmp_path: Path) -> None:
+def test_training_ends_with_weights(launcher: Launcher, algorithm: str, tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
-    printed = run_script(f"train_{algorithm}", tmp_path, *SMALL.split(), "--out", str(tmp_path / "w.safetensors"))
+    printed = run_script(
+        launcher, f"train_{algorithm}", tmp_path, *SMALL.split(), "--out", str(tmp_path / "w.safetensors")
+    )
     assert "on the validation split" in printed
     assert (tmp_path / "w.safetensors").stat().st_size > 10_000
 
