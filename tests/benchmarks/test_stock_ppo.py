@@ -1,9 +1,24 @@
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Iterator
+from multiprocessing.forkserver import _forkserver
+
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs the extra rl")
 stock_ppo = pytest.importorskip("benchmarks.stock_ppo")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def imported() -> Iterator[None]:
+    """The fork server has imported what all processes of `SubprocVecEnv` import, PyTorch among it."""
+    before = _forkserver._preload_modules
+    _forkserver._stop()
+    multiprocessing.set_forkserver_preload(["mecp_env.vector.preload", "stable_baselines3.common.env_util"])
+    yield
+    _forkserver._stop()
+    multiprocessing.set_forkserver_preload(before)
 
 
 @pytest.mark.slow
