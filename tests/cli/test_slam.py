@@ -66,7 +66,11 @@ def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     assert metrics["localised_share"] > 0.9
     assert metrics["ate_m"] < 0.05
     assert (metrics["rooms"], metrics["doors"]) == (2, 1)
-    assert cli.main([*line, "0,0,0"]) == 0
+    cut = log.parent / "cut.npz"  # the drive once more, up to the first scans
+    with np.load(log) as whole:
+        short = {name: whole[name][:20] for name in ("t", "ranges", "odo", "ref")}
+        np.savez(cut, **{**whole, **short})
+    assert cli.main(["slam", str(cut), *line[2:], "0,0,0"]) == 0
     assert cli.main([*line, "here"]) == 2
     assert cli.main([*line, "nan,0,0"]) == 2
 
