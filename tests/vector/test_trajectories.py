@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from functools import cache
 from typing import Any
 
 import gymnasium
@@ -36,8 +38,26 @@ def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
     return rows
 
 
-def take_alone(name: str, keywords: dict[str, Any]) -> list[list[tuple[Any, ...]]]:
+@cache
+def take_in_one_process(kind: str, autoreset: AutoresetMode) -> list[Any]:
+    """The drive of `take` by the vector class of Gymnasium that steps in this process."""
+    name, keywords = KINDS[kind]
+    with closing(make_by("sync", name, N, autoreset, **keywords)) as venv:
+        return take(venv, autoreset)
+
+
+@cache
+def take_forked(kind: str) -> list[Any]:
+    """The drive of `take` by a batch of two forked workers."""
+    name, keywords = KINDS[kind]
+    with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
+        return take(venv, AutoresetMode.NEXT_STEP)
+
+
+@cache
+def take_alone(kind: str) -> list[list[tuple[Any, ...]]]:
     """The drive of `take` with the autoreset NEXT_STEP, by single environments: for each row, what each gave."""
+    name, keywords = KINDS[kind]
     envs = [gymnasium.make(name, disable_env_checker=True, **keywords) for _ in range(N)]
     rng = np.random.default_rng(0)
     rows = [[env.reset(seed=11 + i) for i, env in enumerate(envs)]]
@@ -61,9 +81,8 @@ def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any,
 @pytest.mark.parametrize("mode", ["sync", "batch", pytest.param("async", marks=pytest.mark.slow)])
 def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
     name, keywords = KINDS[kind]
-    venv = make_by(mode, name, N, **keywords)
-    together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(name, keywords)
-    venv.close()
+    with closing(make_by(mode, name, N, **keywords)) as venv:
+        together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(kind)
     assert len(together) == len(alone)
     assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
     for row, singles in zip(together, alone, strict=True):
@@ -81,34 +100,24 @@ def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
     kind: str, autoreset: AutoresetMode, mode: str
 ) -> None:
     name, keywords = KINDS[kind]
-    one, several = make_by("sync", name, N, autoreset, **keywords), make_by(mode, name, N, autoreset, **keywords)
-    expected, given = take(one, autoreset), take(several, autoreset)
-    assert several.metadata["autoreset_mode"] == autoreset
+    with closing(make_by(mode, name, N, autoreset, **keywords)) as several:
+        given = take(several, autoreset)
+        assert several.metadata["autoreset_mode"] == autoreset
     assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
-    assert equal(given, expected)
-    one.close()
-    several.close()
+    assert equal(given, take_in_one_process(kind, autoreset))
 
 
 def test_how_the_environments_are_shared_out_changes_nothing() -> None:
     name, keywords = KINDS["velocity"]
-    rollouts = []
-    for workers in (1, 2, 3):
-        venv = gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)
-        rollouts.append(take(venv, AutoresetMode.NEXT_STEP))
-        assert len(venv.pids) == workers
-        venv.close()
-    assert equal(rollouts[0], rollouts[1])
-    assert equal(rollouts[0], rollouts[2])
+    for workers in (1, 3):
+        with closing(gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)) as venv:
+            assert len(venv.pids) == workers
+            assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("context", ["forkserver", "spawn"])
 def test_how_processes_are_started_changes_nothing(context: str) -> None:
     name, keywords = KINDS["velocity"]
-    rollouts = []
-    for start in ("fork", context):
-        venv = gymnasium.make_vec(name, N, workers=2, context=start, **keywords)
-        rollouts.append(take(venv, AutoresetMode.NEXT_STEP))
-        venv.close()
-    assert equal(*rollouts)
+    with closing(gymnasium.make_vec(name, N, workers=2, context=context, **keywords)) as venv:
+        assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
