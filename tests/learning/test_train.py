@@ -36,7 +36,7 @@ def rows(path):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path):
-    folder, code = run(tmp_path, algorithm=algorithm)
+    folder, code = run(tmp_path, curves=True, algorithm=algorithm)
     assert code == 0
     config = quick(algorithm)
     assert json.loads((folder / "config.json").read_text()) == config.to_dict()
