@@ -58,6 +58,16 @@ def test_a_part_of_a_log_gives_all_figures(maps: Path, name: str) -> None:
 
 
 @logs
+def test_a_doubt_on_a_log_ends_where_known_corners_are_seen() -> None:
+    """While only strong evidence ended one (record 75), the first corridor was not mapped: .39 m and 39 % localised."""
+    folder = shared_data("logs")
+    assert folder is not None
+    figures, _ = real_logs.map_log(folder, "intel_raw", 0, 250)
+    assert figures["ate_m"] < 0.25
+    assert figures["localised_share"] > 0.9
+
+
+@logs
 def test_the_odometry_of_intel_is_moved_to_the_laser() -> None:
     folder = shared_data("logs")
     assert folder is not None

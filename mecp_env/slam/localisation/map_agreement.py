@@ -53,6 +53,11 @@ class Evidence(NamedTuple):
         return agrees or self.is_strong
 
     @property
+    def is_silent(self) -> bool:
+        """True where too few beams end in mapped space to tell, and no corner is recognised, or too few are seen."""
+        return math.isnan(self.said.share) and not self.recognised > 0.0
+
+    @property
     def share(self) -> float:
         """The larger share, of beams or of corners recognised so, if it is enough; else the smaller; nan: neither."""
         if self.is_enough:

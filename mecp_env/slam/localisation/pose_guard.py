@@ -112,7 +112,7 @@ class PoseGuard:
     def _count_doubts(self, evidence: Evidence) -> None:
         """A doubt stays until something speaks for the pose: a scan that does not contradict it may show new floor."""
         against = not evidence.is_enough
-        settled = not against and (evidence.is_strong or not self.doubts)
+        settled = not against and not (self.doubts and evidence.is_silent)
         self.doubts = 0 if settled else self.doubts + against
         self.astray = 0 if settled or evidence.tracked else self.astray + against
 
