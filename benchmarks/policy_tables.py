@@ -21,8 +21,9 @@ from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, 
 
 ROOT = RESULTS.parents[1]
 RESULT = RESULTS / "policies.json"
-TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in ("halls", "corridors", "cheap_robot"))
-ACTING_RESULT = RESULTS / "task_halls_acting.json"  # the policies of the first task, in more buildings
+TASKS = ("halls", "corridors", "cheap_robot")
+TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in TASKS)  # with known correspondences and the true pose
+ACTING_RESULTS = tuple(RESULTS / f"task_{name}_acting.json" for name in TASKS)  # more buildings, the estimator alone
 LEARNED_RESULTS = (RESULTS / "task_halls_learned.json", RESULTS / "task_halls_ablation.json")
 PLAN_RESULT = RESULTS / "kth_plans.json"
 SUITE_RESULTS = RESULTS / "suites"  # a file of `mecp-env evaluate --suite` for each submission
@@ -89,7 +90,7 @@ def task_tables() -> dict[str, str]:
     lines = ["| task, policy | estimator | known correspondences | true pose | price |", "|---|---|---|---|---|"]
     for result in results:
         lines += [price(result["setting"]["task"], policy, result["rows"]) for policy in ("nearest", "gain")]
-    compared = results + ([json.loads(ACTING_RESULT.read_text())] if ACTING_RESULT.exists() else [])
+    compared = results + [json.loads(path.read_text()) for path in ACTING_RESULTS if path.exists()]
     places = {result["setting"]["task"].removesuffix("-v0"): of_task(result) for result in compared}
     return places | {"price": "\n".join(lines)}
 
