@@ -140,7 +140,7 @@ class Returning(Active):
 
 @dataclass(frozen=True, slots=True)
 class InformationWeights:
-    """Weights of the expected information, chosen on 24 validation buildings of the halls (docs/policies.md)."""
+    """Weights of the expected information, chosen on 12 validation buildings of the halls (docs/policies.md)."""
 
     cell_nat_m2: float = 0.7  # of a square metre of floor that is seen for the first time
     tau_m: float = 0.15  # tolerance of the map: what is drawn with that sigma is worth 0.6

@@ -38,13 +38,9 @@ def below(env: gymnasium.Env) -> gymnasium.Env:
     return env
 
 
-# Every id with every kind of action and with every format, and every kind of action with every format.
-COMBINATIONS = [
-    (name, actions, FORMATS[(i + j) % len(FORMATS)]) for i, name in enumerate(IDS) for j, actions in enumerate(ACTIONS)
-]
-
-
-@pytest.mark.parametrize(("name", "actions", "observation"), COMBINATIONS)
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("actions", ACTIONS)
+@pytest.mark.parametrize("observation", FORMATS)
 def test_gymnasium_check_env_without_a_warning(name, actions, observation):
     fields = {"actions": actions, "observation": observation, "laser": SMALL["laser"]} | NEEDED.get(name, {})
     env = gymnasium.make(name, disable_env_checker=True, **fields)

@@ -110,10 +110,9 @@ def moved_measurements(z: Array, R: Array, T_now_past: Array, spread: Array) -> 
     points, heading = to_map(T_now_past, polar_to_points(z)), T_now_past[2]
     for k in range(n):
         x, y = points[k, 0], points[k, 1]
-        far = math.hypot(x, y)
+        far, c, s = math.hypot(x, y), math.cos(heading + z[k, 1]), math.sin(heading + z[k, 1])
         moved[k, 0], moved[k, 1] = far, math.atan2(y, x)
         for row, (u, v) in enumerate(((x / far, y / far), (-y / far**2, x / far**2))):  # d (range, bearing) / d point
-            c, s = math.cos(heading + z[k, 1]), math.sin(heading + z[k, 1])
             J[k, row, 0], J[k, row, 1] = u * c + v * s, z[k, 0] * (v * c - u * s)
             by_pose[k, row, 0], by_pose[k, row, 1] = u, v
             by_pose[k, row, 2] = v * (x - T_now_past[0]) - u * (y - T_now_past[1])

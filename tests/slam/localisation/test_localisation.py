@@ -263,6 +263,8 @@ def test_a_doubt_stays_until_something_speaks_for_the_pose():
     assert guard.localised
     assert guard.trusts(seen(math.nan, 1.0))
     assert guard.trusts(silent)
+    assert not guard.trusts(seen(0.3, 0.1))
+    assert guard.trusts(seen(math.nan, 0.2))  # a few recognised corners beyond the mapped floor say something
 
 
 def test_where_nothing_is_mapped_confidence_stays(mapped):
