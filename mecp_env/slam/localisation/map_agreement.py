@@ -81,8 +81,11 @@ class Evidence(NamedTuple):
         return self.fits or (tracked and not self.sudden)
 
     def beats(self, other: Evidence) -> bool:
-        """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree."""
-        fewer = self.said.share < other.said.share
+        """True when this is strong, with more corners recognised than by the other, and no fewer beams that agree.
+
+        No fewer of those in mapped space, and no fewer of all: a pose that moves beams off the map explains less.
+        """
+        fewer = self.said.share < other.said.share or self.said.explained < other.said.explained
         return self.is_strong and self.recognised > other.recognised and not fewer
 
     def doubted(self) -> Evidence:

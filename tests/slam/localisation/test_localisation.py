@@ -346,6 +346,14 @@ def test_another_attempt_must_explain_more(one, other, beats):
     assert not seen(*one).doubted().is_enough
 
 
+def test_a_pose_that_moves_beams_off_the_map_does_not_explain_more():
+    """As in the log fr079: four walls 0.17 m off, which more corners fit, while a fifth of the beams leave the map."""
+    here = Evidence(Agreement(0.93, 0.89, CONFIG.explained_share), 0.25, sharp=True)
+    there = Evidence(Agreement(0.95, 0.68, CONFIG.explained_share), 1.0, sharp=False)
+    assert not there.beats(here)
+    assert there._replace(said=there.said._replace(explained=0.9)).beats(here)
+
+
 def test_corners_that_are_missing_where_all_is_mapped_do_not_fit():
     assert seen(1.0, 1.0).fits
     assert not seen(1.0, 0.1).fits
