@@ -87,10 +87,11 @@ class Outline:
 
     def room_at(self, p_world: Array) -> Ints:
         """Index (n,) of the room that each point (n,2) lies in, or -1."""
-        points = shapely.points(np.asarray(p_world, dtype=np.float64).reshape(-1, 2))
-        rooms = np.full(len(points), -1, dtype=np.int64)
+        x, y = np.asarray(p_world, dtype=np.float64).reshape(-1, 2).T
+        rooms = np.full(len(x), -1, dtype=np.int64)
+        shapely.prepare(self.rooms)
         for index, room in reversed(list(enumerate(self.rooms))):
-            rooms[shapely.intersects(points, room)] = index
+            rooms[shapely.intersects_xy(room, x, y)] = index
         return rooms
 
 
