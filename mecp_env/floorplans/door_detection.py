@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -43,7 +44,6 @@ class Gap:
     width_m: float
     depth_m: float
     gain_m: float  # how much wider it is beside the doorway, on the narrower side
-    post_m: float  # how far the wall continues behind the weaker post, at most `POST_M`
     to_walls_m: tuple[float, float]  # from the centre to the walls, against `along` and with it
 
     @property
@@ -98,12 +98,17 @@ def doorways(walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> lis
     measured = [measure(crossing, walls, axes, options) for crossing in candidates]
     likely = [gap for gap in measured if gap and _is_door(gap, options)]
     found: list[Gap] = []
-    for gap in sorted(likely, key=lambda gap: (-round(gap.post_m, 1), gap.width_m)):
+    for gap in sorted(likely, key=partial(_doubt, walls=walls)):
         again = _still(gap, walls, axes, options)
         if again:
             found.append(again)
             walls = replace(walls, closed=np.concatenate([walls.closed, again.closing[None]]))
     return found
+
+
+def _doubt(gap: Gap, walls: Walls) -> tuple[float, float]:
+    """The key by which the surest come first: the wall goes on far behind the weaker post, and then they are narrow."""
+    return -round(min(post_lengths(gap.centre, gap.along, gap.width_m, walls)), 1), gap.width_m
 
 
 def _still(gap: Gap, walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> Gap | None:
@@ -155,7 +160,6 @@ def measure(
         width_m=float(high - low),
         depth_m=float(depth),
         gain_m=float(gain),
-        post_m=min(post_lengths(centre, along, float(high - low), walls)),
         to_walls_m=(float(left[middle] + (low + high) / 2.0), float(right[middle] - (low + high) / 2.0)),
     )
 

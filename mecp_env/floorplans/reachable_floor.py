@@ -17,6 +17,7 @@ from mecp_env.world.outline import ROBOT_RADIUS_M
 CLEARANCE_M = ROBOT_RADIUS_M + 0.02
 BESIDE_M = 3.0 * CLEARANCE_M  # what is further away from a place does not bound it
 NICHE_M = 0.4  # a niche too narrow for the robot stays when it is no deeper
+SHALLOW = 0.9  # a part smaller than this share of a depth reaches no deeper, wherever its mouth is
 FINE_M = 2e-3  # details smaller than this come from rounding
 ON_EDGE_M = 1e-6  # the middle of an edge this close to a line is on it
 SPECK_M2 = 0.02  # solids smaller than this are dirt
@@ -81,7 +82,9 @@ def _deep_parts(rest: BaseGeometry, wide: BaseGeometry, depth: float) -> BaseGeo
     """The parts of `rest` that reach further than `depth` from their mouths, each up to the line across its mouth."""
     parts = shapely.get_parts(rest)
     mouths = _mouths(parts, wide)
-    deep = ~shapely.covers(shapely.buffer(mouths, depth), parts)
+    left, bottom, right, top = shapely.bounds(parts).T
+    deep = (np.hypot(right - left, top - bottom) > SHALLOW * depth) | shapely.is_empty(mouths)
+    deep[deep] = ~shapely.covers(shapely.buffer(mouths[deep], depth), parts[deep])
     arcs = shapely.get_parts(shapely.line_merge(mouths[deep]))
     arcs = arcs[shapely.get_num_coordinates(arcs) > 3]
     fronts = [Polygon(arc.coords) for arc in arcs]
