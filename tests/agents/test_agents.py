@@ -23,9 +23,9 @@ SMALL = "--steps 8 --environments 2 --difficulty easy --rollout 4 --batch 4 --va
 
 @pytest.fixture(scope="module")
 def launcher() -> Iterator[Launcher]:
-    """Of processes that have imported the package; where that is installed, with PyTorch and the training."""
-    learning = ["sb3_contrib", "mecp_env.learning"] if importlib.util.find_spec("sb3_contrib") else []
-    with Launcher("mecp_env.env", "mecp_env.policies", *learning, path=ROOT) as launcher:
+    """Of processes that have imported the package and loaded its functions, and what trains, where it is installed."""
+    learning = ["sb3_contrib", "mecp_env.learning", "torch._dynamo"] if importlib.util.find_spec("sb3_contrib") else []
+    with Launcher("mecp_env.env", "mecp_env.policies", "mecp_env.vector.preload", *learning, path=ROOT) as launcher:
         yield launcher
 
 

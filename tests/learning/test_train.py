@@ -141,8 +141,9 @@ def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def launcher():
-    """Of processes that have imported PyTorch and the training."""
-    with Launcher("mecp_env.learning.train", "mecp_env.cli.main", path=ROOT) as launcher:
+    """Of processes that have imported PyTorch and the training, and loaded the compiled functions."""
+    needed = ("mecp_env.learning.train", "mecp_env.cli.main", "mecp_env.vector.preload", "torch._dynamo")
+    with Launcher(*needed, path=ROOT) as launcher:
         yield launcher
 
 
