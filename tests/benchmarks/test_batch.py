@@ -176,8 +176,9 @@ def test_the_beginning_of_victoria_park(monkeypatch: pytest.MonkeyPatch) -> None
 @needs_gtsam
 @needs_log
 @pytest.mark.slow
-def test_victoria_park_as_it_is_known() -> None:
+def test_victoria_park_as_it_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chi2 6,347 at 6,978 degrees of freedom; the plain EKF is more than 10 m off, the consistent filters are not."""
+    monkeypatch.setattr(victoria_park, "UPDATES", ("once",))
     figures = victoria_park.run(Options())
     assert figures["batch"]["chi2"] == pytest.approx(6347.0, abs=1.0)
     assert figures["batch"]["freedom"] == 6978

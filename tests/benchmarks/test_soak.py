@@ -41,6 +41,7 @@ def test_what_exceeds_a_bound_is_named(changes: dict[str, Any], fault: str) -> N
 def test_a_short_run_of_each_kind(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(soak, "COUNT", 2)
     monkeypatch.setattr(soak, "SLICES", 10)
+    monkeypatch.setattr(soak, "SAMPLES", 2)
     monkeypatch.setattr(soak, "SETTING", soak.SETTING | {"max_steps": 15})
     options = common.Options(sets=("vector:80", "single:20"), folder=tmp_path)
     figures = soak.run(options)
