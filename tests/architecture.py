@@ -210,18 +210,20 @@ def figures() -> dict[str, int]:
     return {
         "files at the root": len(root_files()),
         "import levels": levels(folders("mecp_env")),
-        "code lines of mecp_env and agents": sum(code_lines(path) for t in TREES[:2] for path in sources(t)),
         "compiled functions": len(compiled),
         "compiled functions with more than 8 arguments": sum(function.arguments > 8 for function in compiled),
         "tunable numbers of the estimator": len(tunable_numbers()),
         "code lines of slam/pipeline.py": code_lines(PACKAGE / "slam" / "pipeline.py"),
         "files to change corner extraction": sum(not is_compiled_module(name) for name in corners),
-        "class names used twice": len(class_names_used_twice()),
     }
 
 
 if __name__ == "__main__":
-    for what, number in figures().items():
+    more = {
+        "code lines of mecp_env and agents": sum(code_lines(path) for t in TREES[:2] for path in sources(t)),
+        "class names used twice": len(class_names_used_twice()),
+    }
+    for what, number in (figures() | more).items():
         print(f"{number:6}  {what}")
     for name, count in class_names_used_twice().items():
         print(f"        {name}: {count} classes")

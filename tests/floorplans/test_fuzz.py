@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,11 +20,13 @@ from mecp_env.world.schema import Layout
 from tests.effort import Cost, cost
 from tests.floorplans import mutations
 from tests.floorplans.untrusted import MEGABYTES, SECONDS
+from tests.launcher import Launcher
 
 pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")
 
 KINDS = ("layout", "houseexpo", "map_server", "map_image", "dungeon")
 MADE = ("made_house", "made_sheet", "pgm", "png", "labelled")
+ROOT = Path(__file__).parents[2]
 QUICK, MANY = 12, 25
 LETTERS = 800  # eight faults
 
@@ -83,12 +84,19 @@ def main(kind: str, count: int) -> None:
     print(len(taken), *most)
 
 
+@pytest.fixture(scope="module")
+def launcher() -> Iterator[Launcher]:
+    """Of processes that have imported this file."""
+    with Launcher("tests.floorplans.test_fuzz", path=ROOT) as launcher:
+        yield launcher
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [*KINDS, *MADE])
-def test_many_spoilt_files_cost_less_than_two_seconds_and_200_megabytes(kind: str) -> None:
+def test_many_spoilt_files_cost_less_than_two_seconds_and_200_megabytes(kind: str, launcher: Launcher) -> None:
     """In a separate process that measures the memory of these files only."""
     call = f"from tests.floorplans.test_fuzz import main; main({kind!r}, {MANY})"
-    run = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=False)
+    run = launcher.run(call, cwd=ROOT, env=dict(os.environ))
     assert run.returncode == 0, run.stderr[-2000:]
     count, seconds, megabytes = (float(value) for value in run.stdout.split())
     if not count:

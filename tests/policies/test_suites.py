@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import shutil
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,22 +23,35 @@ from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite,
 SMALL = (Setting("easy", "validation", "slam", 40), Setting("", "validation", "slam", 40, "ActiveCheapRobot-v0"))
 
 
-@pytest.fixture
-def toy(monkeypatch: pytest.MonkeyPatch) -> str:
+def add_toy(patch: pytest.MonkeyPatch) -> str:
     """A suite of two settings with two short episodes each."""
-    monkeypatch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, ""))
+    patch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, ""))
     definition_hash.cache_clear()
     frozen = definition_hash("toy-v1")
-    monkeypatch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, frozen))
+    patch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, frozen))
     return "toy-v1"
 
 
 @pytest.fixture
-def result(toy: str, tmp_path: Path) -> Path:
-    """The file of a result of two policies."""
-    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(tmp_path / "out")]
-    assert cli.main(line) == 0
-    return tmp_path / "out" / f"{toy}.json"
+def toy(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Such a suite in this test."""
+    return add_toy(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The file of a result of two policies, and what was printed."""
+    out = tmp_path_factory.mktemp("suite")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
+        toy = add_toy(patch)
+        assert cli.main(["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(out)]) == 0
+    return out / f"{toy}.json", printed.getvalue()
+
+
+@pytest.fixture
+def result(toy: str, played: tuple[Path, str], tmp_path: Path) -> Path:
+    """A copy of that file."""
+    return Path(shutil.copy(played[0], tmp_path))
 
 
 @pytest.mark.parametrize("name", SUITES)
@@ -45,12 +61,12 @@ def test_a_published_suite_is_what_it_was(name: str) -> None:
     assert find_suite(name) is SUITES[name]
 
 
-def test_one_file_has_every_episode_of_every_setting(capsys: pytest.CaptureFixture[str], result: Path) -> None:
+def test_one_file_has_every_episode_of_every_setting(result: Path, played: tuple[Path, str]) -> None:
     content = read_submission(result)
     rows = [(row["task"], row["policy"], len(row["episodes"])) for row in content["results"]]
     assert rows == [(task, name, 2) for task in ("easy", "ActiveCheapRobot-v0") for name in ("nearest", "returning")]
     assert set(content["results"][0]["episodes"][0]) == {"building", *suites.METRICS}
-    assert "| returning |" in capsys.readouterr().out
+    assert "| returning |" in played[1]
 
 
 def renamed(content: dict[str, Any], value: float, suffix: str = "+") -> dict[str, Any]:
