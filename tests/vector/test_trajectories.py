@@ -22,7 +22,7 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "buildings": (ROOMS, BUILDINGS | PEOPLE | {"max_steps": 6}),
     "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_steps": 30}),
 }
-STEPS = 16
+STEPS = 10  # an episode ends, and the next one goes on
 MODES = list(AutoresetMode)
 
 
