@@ -60,21 +60,21 @@ def test_an_explorer(home: Path) -> None:
 
 @pytest.mark.slow
 def test_a_replay(home: Path) -> None:
-    call(home, "mecp-env", "demo", "--layout", "two_rooms", "--out", "my run")
+    call(home, "mecp-env", "demo", "--layout", "two_rooms", "--config.max-steps", "60", "--out", "my run")
     assert (home / "my run/replay.html").stat().st_size > 20_000
 
 
 @pytest.mark.slow
 @needs_torch
 def test_the_trained_policy(home: Path) -> None:
-    words = ("evaluate", "gain", "maskable_ppo", "--difficulty", "hard", "--episodes", "1", "--max-steps", "100")
+    words = ("evaluate", "gain", "maskable_ppo", "--difficulty", "hard", "--episodes", "1", "--max-steps", "30")
     assert "maskable_ppo" in call(home, "mecp-env", *words, "--no-truth", "--out", "compared")
 
 
 @pytest.mark.slow
 @needs_torch
 def test_training_and_the_adapter(home: Path) -> None:
-    write_config(home / "quick.json")
-    call(home, "mecp-env", "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
+    write_config(home / "quick.json", steps=12)
+    code = "from mecp_env.learning.sb3_batch import SB3Batch; from mecp_env.cli.main import main; exit(main())"
+    call(home, "python", "-c", code, "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
     assert (home / "trained/policy.json").exists()
-    call(home, "python", "-c", "from mecp_env.learning.sb3_batch import SB3Batch")

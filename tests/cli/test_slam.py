@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from mecp_env.cli import log_files
 from mecp_env.cli import main as cli
 from mecp_env.evaluation.log_run import LogDrive
 from mecp_env.floorplans import load_plan
@@ -21,6 +23,14 @@ Said = pytest.CaptureFixture[str]
 FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
     f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_films() -> Iterator[None]:
+    """Films of a few frames: to draw them is most of the time of a run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(log_files, "FRAMES", 20)
+        yield
 
 
 @pytest.fixture(scope="module")
