@@ -24,6 +24,6 @@ def imported() -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", stock_ppo.CASES, ids=lambda case: case.name)
 def test_every_case_has_a_speed_and_a_row(case: stock_ppo.Case) -> None:
-    figures = stock_ppo.compare(case, 2, 0.05, 64)
+    figures = stock_ppo.compare(case, 1, 0.05, 64)
     assert all(figures[name]["value"] > 0.0 for name in ("steps_per_s", "over_single", "two_cores_per_s"))
     assert f"| {case.name} |" in stock_ppo.report({case.name: figures})

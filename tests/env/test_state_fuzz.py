@@ -78,11 +78,18 @@ def other_scalar(value: Any, rng: np.random.Generator) -> Any:
     return pool[int(rng.integers(len(pool)))]
 
 
-def mutate(state: dict[str, Any], rng: np.random.Generator) -> str:
-    """Change one node of a state; returns which."""
+def nodes(state: dict[str, Any]) -> dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]]:
+    """The paths of all nodes of each part of a state, and of its arrays."""
+    paths = {part: [path for path in places(state[part]) if path] for part in PARTS}
+    return {
+        part: (all_, [p for p in all_ if isinstance(at(state[part], p), np.ndarray)]) for part, all_ in paths.items()
+    }
+
+
+def mutate(state: dict[str, Any], known: dict[str, Any], rng: np.random.Generator) -> str:
+    """Change one node of a state whose nodes are known; returns which."""
     part = PARTS[int(rng.choice(3, p=(0.05, 0.1, 0.85)))]
-    paths = [path for path in places(state[part]) if path]
-    arrays = [path for path in paths if isinstance(at(state[part], path), np.ndarray)]
+    paths, arrays = known[part]
     path = (arrays if rng.random() < 0.6 and arrays else paths)[int(rng.integers(len(arrays or paths)))]
     parent, key = at(state[part], path[:-1]), path[-1]
     value = parent[key]
@@ -108,10 +115,11 @@ def run(first: int, count: int) -> dict[str, int]:
     for _ in range(25):
         env.step(np.array([0.7, rng.uniform(-0.5, 0.5)], np.float32))
     good, ends = env.get_state(), {"refused": 0, "running": 0}
+    known = nodes(good)
     for seed in range(first, first + count):
         rng = np.random.default_rng(seed)
         state = copy.deepcopy(good)
-        where = mutate(state, rng)
+        where = mutate(state, known, rng)
         sys.stderr.write(f"{seed} {where}\n")
         sys.stderr.flush()
         try:

@@ -10,7 +10,7 @@ import pytest
 from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import load_layout, shipped_layouts
 from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs, layout
-from tests.world.hard_layouts import HARD, as_file
+from tests.world.hard_layouts import as_file, hard
 from tests.world.test_layout import BAD_DOCUMENTS, BAD_FILES, DOCUMENTS
 
 LETTERS = 800
@@ -18,7 +18,7 @@ LETTERS = 800
 
 def files(folder: Path) -> list[Path]:
     """Every layout that is hard or wrong, as a file."""
-    contents = {name: as_file(name) for name in HARD} | {name: data for name, (data, _) in BAD_FILES.items()}
+    contents = {name: as_file(name) for name in hard()} | {name: data for name, (data, _) in BAD_FILES.items()}
     for name, (spoil, _) in BAD_DOCUMENTS.items():
         document = json.loads(json.dumps(DOCUMENTS["two_rooms"]))
         spoil(document)
@@ -56,7 +56,7 @@ def test_layouts_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) ->
 )
 def test_what_is_beyond_the_limits_is_refused_with_the_bound(name: str, said: str) -> None:
     with pytest.raises(LayoutError, match=said) as caught:
-        load_layout(HARD[name])
+        load_layout(hard()[name])
     assert len(str(caught.value)) < 600
 
 
