@@ -51,16 +51,18 @@ def contains(points, ring, robot, on_edge):
     return all(side >= 0 if on_edge else side > 0 for side in sides)
 
 
-def brute_force(points, robot, on_edge):
-    """Polygons with most vertices, sorted by ids, by brute force."""
+def empty_rings(points):
+    """All empty convex polygons, by brute force."""
     first = {tuple(p): i for i, p in reversed(list(enumerate(points)))}
     points = {i: p for p, i in sorted(first.items(), key=lambda item: item[1])}
     ids = list(points)
-    found = []
-    for ring in convex_rings([points[i] for i in ids]):
-        named = tuple(ids[i] for i in ring)
-        if is_empty_of(points, named) and (robot is None or contains(points, named, robot, on_edge)):
-            found.append(named)
+    named = (tuple(ids[i] for i in ring) for ring in convex_rings([points[i] for i in ids]))
+    return [ring for ring in named if is_empty_of(points, ring)]
+
+
+def largest_around(points, rings, robot, on_edge):
+    """Those of `rings` around the robot with most vertices."""
+    found = [ring for ring in rings if robot is None or contains(points, ring, robot, on_edge)]
     most = max(map(len, found), default=0)
     return [ring for ring in found if len(ring) == most]
 
@@ -85,8 +87,9 @@ def test_brute_force_agrees_on_random_sets_with_ties_collinear_points_and_duplic
     rng = np.random.default_rng(span)
     for _ in range(160):
         points = rng.integers(0, span + 1, (rng.integers(3, 9), 2)).tolist()
+        rings = empty_rings(points)
         for robot, on_edge in ((None, False), ((span / 2 + 0.25, span / 2), False), (points[0], True), (None, True)):
-            expected = brute_force(points, robot, on_edge)
+            expected = largest_around(points, rings, robot, on_edge)
             found = largest_empty_convex_polygons(points, robot, robot_on_edge=on_edge, ties="cardinality")
             assert sorted(found) == sorted(expected)
             largest = max((twice_area(points, ring) for ring in expected), default=0)
