@@ -139,7 +139,7 @@ def test_shards_in_one_folder_and_then_the_command_without_give_the_bytes_of_a_s
 
 def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
     assert evaluate(tmp_path, out=tmp_path / "whole", **QUICKLY) == 0
-    small = {"split": "validation", "difficulty": "easy", "out": tmp_path / "out", "jobs": 1} | QUICKLY
+    small = {"split": "validation", "difficulty": "easy", "out": tmp_path / "out", "jobs": 2} | QUICKLY
     line = [sys.executable, "-m", "mecp_env", "evaluate", "nearest", "random_goal", *words(**small)]
     process = subprocess.Popen(line, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
