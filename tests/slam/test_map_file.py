@@ -26,7 +26,7 @@ from mecp_env.slam.map_file import FILE, place
 from mecp_env.slam.messages import FeatureState
 from mecp_env.slam.protocols import FilterError
 from tests.env.helpers import same
-from tests.env.test_state_fuzz import mutate
+from tests.env.test_state_fuzz import PARTS, mutate, nodes
 from tests.slam.drives import Drive, scripted_drive
 
 MUTATED, CHANGED = 600, 60  # files with changed bytes, and maps with changed fields, in the fuzz tests
@@ -316,9 +316,10 @@ def test_mutated_files_end_in_one_error_or_load_an_equal_map(saved: Path, tmp_pa
 def test_maps_with_changed_fields_end_in_one_error_or_run(drive: Drive, saved: Path) -> None:
     """As those of environments in `tests.env.test_state_fuzz`, by the same changes."""
     whole, refused = SlamMap.load(saved).state, 0
+    known = nodes(dict.fromkeys(PARTS, whole))
     for seed in range(CHANGED):
         state = copy.deepcopy(whole)
-        mutate(dict.fromkeys(("simulation", "moving", "episode"), state), np.random.default_rng(seed))
+        mutate(dict.fromkeys(PARTS, state), known, np.random.default_rng(seed))
         try:
             pipeline = SlamPipeline.from_map(SlamMap(state))
         except MapError:
