@@ -67,7 +67,8 @@ class Launcher:
         self._control, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with far:
             self._server = subprocess.Popen(
-                [sys.executable, "-B", "-P", __file__, str(far.fileno()), *modules],  # no bytecode: files change at once
+                # without bytecode, which would hide a change of a file within a second
+                [sys.executable, "-B", "-P", __file__, str(far.fileno()), *modules],
                 pass_fds=[far.fileno()],
                 env=os.environ | ONE_THREAD | ({"PYTHONPATH": str(path)} if path else {}),
                 stdin=subprocess.DEVNULL,
