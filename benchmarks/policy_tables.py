@@ -17,15 +17,25 @@ from pathlib import Path
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
 from mecp_env.policies import suites
-from mecp_env.policies.report_table import DIFFERENCES, HEADLINE, Column, cell, labelled, returns_table, table
+from mecp_env.policies.report_table import (
+    DIFFERENCES,
+    HEADLINE,
+    Column,
+    cell,
+    labelled,
+    returns_table,
+    seeds_table,
+    table,
+)
 
 ROOT = RESULTS.parents[1]
 RESULT = RESULTS / "policies.json"
 TASKS = ("halls", "corridors", "cheap_robot")
-TASK_RESULTS = tuple(RESULTS / f"task_{name}.json" for name in TASKS)  # with known correspondences and the true pose
-ACTING_RESULTS = tuple(RESULTS / f"task_{name}_acting.json" for name in TASKS)  # more buildings, the estimator alone
-LEARNED_RESULTS = (RESULTS / "task_halls_learned.json", RESULTS / "task_halls_ablation.json")
+PRICE_RESULTS = tuple(RESULTS / f"task_{name}_price.json" for name in TASKS)  # also with known pairs and the true pose
+ACTING_RESULTS = tuple(RESULTS / f"task_{name}_acting.json" for name in TASKS)  # more policies, the estimator alone
+LEARNED_RESULT = RESULTS / "task_halls_learned.json"
 PLAN_RESULT = RESULTS / "kth_plans.json"
+GREEDY = ("nearest", "next_best_view")  # explorers that know no uncertainty, whose price is shown
 SUITE_RESULTS = RESULTS / "suites"  # a file of `mecp-env evaluate --suite` for each submission
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "policies.md", ROOT / "docs" / "tasks.md")
 HEADLINE_METRIC = "correct_over_steps"
@@ -86,12 +96,13 @@ def measured(columns: Sequence[Column], rows: list[Figures], part: str) -> list[
 
 def task_tables() -> dict[str, str]:
     """The places of the tasks: the price of uncertainty in all, and the policies in each."""
-    results = [json.loads(path.read_text()) for path in TASK_RESULTS if path.exists()]
+    prices, acting = (
+        [json.loads(path.read_text()) for path in paths if path.exists()] for paths in (PRICE_RESULTS, ACTING_RESULTS)
+    )
     lines = ["| task, policy | estimator | known correspondences | true pose | price |", "|---|---|---|---|---|"]
-    for result in results:
-        lines += [price(result["setting"]["task"], policy, result["rows"]) for policy in ("nearest", "gain")]
-    compared = results + [json.loads(path.read_text()) for path in ACTING_RESULTS if path.exists()]
-    places = {result["setting"]["task"].removesuffix("-v0"): of_task(result) for result in compared}
+    for result in prices:
+        lines += [price(result["setting"]["task"], policy, result["rows"]) for policy in GREEDY]
+    places = {result["setting"]["task"].removesuffix("-v0"): of_task(result) for result in acting}
     return places | {"price": "\n".join(lines)}
 
 
@@ -105,12 +116,11 @@ def of_task(result: Figures) -> str:
 
 
 def learned_tables() -> dict[str, str]:
-    """The places of learned policies: against scripted ones with the returns of lost episodes, and with each other."""
-    if not all(path.exists() for path in LEARNED_RESULTS):
+    """The places of learned policies: each run, the seeds taken together, and the returns of lost episodes."""
+    if not LEARNED_RESULT.exists():
         return {}
-    learned, ablation = (json.loads(path.read_text()) for path in LEARNED_RESULTS)
-    pair = table(AGAINST, labelled(ablation["rows"], "against_reference"))
-    return {"learned": of_task(learned), "ablation": pair, "returns": returns_table(learned)}
+    learned = json.loads(LEARNED_RESULT.read_text())
+    return {"learned": of_task(learned), "seeds": seeds_table(learned, AGAINST), "returns": returns_table(learned)}
 
 
 def plan_tables() -> dict[str, str]:
