@@ -19,7 +19,6 @@ from typing import IO, Any
 
 LONGEST = 1 << 17  # bytes of a message
 GIVE_UP_S = 300.0
-ONE_THREAD = {"OMP_NUM_THREADS": "1"}  # of PyTorch: several wait for each other where other tests run beside
 
 
 class Process:
@@ -70,7 +69,7 @@ class Launcher:
                 # without bytecode, which would hide a change of a file within a second
                 [sys.executable, "-B", "-P", __file__, str(far.fileno()), *modules],
                 pass_fds=[far.fileno()],
-                env=os.environ | ONE_THREAD | ({"PYTHONPATH": str(path)} if path else {}),
+                env=os.environ | ({"PYTHONPATH": str(path)} if path else {}),
                 stdin=subprocess.DEVNULL,
                 cwd=path,
             )
