@@ -148,6 +148,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._oracle = ORACLES[self.config.estimator]
         self._weights = weights_of(self.config.reward)
         self._reward_keys = tuple(f"reward_{name}" for name in self._weights)
+        self._terms = dict.fromkeys(self._weights, 0.0)  # of the last step's reward
         self._episode: EpisodeState | None = None
         self._screen: Any = None
         self._window: Any = None
@@ -169,15 +170,23 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         super().reset(seed=seed)
         self._true_world.begin(building, start, self.np_random)
         self._observer = self._new_observer()
-        episode = self._begin()
-        observation = self._observe(episode)
+        self._begin()
+        self._terms = dict.fromkeys(self._weights, 0.0)
         self._show()
-        return observation, self._info(episode, self._true_world.T_world_robot, dict.fromkeys(self._weights, 0.0))
+        return self.observation(), self.info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step: observation, reward, terminated, truncated, info.
 
         Raises `ActionError` and then changes nothing. Raises `ResetNeeded` before `reset` and after the end.
+        """
+        result = self.advance(action)
+        return self.observation(), *result, self.info()
+
+    def advance(self, action: Any) -> tuple[float, bool, bool]:
+        """One control step that nobody looks at: reward, terminated, truncated, as of `step`; raises as that does.
+
+        `observation` and `info` return the rest of what `step` does.
         """
         command = self._actions.command(action)
         episode = self._running()
@@ -187,10 +196,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._find_goals(episode)
         self._compare(episode, motion, pose)
         terminated, truncated = self._ends(episode)
-        terms = self._rewards(episode, terminated)
-        observation = self._observe(episode)
+        self._terms = self._rewards(episode, terminated)
         self._show()
-        return observation, sum(terms.values()), terminated, truncated, self._info(episode, pose, terms)
+        return sum(self._terms.values()), terminated, truncated
 
     def render(self) -> Any:
         """A frame (H,W,3) uint8 in "rgb_array" mode, else None; the "human" window draws itself."""
@@ -240,6 +248,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._true_world.restore(building, moving, body, episode)
         self._np_random, self._np_random_seed = generator, state["seed"]
         self._observer, self._episode = self._new_observer(), episode
+        self._terms = dict.fromkeys(self._weights, 0.0)
 
     def save_map(self, path: str | Path) -> None:
         """Write the estimator's map into a file that `mecp_env.slam.SlamPipeline.from_map` reads (docs/estimator.md).
@@ -300,8 +309,31 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self.refresh_goals()
 
     def observation(self) -> Observation:
-        """The current observation again, in fresh arrays."""
-        return self._observe(self._started())
+        """The current observation, in fresh arrays."""
+        episode = self._started()
+        observation, episode.saturated = self._seen_by(self._observer, episode)
+        return observation
+
+    def info(self) -> dict[str, Any]:
+        """Ground truth, metrics and reward terms of the last step: fixed keys, all finite, no wall clock."""
+        episode, terms = self._started(), self._terms
+        return {
+            "period": episode.metrics.steps,
+            "event": "",
+            "building": self._true_world.building,
+            "truth_pose": episode.metrics.T_map_robot.copy(),
+            "truth_room": self._true_world.truth.room_at(self._true_world.T_world_robot[:2]),
+            "goals": len(episode.goals),
+            "contact": episode.contact,
+            "diverged": episode.slam_output.diverged,
+            "lost": episode.metrics.lost.is_lost(episode.slam_output.diverged),
+            "confidence": episode.slam_output.confidence,  # of the estimator: position error below 0.5 m
+            "localised": episode.slam_output.localised,
+            "saturated": episode.saturated,
+            "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
+            **figures(episode.metrics, self._true_world.truth, episode.slam_output),
+            **dict(zip(self._reward_keys, terms.values(), strict=True)),
+        }
 
     def observed_by(self, observer: Observer | Flat | Image) -> Observation:
         """The current observation as another observer computes it, in fresh arrays."""
@@ -462,33 +494,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
         return RewardInputs(output.belief, output.grid, output.diverged, true_area)
 
-    def _observe(self, episode: EpisodeState) -> Observation:
-        observation, episode.saturated = self._seen_by(self._observer, episode)
-        return observation
-
     def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:
         seen = episode.slam_output, episode.pipeline.map.features, episode.rows, episode.path_map
         return observer.observe(*seen, episode.recognised)
-
-    def _info(self, episode: EpisodeState, T_world_robot: Array, terms: dict[str, float]) -> dict[str, Any]:
-        """Ground truth, metrics and reward terms: fixed keys, all finite, no wall clock."""
-        return {
-            "period": episode.metrics.steps,
-            "event": "",
-            "building": self._true_world.building,
-            "truth_pose": episode.metrics.T_map_robot.copy(),
-            "truth_room": self._true_world.truth.room_at(T_world_robot[:2]),
-            "goals": len(episode.goals),
-            "contact": episode.contact,
-            "diverged": episode.slam_output.diverged,
-            "lost": episode.metrics.lost.is_lost(episode.slam_output.diverged),
-            "confidence": episode.slam_output.confidence,  # of the estimator: position error below 0.5 m
-            "localised": episode.slam_output.localised,
-            "saturated": episode.saturated,
-            "landmarks_dropped": episode.pipeline.filter.dropped,  # that did not fit into a full filter
-            **figures(episode.metrics, self._true_world.truth, episode.slam_output),
-            **dict(zip(self._reward_keys, terms.values(), strict=True)),
-        }
 
     def _paint(self) -> Bytes:
         from mecp_env.render.screen import Screen  # pygame is loaded only for rendering

@@ -23,6 +23,7 @@ from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.view import SceneView, summary
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
+UNSEEN: Observation = {}  # of a step within a drive
 EVENTS = {
     Outcome.RUNNING: "ended",
     Outcome.REACHED: "reached",
@@ -129,11 +130,12 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return self._step(0.0, min(around, config.robot.max_turn_rad_s) if blind else 0.0)
 
     def _step(self, v: float, w: float) -> Step:
-        """One control step with a command in m/s and rad/s."""
+        """One control step with a command in m/s and rad/s; without an observation and info if nobody looks at it."""
         robot = self.base.config.robot
-        observation, reward, terminated, truncated, info = self.env.step(
-            normalised_command(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
-        )
+        action = normalised_command(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
+        if self.env is self.base and self.callback is None:
+            return UNSEEN, *self.base.advance(action), {}
+        observation, reward, terminated, truncated, info = self.env.step(action)
         step = observation, float(reward), terminated, truncated, info
         if self.callback is not None:
             self.callback(step)
@@ -142,9 +144,9 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def _finish(self, steps: list[Step], event: str) -> Step:
         """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
         observation, _, terminated, truncated, info = steps[-1]
+        if not info or (event in ("reached", "refused", "waited", "unlocalised") and not terminated):
+            observation, info = self.base.observation(), info | self.base.info()
         info = info | {"event": event, "periods": len(steps), "goals": self.base.goals_left}
-        if event in ("reached", "refused", "waited", "unlocalised") and not terminated:
-            observation = self.base.observation()
         return observation, sum(step[1] for step in steps), terminated, truncated, info
 
 

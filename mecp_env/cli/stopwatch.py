@@ -49,10 +49,10 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("truth metrics", EpisodeMetrics, "look"),
     ("rewards", env, "measured_terms"),
     ("observation", Observer, "observe"),
-    ("info", env.MecpEnv, "_info"),
+    ("info", env.MecpEnv, "info"),
 )
 STAGE_NAMES = tuple(dict.fromkeys(name for name, _, _ in STAGES))
-STEP = ("step", env.MecpEnv, "step")
+STEPS = (("step", env.MecpEnv, "step"), ("step", env.MecpEnv, "advance"))  # the first calls the second; a drive, too
 DRIVE = ("drive", Navigator, "step")
 
 
@@ -84,6 +84,8 @@ class Stopwatch:
 
         @functools.wraps(function)
         def timed(*args: Any, **keywords: Any) -> Any:
+            if stage == "step" and self._stepping:
+                return function(*args, **keywords)
             self._stepping |= stage == "step"
             name = stage if self._stepping else "drive"  # between two steps: goals are looked for, a way is planned
             start = time.thread_time()
@@ -113,7 +115,7 @@ def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
     It costs 2 us per call; with `each=False` only whole steps and drives are timed.
     """
     watch = Stopwatch()
-    timed = (*STAGES, STEP, DRIVE) if each else (STEP, DRIVE)
+    timed = (*STAGES, *STEPS, DRIVE) if each else (*STEPS, DRIVE)
     plain = [(stage, owner, name, getattr(owner, name)) for stage, owner, name in timed]
     try:
         for stage, owner, name, function in plain:

@@ -8,6 +8,7 @@ import pytest
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import inverse, to_map
 from mecp_env.core.snapshot import StateError
+from mecp_env.env import MecpEnv
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
@@ -193,3 +194,17 @@ def test_an_episode_on_a_submap_continues_bit_for_bit():
     landmark_filter.slot_ids = landmark_filter.slot_ids[:-1]
     with pytest.raises(StateError, match="probes"):
         other.unwrapped.set_state(env.unwrapped.get_state())
+
+
+def test_a_drive_that_is_looked_at_gives_what_another_one_gives(monkeypatch):
+    looked, observe = [], MecpEnv.observation
+    env, watched = (GoalActions(make(actions="velocity").unwrapped, callback) for callback in (None, looked.append))
+    rows = explore(watched, limit=6)
+    seen = []
+    monkeypatch.setattr(MecpEnv, "observation", lambda self: seen.append(self) or observe(self))
+    for mine, other in zip(explore(env, limit=6), rows, strict=True):
+        assert same(mine[0], other[0])
+        assert mine[1:4] == other[1:4]
+        assert same(mine[4], other[4])
+    assert len(looked) == sum(row[4]["periods"] for row in rows) > 2 * len(rows)
+    assert len(seen) == len(rows) + 1  # after the reset, and once a drive

@@ -66,7 +66,7 @@ class Canvas:
         """(d,) True for each door (d,4,2) m that walls narrow to less than half its width; not of one with nan."""
         if not self.layers.size:
             return np.zeros(len(quads), np.bool_)
-        on_lattice = self.to_cells(np.nan_to_num(quads))
+        on_lattice = self.to_cells(np.where(np.isnan(quads), 0.0, quads))
         return cells.are_walled_up(self.layers, on_lattice, occupied_ratio, self.raster)
 
     def set_room(self, ring: Array, room: int) -> None:

@@ -139,7 +139,7 @@ def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, r
     doorways, id_of = seen.corners.doorways, seen.match.ids.tolist()
     for pair, confirmable in zip(doorways.jambs.tolist(), doorways.confirmable.tolist(), strict=True):
         ids = (id_of[pair[0]], id_of[pair[1]])
-        if any(_is_elsewhere(seen, corner) for corner in pair):
+        if _is_elsewhere(seen, pair[0]) or _is_elsewhere(seen, pair[1]):
             continue
         if ids in door_map.row and not door_map.inside:
             _see_again(door_map, ids, confirmable, room, config)
