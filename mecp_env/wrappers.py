@@ -46,8 +46,9 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     Where `planning.known_ground` offers waiting, its row takes `wait_steps` ("waited"), and a drive also ends when the
     robot no longer knows where it is ("unlocalised").
 
-    `callback`, if set, receives the result of every inner step. A snapshot taken inside a drive continues as a velocity
-    environment: the drive itself is not part of it.
+    `callback`, if set, receives the result of every inner step; where it does not read their observations, `observes`
+    may be set to False, and they are empty. A snapshot taken inside a drive continues as a velocity environment: the
+    drive itself is not part of it.
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Any], callback: Callable[[Step], None] | None = None) -> None:
@@ -55,7 +56,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         if not isinstance(env.unwrapped, MecpEnv) or env.unwrapped.config.actions == "discrete":
             raise ConfigError("GoalActions: expected a mecp_env environment with actions='goal' or 'velocity'")
         self.base = env.unwrapped
-        self.callback = callback
+        self.callback, self.observes = callback, True
         self.action_space = spaces.Discrete(GOALS)
         self.navigator = Navigator(self.base.config.planning_config)
 
@@ -130,13 +131,14 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         return self._step(0.0, min(around, config.robot.max_turn_rad_s) if blind else 0.0)
 
     def _step(self, v: float, w: float) -> Step:
-        """One control step with a command in m/s and rad/s; without an observation and info if nobody looks at it."""
+        """One control step with a command in m/s and rad/s; what nobody looks at is not computed."""
         robot = self.base.config.robot
         action = normalised_command(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
-        if self.env is self.base and self.callback is None:
-            return UNSEEN, *self.base.advance(action), {}
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        step = observation, float(reward), terminated, truncated, info
+        if self.env is not self.base or (self.callback is not None and self.observes):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            step = observation, float(reward), terminated, truncated, info
+        else:
+            step = UNSEEN, *self.base.advance(action), self.base.info() if self.callback is not None else {}
         if self.callback is not None:
             self.callback(step)
         return step
@@ -144,7 +146,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def _finish(self, steps: list[Step], event: str) -> Step:
         """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
         observation, _, terminated, truncated, info = steps[-1]
-        if not info or (event in ("reached", "refused", "waited", "unlocalised") and not terminated):
+        if observation is UNSEEN or (event in ("reached", "refused", "waited", "unlocalised") and not terminated):
             observation, info = self.base.observation(), info | self.base.info()
         info = info | {"event": event, "periods": len(steps), "goals": self.base.goals_left}
         return observation, sum(step[1] for step in steps), terminated, truncated, info

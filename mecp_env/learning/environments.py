@@ -79,6 +79,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         self.goals = env.has_wrapper_attr("callback")  # of `GoalActions`
         if self.goals:
             env.set_wrapper_attr("callback", self.steps.append)
+            env.set_wrapper_attr("observes", False)
         self.metres = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
