@@ -153,6 +153,9 @@ def clear_leg(segments: Array, x0: float, y0: float, x1: float, y1: float, radiu
     length2 = dx * dx + dy * dy
     reach = radius + math.sqrt(length2)
     for k in range(segments.shape[0]):
+        ax, ay, bx, by = segments[k, 0, 0], segments[k, 0, 1], segments[k, 1, 0], segments[k, 1, 1]
+        if max(min(ax, bx) - x0, x0 - max(ax, bx), min(ay, by) - y0, y0 - max(ay, by)) >= reach:
+            continue  # most of them, without a division
         to_x, to_y = from_face(segments, k, x0, y0)
         square = to_x * to_x + to_y * to_y
         if square >= reach * reach:
@@ -161,7 +164,6 @@ def clear_leg(segments: Array, x0: float, y0: float, x1: float, y1: float, radiu
         to_x, to_y = from_face(segments, k, x1, y1)
         if math.hypot(to_x, to_y) < least:
             return False
-        ax, ay, bx, by = segments[k, 0, 0], segments[k, 0, 1], segments[k, 1, 0], segments[k, 1, 1]
         before, after = (bx - ax) * (y0 - ay) - (by - ay) * (x0 - ax), (bx - ax) * (y1 - ay) - (by - ay) * (x1 - ax)
         left, right = dx * (ay - y0) - dy * (ax - x0), dx * (by - y0) - dy * (bx - x0)
         if before * after < 0.0 and left * right < 0.0:

@@ -103,12 +103,23 @@ def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
     """The segments but for those of whose beams more than half are dynamic."""
     first, last = segments.first, segments.last
-    positions = np.sort((np.flatnonzero(dynamic) - segments.roll) % len(dynamic))
-    kept = 2 * (np.searchsorted(positions, last, "right") - np.searchsorted(positions, first)) <= last - first + 1
+    kept = mostly_static(first, last, segments.roll, dynamic)
     if kept.all():
         return segments
     places = segments.points[kept], segments.line[kept], segments.cov[kept]
     return Segments(*places, segments.cluster[kept], first[kept], last[kept], segments.roll)
+
+
+@compiled
+def mostly_static(first: Ints, last: Ints, roll: int, dynamic: Bools) -> Bools:
+    """(k,) the segments of whose beams at most half are `dynamic` (B,)."""
+    size, kept = dynamic.shape[0], np.ones(first.shape[0], np.bool_)
+    for k in range(first.shape[0]):
+        count = 0
+        for position in range(first[k] + roll, last[k] + roll + 1):
+            count += dynamic[position if position < size else position - size]
+        kept[k] = 2 * count <= last[k] - first[k] + 1
+    return kept
 
 
 @compiled
@@ -199,20 +210,21 @@ def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: floa
 def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, config: Rows) -> Bools:
     """(B,) the marked beams, and those beside each run of them that end near its middle: the rim of the same body."""
     size, whole = ranges.shape[0], marked.copy()
-    end_x, end_y = np.empty(size), np.empty(size)
-    for k in range(size):
-        end_x[k], end_y[k] = ranges[k] * math.cos(bearings[k]), ranges[k] * math.sin(bearings[k])
     for i in range(size):
         if not marked[i] or marked[i - 1]:
             continue
         count, x, y = 0, 0.0, 0.0
         while count < size and marked[(i + count) % size]:
             k = (i + count) % size
-            x, y, count = x + end_x[k], y + end_y[k], count + 1
+            x, y = x + ranges[k] * math.cos(bearings[k]), y + ranges[k] * math.sin(bearings[k])
+            count += 1
         x, y = x / count, y / count
         for step in (-1, 1):
             k = (i + (count if step > 0 else -1)) % size
-            while hit[k] and not whole[k] and math.hypot(end_x[k] - x, end_y[k] - y) < config[0].body_m:
+            while hit[k] and not whole[k]:
+                end_x, end_y = ranges[k] * math.cos(bearings[k]), ranges[k] * math.sin(bearings[k])
+                if math.hypot(end_x - x, end_y - y) >= config[0].body_m:
+                    break
                 whole[k] = True
                 k = (k + step) % size
     return whole

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
-from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects
+from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects, mostly_static
 from mecp_env.slam.landmark_map.pruning import find_pruned
 from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
@@ -175,3 +175,14 @@ def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():
     for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):
         assert watched.belief.p_map.tobytes() == plain.belief.p_map.tobytes()
         assert not (watched.match.reason == Reason.DYNAMIC).any()
+
+
+def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_moves():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        size, roll = 30, int(rng.integers(30))
+        cuts = np.sort(rng.choice(size, 6, replace=False))
+        first, last, dynamic = cuts[0::2], cuts[1::2], rng.random(size) < 0.5
+        of_run = np.roll(dynamic, -roll)  # by position
+        plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
+        assert mostly_static(first, last, roll, dynamic).tolist() == plain
