@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,24 @@ from mecp_env.episode.start import Start, check_start, start_pose
 from mecp_env.episode.state_shapes import check_arrays, check_truth
 from mecp_env.evaluation.ground_truth import CELL_M, NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.world.closed_doors import close_doors, draw_closed
+from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_movers
 from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion, Simulation
 from mecp_env.world.walkways import WalkwayPlanner
 
+KEPT_BUILDINGS = 4  # that the environments of a process share and do not compute again
 DARK_SEEDS = 1_000_000  # as many different choices of dark walls
+
+
+def truth_of(layout: Layout, laser: LaserConfig) -> GroundTruth:
+    """The ground truth of the building of `layout`, for a robot with this laser."""
+    return GroundTruth(build_outline(layout), laser.max_range_m, laser)
+
+
+shared_truth = lru_cache(maxsize=KEPT_BUILDINGS)(truth_of)  # of buildings with all doors open: constant
 
 
 class TrueWorld:
@@ -108,7 +120,7 @@ class TrueWorld:
             "people": len(moving.pedestrians),
             "boxes": len(moving.boxes),
             "closed_doors": len(moving.closed),
-            "rooms_cut_off": len(self._open.rooms) - len(self.outline.rooms),
+            "rooms_cut_off": len(self._open.outline.rooms) - len(self.outline.rooms),
         }
 
     def check_building(self, number: Any) -> int | None:
@@ -126,26 +138,25 @@ class TrueWorld:
         """`start` if an episode may start so. Raises `ConfigError`; a pose belongs to one building."""
         if self._source.count > 1 and not isinstance(start, str):
             raise ConfigError(f'start: {start!r:.80}, in buildings that change only "layout" or "random"')
-        return check_start(start, self._open, self._config.robot)
+        return check_start(start, self._open.outline, self._config.robot)
 
     def _move_to(self, building: int) -> None:
         """Be in the building of that number, all doors open."""
         if building != self.building:
             self._open_building(building)
-        elif self.outline is not self._open:
+        elif self.truth is not self._open:
             self._enter(self._open)
 
     def _open_building(self, building: int) -> None:
-        self._open: Outline = build_outline(self._source.layout(building))  # with all doors open
+        self._open: GroundTruth = shared_truth(self._source.layout(building), self._config.laser)
         self.building = building
         self._enter(self._open)
 
-    def _enter(self, outline: Outline) -> None:
-        """Be among these walls."""
-        self.outline = outline
-        self.truth = GroundTruth(outline, self._config.laser.max_range_m, self._config.laser)
-        self.laser = Laser(outline, self._config.laser)
-        self.simulation = Simulation(outline, self._config.robot)
+    def _enter(self, truth: GroundTruth) -> None:
+        """Be among its walls."""
+        self.truth, self.outline = truth, truth.outline
+        self.laser = Laser(self.outline, self._config.laser)
+        self.simulation = Simulation(self.outline, self._config.robot)
         self.movers, self._obstacles = no_movers(self._config.robot), NO_OBSTACLES
         self._walkways: WalkwayPlanner | None = None  # None without pedestrians and boxes
 
@@ -164,7 +175,7 @@ class TrueWorld:
         """Be in the building with these doors closed and walls dark, among these pedestrians and boxes."""
         if len(moving.closed):
             layout = close_doors(self._source.layout(self.building), moving.closed, moving.start)
-            self._enter(build_outline(layout))
+            self._enter(truth_of(layout, self._config.laser))
         if self._config.laser.has_dark_walls:
             self.laser = Laser(self.outline, self._config.laser, moving.dark_seed)
         crowd = self._config.crowd

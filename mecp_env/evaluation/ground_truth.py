@@ -111,8 +111,9 @@ class GroundTruth:
     @cached_property
     def free(self) -> Bools:
         """(H,W) whether the centre of the cell is in free space."""
-        shapely.prepare(self.outline.free_area)
-        inside: Bools = shapely.contains_xy(self.outline.free_area, self.centres[..., 0], self.centres[..., 1])
+        area = shapely.force_2d(self.outline.free_area)  # a copy: a prepared shape is not for several threads
+        shapely.prepare(area)
+        inside: Bools = shapely.contains_xy(area, self.centres[..., 0], self.centres[..., 1])
         return inside
 
     @cached_property

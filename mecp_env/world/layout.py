@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,17 @@ def load_layout(given: str | os.PathLike[str] | dict[str, Any] | Layout) -> Layo
     Raises LayoutError naming the source, the field, the value and the bound: for a file that is missing, larger than
     2 MB or no JSON; for unknown, missing or wrong fields; for impossible geometry.
     """
-    given = Path(given) if isinstance(given, os.PathLike) else given
+    if isinstance(given, str) and given in shipped_layouts():
+        return _shipped(given)
+    return _checked(Path(given) if isinstance(given, os.PathLike) else given)
+
+
+@cache
+def _shipped(name: str) -> Layout:
+    return _checked(name)
+
+
+def _checked(given: str | Path | dict[str, Any] | Layout) -> Layout:
     try:
         layout = with_directions(_parse(given))
         check_geometry(layout)

@@ -89,8 +89,9 @@ class Outline:
         """Index (n,) of the room that each point (n,2) lies in, or -1."""
         x, y = np.asarray(p_world, dtype=np.float64).reshape(-1, 2).T
         rooms = np.full(len(x), -1, dtype=np.int64)
-        shapely.prepare(self.rooms)
-        for index, room in reversed(list(enumerate(self.rooms))):
+        floors = shapely.force_2d(self.rooms)  # copies: a prepared shape is not for several threads
+        shapely.prepare(floors)
+        for index, room in reversed(list(enumerate(floors))):
             rooms[shapely.intersects_xy(room, x, y)] = index
         return rooms
 

@@ -146,3 +146,23 @@ def test_coverage_can_end_an_episode():
     assert (terminated, truncated) == (True, False)
     assert info["reward_completion"] == pytest.approx(10.0 * env._episode.memory.area_m2 / 100.0)
     assert info["reward_completion"] > 1.0
+
+
+def test_environments_in_one_building_share_its_rasters_and_nothing_that_an_episode_changes():
+    first, other, far = make().unwrapped, make().unwrapped, make(laser={"max_range_m": 5.0}).unwrapped
+    for env in (first, other, far):
+        env.reset(seed=1)
+    assert first._true_world.truth is other._true_world.truth
+    assert first._true_world.truth is not far._true_world.truth
+    before = other.get_state()
+    drive(first, 5)
+    assert same(other.get_state(), before)
+
+
+def test_doors_that_are_closed_are_open_in_the_next_environment():
+    doors = []
+    for clutter in ({}, {"closed_doors": 0.5}, {}):
+        env = make(layout="paper", clutter=clutter).unwrapped
+        env.reset(seed=1)
+        doors.append(len(env._true_world.outline.doors))
+    assert doors[1] < doors[0] == doors[2]
