@@ -19,6 +19,7 @@ from mecp_env.floorplans.options import Crossing
 STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building is turned to it
 FREE = 0.9  # share of the circle's radius that is free of walls
 MAX_PAIRS = 3_000_000  # of faces that are near to each other
+CHUNK = 500  # faces whose neighbours are sought at once, which bounds the memory
 LEAST_M = 1e-6  # shorter faces and lines have no direction
 
 
@@ -31,7 +32,8 @@ def crossings(area: Polygon, faces: Array, axes: tuple[float, ...], width_m: tup
     faces = faces[np.linalg.norm(faces[:, 1] - faces[:, 0], axis=1) > LEAST_M]
     tree = shapely.STRtree(shapely.linestrings(faces))
     i, j = _near(tree, faces, width_m[1])
-    a, b = _across(faces[i], faces[j])
+    lines = shapely.shortest_line(tree.geometries[i], tree.geometries[j])
+    a, b = _across(faces[i], faces[j], shapely.get_coordinates(lines).reshape(-1, 2, 2))
     middle, width = (a + b) / 2.0, np.linalg.norm(b - a, axis=1)
     fits = (width >= max(width_m[0], LEAST_M)) & (width <= width_m[1])
     i, j, a, b, middle, width = (column[fits] for column in (i, j, a, b, middle, width))
@@ -48,13 +50,42 @@ def wall_faces(area: Polygon) -> Array:
 
 
 def _near(tree: shapely.STRtree, faces: Array, most_m: float) -> tuple[Ints, Ints]:
-    """Pairs of faces at most `most_m` apart, each in front of the other."""
-    i, j = tree.query(tree.geometries, predicate="dwithin", distance=most_m)
-    if len(i) > MAX_PAIRS:
-        raise LayoutError(f"the floor has {len(i)} pairs of edges within {most_m:g} m, at most {MAX_PAIRS}")
-    i, j = i[i < j], j[i < j]
-    facing = _is_in_front(faces[i], faces[j]) & _is_in_front(faces[j], faces[i])
-    return i[facing], j[facing]
+    """Pairs of faces about `most_m` apart at most, each in front of the other."""
+    around = shapely.box(*(faces.min(axis=1) - most_m).T, *(faces.max(axis=1) + most_m).T)
+    near, boxes = [np.empty((2, 0), np.int64)], 0
+    for first in range(0, len(faces), CHUNK):
+        i, j = tree.query(around[first : first + CHUNK])
+        boxes += len(i)
+        if boxes > MAX_PAIRS >= boxes - len(i):
+            _require_few(tree, most_m)
+        i, j = (i + first)[i + first < j], j[i + first < j]
+        fits = _is_in_front(faces[i], faces[j]) & _is_in_front(faces[j], faces[i])
+        fits[fits] = _distance(faces[i[fits]], faces[j[fits]]) < most_m + LEAST_M
+        near.append(np.stack([i[fits], j[fits]]))
+    i, j = np.concatenate(near, axis=1)
+    return i, j
+
+
+def _require_few(tree: shapely.STRtree, most_m: float) -> None:
+    """Raises LayoutError for far too many pairs of faces within `most_m`; this takes longer than counting boxes."""
+    pairs = tree.query(tree.geometries, predicate="dwithin", distance=most_m).shape[1]
+    if pairs > MAX_PAIRS:
+        raise LayoutError(f"the floor has {pairs} pairs of edges within {most_m:g} m, at most {MAX_PAIRS}")
+
+
+def _distance(first: Array, second: Array) -> Array:
+    """Distance (n,), m, between faces (n,2,2) that do not cross: that of an end of one from the other."""
+    off = [_off(ends[:, k], face) for ends, face in ((first, second), (second, first)) for k in (0, 1)]
+    distance: Array = np.minimum.reduce(off)
+    return distance
+
+
+def _off(point: Array, face: Array) -> Array:
+    """Distance (n,), m, of points (n,2) from faces (n,2,2)."""
+    (x, y), (u, v) = (point - face[:, 0]).T, (face[:, 1] - face[:, 0]).T
+    share = np.clip((x * u + y * v) / (u * u + v * v), 0.0, 1.0)
+    off: Array = np.hypot(x - share * u, y - share * v)
+    return off
 
 
 def _is_in_front(faces: Array, others: Array) -> Bools:
@@ -65,13 +96,12 @@ def _is_in_front(faces: Array, others: Array) -> Bools:
     return in_front
 
 
-def _across(first: Array, second: Array) -> tuple[Array, Array]:
-    """Ends (n,2) of the shortest line from each of `first` (n,2,2) to one of `second`.
+def _across(first: Array, second: Array, shortest: Array) -> tuple[Array, Array]:
+    """Ends (n,2) of the `shortest` line (n,2,2) from each of the faces `first` (n,2,2) to one of `second`.
 
     Faces that are opposite each other and nearly parallel have many; it is the one in the middle.
     """
-    lines = shapely.shortest_line(shapely.linestrings(first), shapely.linestrings(second))
-    a, b = np.moveaxis(shapely.get_coordinates(lines).reshape(-1, 2, 2), 1, 0)
+    a, b = shortest[:, 0].copy(), shortest[:, 1].copy()
     step, turn = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
     share = np.einsum("nkc,nc->nk", second - first[:, :1], step) / np.sum(step**2, axis=1)[:, None]
     low, high = np.clip(np.sort(share, axis=1), 0.0, 1.0).T
