@@ -134,7 +134,7 @@ class Rollout:
         if isinstance(buffer, MaskableDictRolloutBuffer):
             masks["action_masks"] = np.stack(self.env.env_method(MASKS, indices=envs))
         torch.default_generator.manual_seed(self.seeds[self.made[group]][group])
-        with torch.no_grad():
+        with torch.inference_mode():
             chosen, values, log_probs = self.model.policy(obs_as_tensor(observations, self.model.device), **masks)
         actions = chosen.cpu().numpy()
         self.env.send(within(self.model.action_space, actions), envs)

@@ -6,6 +6,8 @@ there are 32 rows of goals and 128 of landmarks.
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -21,6 +23,9 @@ MORE_KINDS = (4, 5, 6)  # a place on known ground, waiting, a look elsewhere
 VARIANCE_FLOOR = 1e-8
 GOAL_COLUMNS, PROMISE_COLUMNS, LANDMARK_COLUMNS, POSE_COLUMNS = 24, 4, 9, 9
 PREDICTED_COLUMNS, TRUST_COLUMNS = 6, 3  # with `uncertainty`
+WAY_SCALES = [NEAR_M, NEAR_M, 1.0, 1.0, NEAR_M, NEAR_M, 1.0, 1.0, 5.0]  # what columns of goals are divided by
+OTHER_SCALES = [2.0, 1.0, *[1.0] * KINDS, 5.0, 2.0, *[8.0] * 5, NEAR_M, 1.0]
+GOAL_SCALES = torch.tensor([*WAY_SCALES, *OTHER_SCALES, *[1.0] * 5, 2.0])
 
 
 def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
@@ -33,29 +38,26 @@ def goal_rows(goals: Tensor) -> tuple[Tensor, Tensor]:
     valid = goals[..., 8] > 0.5
     x, y, path, size, kind, _, level, visits = goals[..., :8].unbind(-1)
     straight = torch.hypot(x, y)
-    far = torch.clamp(straight, min=1e-3)
-    size = torch.clamp(size, max=WIDE_M)
-    kinds = (
-        (functional.one_hot(kind.long().clamp(0, KINDS - 1), KINDS) * (kind < KINDS).unsqueeze(-1)).float().unbind(-1)
-    )
-    columns = [
-        *(x / NEAR_M, y / NEAR_M, x / far, y / far, straight / NEAR_M),
-        *(path / NEAR_M, torch.log1p(path), torch.exp(-path / 2.0), torch.clamp(path / far, max=5.0) / 5.0),
-        *(size / 2.0, torch.log1p(size), *kinds, level / 5.0, visits / 2.0),
-        *relations(goals, valid),
-        *predictions(goals),
-    ]
-    rows = torch.stack(columns, -1)
-    return rows * valid.unsqueeze(-1), valid
+    far, size = torch.clamp(straight, min=1e-3), torch.clamp(size, max=WIDE_M)
+    way = [path, torch.log1p(path), torch.exp(-0.5 * path), torch.clamp(path / far, max=5.0)]
+    first = torch.stack([x, y, x / far, y / far, straight, *way, size, torch.log1p(size)], -1)
+    others = torch.stack([level, visits, *relations(goals, valid), *predictions(goals)], -1)
+    rows = torch.cat([first, one_hot(kind, KINDS), others], -1)
+    return rows / GOAL_SCALES[: rows.shape[-1]] * valid.unsqueeze(-1), valid
+
+
+def one_hot(kind: Tensor, kinds: int) -> Tensor:
+    """(...,kinds) 1 for the kind, a whole number, and 0 for the others; all 0 for any other kind."""
+    return (kind.unsqueeze(-1) == torch.arange(kinds)).float()
 
 
 def predictions(goals: Tensor) -> tuple[Tensor, ...]:
-    """The kinds of known ground, and what is predicted of the way to each goal: six columns (B,32), or none."""
+    """The kinds of known ground, and what is predicted of the way to each goal: six columns (B,32), or none, not scaled."""
     if goals.shape[-1] <= 9:
         return ()
     sigma_m, sigma_rad, gain = goals[..., 9:12].unbind(-1)
     kinds = (torch.round(goals[..., 4]) == kind for kind in MORE_KINDS)
-    return *(kind.float() for kind in kinds), log_sigma(sigma_m**2), log_sigma(sigma_rad**2), torch.log1p(gain) / 2.0
+    return *(kind.float() for kind in kinds), log_sigma(sigma_m**2), log_sigma(sigma_rad**2), torch.log1p(gain)
 
 
 def without_uncertainty(observations: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -73,18 +75,17 @@ def promise_rows(promise: Tensor, score: Tensor, goals: Tensor) -> Tensor:
 
 
 def relations(goals: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
-    """How each goal stands to the others: seven columns (B,32)."""
+    """How each goal stands to the others: seven columns (B,32), before they are scaled."""
     both = valid.unsqueeze(-1) & valid.unsqueeze(-2)
-    room, path, door = goals[..., 5], goals[..., 2], (torch.round(goals[..., 4]) == 3) & valid
-    same = (room.unsqueeze(-1) == room.unsqueeze(-2)) & both
-    near = (apart(goals) < CROWD_M) & both
-    nearer = (path.unsqueeze(-1) > path.unsqueeze(-2)) & both
-    first = torch.where(valid, path, torch.full_like(path, torch.inf)).amin(-1, keepdim=True)
-    ahead = torch.where(valid, path - first, torch.zeros_like(path))
-    total = valid.float().sum(-1, keepdim=True).expand_as(path)
-    doors = door.float().sum(-1, keepdim=True).expand_as(path)
-    counts = (same.float().sum(-1), near.float().sum(-1), nearer.float().sum(-1), total, doors)
-    return *(count / 8.0 for count in counts), ahead / NEAR_M, (nearer.sum(-1) == 0).float()
+    room, path = goals[..., 5], goals[..., 2]
+    same = ((room.unsqueeze(-1) == room.unsqueeze(-2)) & both).sum(-1)
+    near = ((apart(goals) < CROWD_M) & both).sum(-1)
+    nearer = ((path.unsqueeze(-1) > path.unsqueeze(-2)) & both).sum(-1)
+    first = torch.where(valid, path, torch.inf).amin(-1, keepdim=True)
+    ahead = torch.where(valid, path - first, 0.0)
+    doors = (torch.round(goals[..., 4]) == 3) & valid
+    total, doors = (marked.sum(-1, keepdim=True).expand_as(path) for marked in (valid, doors))
+    return same, near, nearer, total, doors, ahead, nearer == 0
 
 
 def apart(goals: Tensor) -> Tensor:
@@ -98,22 +99,20 @@ def landmark_rows(landmarks: Tensor) -> tuple[Tensor, Tensor]:
     valid = landmarks[..., 7] > 0.5
     x, y, xx, _, yy, _, kind = landmarks[..., :7].unbind(-1)
     far = torch.hypot(x, y)
-    kinds = functional.one_hot(kind.long().clamp(0, 2), 3).float().unbind(-1)
-    columns = [x / NEAR_M, y / NEAR_M, far / NEAR_M, torch.exp(-far / 2.0), log_sigma(xx), log_sigma(yy), *kinds]
-    return torch.stack(columns, -1) * valid.unsqueeze(-1), valid
+    near = torch.stack([x, y, far], -1) / NEAR_M
+    sigmas = log_sigma(torch.stack([xx, yy], -1))
+    rows = torch.cat([near, torch.exp(-0.5 * far).unsqueeze(-1), sigmas, one_hot(kind.clamp(0, 2), 3)], -1)
+    return rows * valid.unsqueeze(-1), valid
 
 
 def pose_row(pose: Tensor, cov: Tensor) -> Tensor:
     """Pose (B,4) and covariance (B,6) as numbers (B,9)."""
     xx, xy, xt, yy, yt, tt = cov.unbind(-1)
-    deviations = [log_sigma(value) for value in (xx, yy, tt)]
-    correlations = [
-        cross / torch.sqrt(torch.clamp(a * b, min=VARIANCE_FLOOR**2)).clamp(min=1e-9)
-        for cross, a, b in ((xy, xx, yy), (xt, xx, tt), (yt, yy, tt))
-    ]
-    home = torch.hypot(pose[..., 0], pose[..., 1])
-    columns = [*deviations, *(value.clamp(-1.0, 1.0) for value in correlations), home / 20.0]
-    return torch.cat([torch.stack(columns, -1), pose[..., 2:4]], -1)
+    products = torch.stack([xx, xx, yy], -1) * torch.stack([yy, tt, tt], -1)
+    scales = torch.sqrt(torch.clamp(products, min=VARIANCE_FLOOR**2)).clamp(min=1e-9)
+    correlations = (torch.stack([xy, xt, yt], -1) / scales).clamp(-1.0, 1.0)
+    home = torch.hypot(pose[..., 0], pose[..., 1]).unsqueeze(-1)
+    return torch.cat([log_sigma(torch.stack([xx, yy, tt], -1)), correlations, home / 20.0, pose[..., 2:4]], -1)
 
 
 def drawing_sigma(cov: Tensor) -> Tensor:
@@ -142,7 +141,7 @@ def surroundings(coarse: Tensor) -> tuple[Tensor, Tensor]:
     half = (
         coarse[..., ::2, ::2] + coarse[..., ::2, 1::2] + coarse[..., 1::2, ::2] + coarse[..., 1::2, 1::2]
     ) / 4.0  # as avg_pool2d, which takes five times as long
-    return half, _sum_of_nine(half) / _sum_of_nine(torch.ones_like(half[0, 0]))
+    return half, _sum_of_nine(half) / _cells_around(half.shape[-1])
 
 
 def _sum_of_nine(maps: Tensor) -> Tensor:
@@ -151,3 +150,10 @@ def _sum_of_nine(maps: Tensor) -> Tensor:
     wide = functional.pad(maps, (1, 1, 1, 1))
     rows = wide[..., :n] + wide[..., 1 : n + 1] + wide[..., 2:]
     return rows[..., :n, :] + rows[..., 1 : n + 1, :] + rows[..., 2:, :]
+
+
+@functools.cache
+def _cells_around(n: int) -> Tensor:
+    """(n,n) how many cells `_sum_of_nine` adds."""
+    with torch.inference_mode(False):
+        return _sum_of_nine(torch.ones(n, n))

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
+from mecp_env.core import heap
 from mecp_env.learning import models
 from mecp_env.learning.callbacks import EvaluationCallback, SafeCheckpointCallback, StatisticsCallback
 from mecp_env.learning.checkpoints import TrainingState
@@ -62,6 +63,7 @@ class TrainingRun:
         gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
         self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
         self.model = models.make_model(config, self.venv, config.seed)
+        heap.keep()  # of an update; the workers are not meant
         self.statistics = StatisticsCallback(self.state, self.log, timed)
         self.evaluation = EvaluationCallback(self.folder, self.log, self.statistics)
         return self

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import platform
+import subprocess
+import sys
 from typing import NoReturn
 
 import pytest
@@ -12,7 +14,19 @@ from benchmarks.process_use import memory_mb
 from mecp_env.core import heap
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps freed memory in its own way")
+GLIBC = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
+AGAIN = """
+import resource, numpy, mecp_env.core.heap
+mecp_env.core.heap.keep()
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    arrays = [numpy.ones(size << 17) for size in (9, 17, 31)]  # MB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+print(faults(), faults())
+"""
+
+
+@GLIBC
 def test_freed_memory_between_blocks_in_use_is_returned() -> None:
     blocks = [bytes(2_000) for _ in range(20_000)]
     kept = blocks[::1_000]
@@ -23,11 +37,18 @@ def test_freed_memory_between_blocks_in_use_is_returned() -> None:
     assert len(kept) == 20
 
 
+@GLIBC
+def test_large_arrays_are_kept_for_later_where_that_is_asked_for() -> None:
+    first, again = map(int, subprocess.check_output([sys.executable, "-c", AGAIN], text=True).split())
+    assert first > 10 * again
+
+
 def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str | None) -> NoReturn:
         raise OSError("no such library")
 
     monkeypatch.setattr(ctypes, "CDLL", missing)
-    heap._malloc_trim.cache_clear()
+    heap._function.cache_clear()
     heap.trim()
-    heap._malloc_trim.cache_clear()
+    heap.keep()
+    heap._function.cache_clear()
