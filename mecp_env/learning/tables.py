@@ -52,7 +52,7 @@ def one_hot(kind: Tensor, kinds: int) -> Tensor:
 
 
 def predictions(goals: Tensor) -> tuple[Tensor, ...]:
-    """The kinds of known ground, and what is predicted of the way to each goal: six columns (B,32), or none, not scaled."""
+    """Kinds of known ground, and what is predicted of the way to each goal: six columns (B,32) or none, not scaled."""
     if goals.shape[-1] <= 9:
         return ()
     sigma_m, sigma_rad, gain = goals[..., 9:12].unbind(-1)

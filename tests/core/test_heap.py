@@ -13,7 +13,6 @@ import pytest
 from benchmarks.process_use import memory_mb
 from mecp_env.core import heap
 
-
 GLIBC = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
 AGAIN = """
 import resource, numpy, mecp_env.core.heap
