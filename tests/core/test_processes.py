@@ -13,7 +13,7 @@ import pytest
 
 from mecp_env.core import processes
 from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerError, WorkerPool
-from tests.vector.helpers import gone_within, needs_linux
+from tests.processes import gone_within, needs_linux
 
 pytestmark = needs_linux
 

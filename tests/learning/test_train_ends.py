@@ -30,7 +30,7 @@ from mecp_env.learning.run_log import CsvTable  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
 from tests.learning.training import QUICK, ROOT, quick, resume, run  # noqa: E402
-from tests.vector.helpers import gone_within  # noqa: E402
+from tests.processes import gone_within  # noqa: E402
 
 
 def test_ctrl_c_outside_the_training_is_one_line(tmp_path, capsys, monkeypatch):

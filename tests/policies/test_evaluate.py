@@ -39,7 +39,7 @@ from mecp_env.policies.rollout import (
     metrics,
     run_episode,
 )
-from tests.vector.helpers import gone_within, needs_linux
+from tests.processes import gone_within, needs_linux
 
 ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 150)

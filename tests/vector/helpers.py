@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-import pytest
 from gymnasium.vector import AutoresetMode
 
 from mecp_env.vector import BatchEnv, make_batch
@@ -17,7 +14,6 @@ from tests.env.helpers import SMALL
 LAYOUT, ROOMS = "mecp_env/Layout-v0", "mecp_env/Rooms-v0"
 N = 3
 PEOPLE: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2, "closed_doors": 0.3}}
-needs_linux = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads /proc")
 
 
 def make_small(count: int = N, **keywords: Any) -> BatchEnv:
@@ -56,19 +52,3 @@ def equal(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray):
         return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
     return bool(a == b)
-
-
-def alive(pid: int) -> bool:
-    """Whether a process is running; a zombie is not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def gone_within(pids: list[int], seconds: float) -> bool:
-    """Whether none of these processes is running after at most this time."""
-    end = time.monotonic() + seconds
-    while any(alive(pid) for pid in pids) and time.monotonic() < end:
-        time.sleep(0.02)
-    return not any(alive(pid) for pid in pids)

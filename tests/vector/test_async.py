@@ -17,7 +17,8 @@ from gymnasium.vector import AutoresetMode
 from mecp_env.core.errors import ActionError
 from mecp_env.vector import BatchEnv, WorkerDied
 from tests.env.helpers import SMALL
-from tests.vector.helpers import N, choose, equal, gone_within, make_small, needs_linux
+from tests.processes import gone_within, needs_linux
+from tests.vector.helpers import N, choose, equal, make_small
 
 STEPS = 14  # per environment
 STILL = np.zeros((N, 2), np.float32)

@@ -14,7 +14,8 @@ from gymnasium.wrappers import TimeLimit
 
 from mecp_env.vector import WorkerDied
 from tests.env.helpers import SMALL, make
-from tests.vector.helpers import LAYOUT, N, choose, equal, gone_within, make_small, needs_linux
+from tests.processes import gone_within, needs_linux
+from tests.vector.helpers import LAYOUT, N, choose, equal, make_small
 
 vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
 utils = pytest.importorskip("sb3_contrib.common.maskable.utils")

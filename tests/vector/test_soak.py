@@ -16,7 +16,8 @@ import pytest
 from mecp_env.core.jit import variants
 from mecp_env.core.warm_up_list import entries
 from mecp_env.vector import BatchEnv
-from tests.vector.helpers import make_small, needs_linux
+from tests.processes import needs_linux
+from tests.vector.helpers import make_small
 
 GROWTH_MB = 5.0
 STEPS = 20  # of an episode
