@@ -2,7 +2,8 @@
 
 In each round a single environment of the training is driven with random actions for a few seconds, then a training of
 some updates is started, whose first update is not counted; a ratio is taken within a round, so that other load affects
-both. `waiting` is the share of the time in which the learner waits for the environments.
+both. `waiting` is the share of the time in which the learner waits for the environments. With `overlap` the policy is
+updated while the next rollout is collected.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ import numpy as np
 from benchmarks.common import Figures, Gate, Options, estimate, table
 
 ALGORITHMS = ("maskable_ppo", "ppo")
+KINDS = {name: (name, {}) for name in ALGORITHMS} | {
+    f"{name}, overlap": (name, {"overlap": True}) for name in ALGORITHMS
+}
 RATE, WAITING = "periods_per_s", "waiting_share"
 
 GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in ALGORITHMS)
@@ -26,7 +30,7 @@ GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in A
 def run(options: Options) -> Figures:
     """All results; 6 rounds of 5 s and 4 updates (--quick: 2 of 1 s and 2 updates)."""
     rounds, seconds, updates = (2, 1.0, 2) if options.quick else (6, 5.0, 4)
-    return {algorithm: compare(algorithm, rounds, seconds, updates) for algorithm in ALGORITHMS}
+    return {kind: compare(name, rounds, seconds, updates, **fields) for kind, (name, fields) in KINDS.items()}
 
 
 def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:

@@ -137,6 +137,7 @@ class TrainConfig(Settings):
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
     groups: int = Field(2, ge=1, le=1024)  # of environments; while the policy acts for one, the others drive
+    overlap: bool = False  # update the policy while it collects the next rollout, as it was before
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
@@ -160,6 +161,7 @@ class TrainConfig(Settings):
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
         check_prior(config)
+        check_overlap(config)
         check_observation(config)
         return config
 
@@ -240,6 +242,12 @@ def check_prior(config: TrainConfig) -> None:
         return
     why = "network.uncertainty hides" if visible else "only a `task` shows"
     raise ConfigError(f"network.prior: {prior} reads predictions, which {why}; expected one of gain, nearest, none")
+
+
+def check_overlap(config: TrainConfig) -> None:
+    """Raise `ConfigError` for an overlap that the algorithm does not have."""
+    if config.overlap and config.algorithm == "recurrent_ppo":
+        raise ConfigError("overlap: recurrent_ppo has none, expected false")
 
 
 def check_observation(config: TrainConfig) -> None:

@@ -70,7 +70,7 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
         device="cpu",
         **buffer,
     )
-    model.groups = config.groups
+    model.groups, model.overlap = config.groups, config.overlap
     return model
 
 

@@ -6,6 +6,8 @@ rows of the buffer, and draws its actions with a seed of its own for each step; 
 
 from __future__ import annotations
 
+import copy
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -70,20 +72,52 @@ class GroupedRollouts:
     """A mixin for PPO and MaskablePPO: environments are collected in `groups`; environment i is in group i % groups.
 
     The environments have `send(actions, envs)` and `recv(groups)`, as of `SB3Batch`, and `discount` in their infos.
+
+    With `overlap` the policy is updated on a rollout while the next one is collected, by the policy from before that
+    update. PPO compares with the probabilities of the policy that acted, so that one update between them is allowed.
     """
 
-    groups = 1
+    groups, overlap = 1, False
+    behind = False  # the buffer holds a rollout that the policy has not been updated on
+    spare: Any = None  # with `overlap`: another buffer,
+    actor: Any = None  # and a policy that acts while the other one is updated
 
     def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, *_: Any, **__: Any) -> bool:
         """Fill the buffer; False when a callback ended the training."""
         model: Any = self
         model.policy.set_training_mode(False)
-        rollout_buffer.reset()
         callback.on_rollout_start()
-        if not Rollout(model, env, callback).collect():
-            return False
-        callback.on_rollout_end()
-        return True
+        if not self.behind:
+            going = Rollout(model, model.policy, rollout_buffer, env, callback).collect()
+        else:
+            actor, buffer = self._before_update()
+            with ThreadPoolExecutor(1) as learner:
+                update = learner.submit(super().train)  # type: ignore[misc]
+                going = Rollout(model, actor, buffer, env, callback).collect()
+                update.result()
+            model.rollout_buffer, self.spare, self.behind = buffer, rollout_buffer, False
+        if going:
+            callback.on_rollout_end()
+        return going
+
+    def train(self) -> None:
+        """Update the policy on the rollout, or with `overlap` leave that to the collection of the next one."""
+        model: Any = self
+        self.behind = self.overlap and model.num_timesteps < model._total_timesteps
+        if not self.behind:
+            super().train()  # type: ignore[misc]
+
+    def _before_update(self) -> tuple[Any, Any]:
+        """A copy of the policy as it is now, and a buffer for what it collects."""
+        model: Any = self
+        if self.actor is None:
+            with torch.random.fork_rng(devices=[]):  # its first weights are drawn, and replaced
+                spaces = model.observation_space, model.action_space
+                self.actor = model.policy_class(*spaces, model.lr_schedule, **model.policy_kwargs)
+            self.actor.set_training_mode(False)
+            self.spare = copy.deepcopy(model.rollout_buffer)
+        self.actor.load_state_dict(model.policy.state_dict())
+        return self.actor, self.spare
 
 
 class GroupedPPO(GroupedRollouts, PPO):
@@ -97,8 +131,9 @@ class GroupedMaskablePPO(GroupedRollouts, MaskablePPO):
 class Rollout:
     """One rollout: each environment makes as many decisions as the buffer has rows for it."""
 
-    def __init__(self, model: Any, env: Any, callback: Any) -> None:
-        self.model, self.callback, self.buffer = model, callback, model.rollout_buffer
+    def __init__(self, model: Any, policy: Any, buffer: Any, env: Any, callback: Any) -> None:
+        buffer.reset()
+        self.model, self.policy, self.buffer, self.callback = model, policy, buffer, callback
         self.env = env.venv if isinstance(env, VecNormalize) else env
         count = min(model.groups, env.num_envs)
         self.groups = [np.arange(first, env.num_envs, count) for first in range(count)]
@@ -135,7 +170,7 @@ class Rollout:
             masks["action_masks"] = np.stack(self.env.env_method(MASKS, indices=envs))
         torch.default_generator.manual_seed(self.seeds[self.made[group]][group])
         with torch.inference_mode():
-            chosen, values, log_probs = self.model.policy(obs_as_tensor(observations, self.model.device), **masks)
+            chosen, values, log_probs = self.policy(obs_as_tensor(observations, self.model.device), **masks)
         actions = chosen.cpu().numpy()
         self.env.send(within(self.model.action_space, actions), envs)
         self.under_way += 1
@@ -158,7 +193,7 @@ class Rollout:
         if isinstance(self.buffer, OptionBuffer):
             self.buffer.discounts[at] = [info["discount"] for info in infos]
         added = np.zeros(len(dones), np.float32)
-        bootstrap_truncated(self.model.policy, added, infos)
+        bootstrap_truncated(self.policy, added, infos)
         self.after_limits[at] = added
         self.model.num_timesteps += len(dones)
         self.model._update_info_buffer(infos, dones)
@@ -177,7 +212,7 @@ class Rollout:
         buffer.rewards = normalised(model.env, buffer.rewards, self.dones) + self.after_limits
         buffer.pos, buffer.full = buffer.buffer_size, True
         with torch.no_grad():
-            values = model.policy.predict_values(obs_as_tensor(model._last_obs, model.device))
+            values = self.policy.predict_values(obs_as_tensor(model._last_obs, model.device))
         buffer.compute_returns_and_advantage(values, self.dones[-1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 
 import numpy as np
@@ -151,3 +152,62 @@ def test_two_runs_that_continue_from_a_checkpoint_learn_the_same(tmp_path):
         assert int(last.stem) == 24
         weights.append(read_checkpoint(last)["policy"])
     assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+
+
+def weights_of(model):
+    model.env.close()
+    return model.policy.state_dict()
+
+
+def learned(algorithm):
+    """The weights after three rollouts with `overlap`."""
+    model, _ = model_of(algorithm)
+    model.overlap = True
+    model.set_random_seed(3)
+    model.learn(3 * model.n_steps * model.n_envs)
+    assert model._n_updates == 3 * model.n_epochs
+    return weights_of(model)
+
+
+def learned_by_hand(algorithm):
+    """The same in one thread: the second rollout by the first policy, each next one by that of the update before."""
+    model, none = model_of(algorithm)
+    model.set_random_seed(3)
+    model._setup_learn(3 * model.n_steps * model.n_envs, [])
+    filled = []
+    for rollout in range(4):
+        if rollout > 1:
+            update(model, filled[rollout - 2], rollout - 1)
+        if rollout < 3:
+            model.rollout_buffer = copy.deepcopy(model.rollout_buffer)
+            assert model.collect_rollouts(model.env, none, model.rollout_buffer, model.n_steps)
+            filled.append(model.rollout_buffer)
+    update(model, filled[2], 3)
+    return weights_of(model)
+
+
+def update(model, buffer, rollouts):
+    """One update, as after so many of three rollouts."""
+    model.rollout_buffer = buffer
+    model._update_current_progress_remaining(rollouts, 3)
+    model.train()
+
+
+@pytest.mark.parametrize("algorithm", THEIRS)
+def test_an_update_while_the_next_rollout_is_collected_is_the_one_after_it(algorithm):
+    threads, by_hand = learned(algorithm), learned_by_hand(algorithm)
+    for name, values in threads.items():
+        assert torch.equal(values, by_hand[name]), name
+
+
+def test_a_failure_of_an_update_beside_a_rollout_ends_the_training(monkeypatch):
+    model, _ = model_of("ppo")
+    model.overlap = True
+
+    def fail(_):
+        raise ZeroDivisionError("in the update")
+
+    monkeypatch.setattr(sb3.PPO, "train", fail)
+    with pytest.raises(ZeroDivisionError, match="in the update"):
+        model.learn(3 * model.n_steps * model.n_envs)
+    model.env.close()
