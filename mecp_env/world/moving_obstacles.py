@@ -144,6 +144,7 @@ class Movers:
     def populate(self, outline: Outline, clutter: ClutterConfig, rng: np.random.Generator) -> None:
         """Draw boxes and pedestrians around the start; one number is drawn from `rng`."""
         assert self._walkways is not None
+        self._walkways.forget()
         self.state.random = np.random.Generator(np.random.PCG64(int(rng.integers(2**63))))
         cells = self._walkways.reachable(self.state.start)
         far = np.hypot(*(cells - self.state.start).T) > OFF_ROBOT_M + self.robot.radius_m + self.config.radius_m[1]

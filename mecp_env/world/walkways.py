@@ -28,6 +28,10 @@ class WalkwayPlanner:
         self._shortcut = max(SHORTCUT_M / cell_m, least)
         self._fields: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
 
+    def forget(self) -> None:
+        """Forget the paths to all destinations: those of another episode are others, and each takes 0.2 MB and more."""
+        self._fields.clear()
+
     def reachable(self, p_world: Array) -> Array:
         """(n,2) m: the centres of all cells reachable from `p_world` (2,); empty where no pedestrian can be."""
         start = self._nearest(self._open, p_world)

@@ -166,3 +166,11 @@ def test_doors_that_are_closed_are_open_in_the_next_environment():
         env.reset(seed=1)
         doors.append(len(env._true_world.outline.doors))
     assert doors[1] < doors[0] == doors[2]
+
+
+def test_paths_of_pedestrians_do_not_pile_up_over_the_episodes_of_a_building():
+    env = make(crowd={"people": 2})
+    for seed in range(5):
+        env.reset(seed=seed)
+        world = env.unwrapped._true_world
+        assert 0 < len(world._walkways._fields) <= 1 + len(world.movers.state.places)
