@@ -51,8 +51,9 @@ class GoalHistory:
             self.entry[room] = output.belief.T_map_robot[:2].copy()
         if self.first_room == UNKNOWN_ROOM:
             self.first_room = room
-        for drive in self.drives if output.graph.merged else ():
-            if drive.room in output.graph.merged:
+        merged = output.graph.merged
+        for drive in self.drives if merged else ():
+            if drive.room in merged:
                 drive.room = output.graph.resolve(drive.room)
 
     def remember_good_place(self, belief: Belief, sigma_m: float) -> None:

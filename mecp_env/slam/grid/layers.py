@@ -15,6 +15,7 @@ from mecp_env.slam.grid.canvas import Canvas
 from mecp_env.slam.messages import NO_ID, UNKNOWN_ROOM, Belief, MapPolygon, RoomGraph
 
 IDS = attrgetter("ids")
+KEY = attrgetter("id", "jambs", "other_face")  # a `DoorKey`
 
 DoorKey = tuple[int, tuple[int, int], tuple[int, int] | None]
 
@@ -219,7 +220,7 @@ class DoorLayer:
 
         `moved`: landmarks did; `voted`: a scan did. A door that a wall fills is not painted, as no path leads there.
         """
-        key = tuple((door.id, door.jambs, door.other_face) for door in graph.doors)
+        key = tuple(map(KEY, graph.doors))
         if key == self.key and not moved and not (voted and self._may_open_or_shut(canvas)):
             return np.empty((0, 2, 2))
         quads = self._quads_of(p_landmark, key)
