@@ -315,7 +315,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Ground truth, metrics and reward terms of the last step: fixed keys, all finite, no wall clock."""
+        """Ground truth, metrics and reward terms of the last step: fixed keys, all finite, no wall clock.
+
+        `saturated` is that of the last observation; after `set_state` the reward terms are 0 until the next step.
+        """
         episode, terms = self._started(), self._terms
         return {
             "period": episode.metrics.steps,

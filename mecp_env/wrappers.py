@@ -57,6 +57,8 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
             raise ConfigError("GoalActions: expected a mecp_env environment with actions='goal' or 'velocity'")
         self.base = env.unwrapped
         self.callback, self.observes = callback, True
+        own_step = type(self.base).step is not MecpEnv.step  # of a subclass
+        self.everything = own_step or self.env is not self.base  # of each step is asked for: others may need it
         self.action_space = spaces.Discrete(GOALS)
         self.navigator = Navigator(self.base.config.planning_config)
 
@@ -134,7 +136,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         """One control step with a command in m/s and rad/s; what nobody looks at is not computed."""
         robot = self.base.config.robot
         action = normalised_command(v, w, (robot.max_speed_m_s, robot.max_turn_rad_s))
-        if self.env is not self.base or (self.callback is not None and self.observes):
+        if self.everything or (self.callback is not None and self.observes):
             observation, reward, terminated, truncated, info = self.env.step(action)
             step = observation, float(reward), terminated, truncated, info
         else:

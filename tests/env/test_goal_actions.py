@@ -209,3 +209,16 @@ def test_a_drive_that_is_looked_at_gives_what_another_one_gives(monkeypatch):
     assert all(same(mine[1:], other[1:]) for mine, other in zip(counted, looked, strict=True))
     assert len(looked) == sum(row[4]["periods"] for row in rows) > 2 * len(rows)
     assert len(seen) == 2 * (len(rows) + 1)  # after the reset, and once a drive
+
+
+def test_a_drive_takes_the_steps_of_a_subclass():
+    class Counted(MecpEnv):
+        count = 0
+
+        def step(self, action):
+            self.count += 1
+            return super().step(action)
+
+    env = GoalActions(Counted(layout="two_rooms", actions="goal"))
+    rows = explore(env, limit=2)
+    assert env.base.count == sum(row[4]["periods"] for row in rows) > 2

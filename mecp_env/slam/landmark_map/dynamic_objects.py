@@ -103,23 +103,12 @@ def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
     """The segments but for those of whose beams more than half are dynamic."""
     first, last = segments.first, segments.last
-    kept = mostly_static(first, last, segments.roll, dynamic)
+    before = np.concatenate(([False], dynamic, dynamic)).cumsum()  # dynamic beams before each; twice, as runs wrap
+    kept = 2 * (before[last + segments.roll + 1] - before[first + segments.roll]) <= last - first + 1
     if kept.all():
         return segments
     places = segments.points[kept], segments.line[kept], segments.cov[kept]
     return Segments(*places, segments.cluster[kept], first[kept], last[kept], segments.roll)
-
-
-@compiled
-def mostly_static(first: Ints, last: Ints, roll: int, dynamic: Bools) -> Bools:
-    """(k,) the segments of whose beams at most half are `dynamic` (B,)."""
-    size, kept = dynamic.shape[0], np.ones(first.shape[0], np.bool_)
-    for k in range(first.shape[0]):
-        count = 0
-        for position in range(first[k] + roll, last[k] + roll + 1):
-            count += dynamic[position if position < size else position - size]
-        kept[k] = 2 * count <= last[k] - first[k] + 1
-    return kept
 
 
 @compiled
@@ -221,10 +210,12 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, conf
         x, y = x / count, y / count
         for step in (-1, 1):
             k = (i + (count if step > 0 else -1)) % size
-            while hit[k] and not whole[k]:
-                end_x, end_y = ranges[k] * math.cos(bearings[k]), ranges[k] * math.sin(bearings[k])
-                if math.hypot(end_x - x, end_y - y) >= config[0].body_m:
-                    break
+            while (
+                hit[k]
+                and not whole[k]
+                and math.hypot(ranges[k] * math.cos(bearings[k]) - x, ranges[k] * math.sin(bearings[k]) - y)
+                < config[0].body_m
+            ):
                 whole[k] = True
                 k = (k + step) % size
     return whole

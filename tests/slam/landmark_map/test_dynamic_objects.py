@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
-from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, StaticWorld, make_dynamic_objects, mostly_static
+from mecp_env.slam.landmark_map.dynamic_objects import (
+    DynamicObjects,
+    StaticWorld,
+    make_dynamic_objects,
+    without_dynamic,
+)
 from mecp_env.slam.landmark_map.pruning import find_pruned
-from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, SemanticGrid
+from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, Segments, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam.drives import scripted_drive
 from tests.slam.scans import front_end, ring, take_scan
@@ -185,4 +190,6 @@ def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_m
         first, last, dynamic = cuts[0::2], cuts[1::2], rng.random(size) < 0.5
         of_run = np.roll(dynamic, -roll)  # by position
         plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
-        assert mostly_static(first, last, roll, dynamic).tolist() == plain
+        number = np.arange(3.0)
+        segments = Segments(number, number, number, number, first, last, roll)
+        assert without_dynamic(segments, dynamic).first.tolist() == first[plain].tolist()
