@@ -55,6 +55,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
 STAGE_NAMES = tuple(dict.fromkeys(name for name, _, _ in STAGES))
 STEPS = (("step", env.MecpEnv, "step"), ("step", env.MecpEnv, "advance"))  # the first calls the second; a drive, too
 DRIVE = ("drive", Navigator, "step")
+SEARCH = ("drive", env.MecpEnv, "refresh_goals")  # after a drive; within a step it is part of that
 
 
 class Stopwatch:
@@ -86,7 +87,7 @@ class Stopwatch:
 
         @functools.wraps(function)
         def timed(*args: Any, **keywords: Any) -> Any:
-            if stage == "step" and self._stepping:
+            if self._stepping and stage in ("step", "drive"):
                 return function(*args, **keywords)
             self._stepping |= stage == "step"
             name = stage if self._stepping else "drive"  # between two steps: goals are looked for, a way is planned
@@ -117,7 +118,7 @@ def timed_stages(*, each: bool = True) -> Iterator[Stopwatch]:
     It costs 2 us per call; with `each=False` only whole steps and drives are timed.
     """
     watch = Stopwatch()
-    timed = (*STAGES, *STEPS, DRIVE) if each else (*STEPS, DRIVE)
+    timed = (*STAGES, *STEPS, DRIVE) if each else (*STEPS, DRIVE, SEARCH)
     plain = [(stage, owner, name, getattr(owner, name)) for stage, owner, name in timed]
     try:
         for stage, owner, name, function in plain:
