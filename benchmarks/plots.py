@@ -26,44 +26,42 @@ class Panel(NamedTuple):
 
 def line_panels(panels: Mapping[str, Panel], y: str, log: bool = False) -> Figure:
     """A panel per title, in it a line per name through its estimates with their 95 % intervals."""
-    figure = Figure(figsize=(4.2 * len(panels), 4.0), layout="constrained")
-    all_axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (title, (ticks, lines)) in zip(all_axes, panels.items(), strict=True):
-        for k, (name, estimates) in enumerate(lines.items()):
-            value, low, high = (np.array([e[end] for e in estimates], float) for end in ("value", "low", "high"))
-            at = np.arange(len(ticks)) + 0.04 * (k - 0.5 * len(lines))
-            bars = np.abs([value - low, high - value])
-            axes.errorbar(at, value, bars, label=name, marker=MARKERS[k % len(MARKERS)], markersize=4, capsize=2)
-        axes.set(title=title, xticks=range(len(ticks)), xticklabels=ticks)
-        axes.grid(alpha=0.3)
-    for axes in all_axes:  # after the lines: a log scale over a single value has no limits to draw the next one in
+    return panel_rows({"": panels}, y, log)
+
+
+def panel_rows(rows: Mapping[str, Mapping[str, Panel]], y: str, log: bool = False) -> Figure:
+    """A row per name of the x axis, in it a panel per title as of `line_panels`; one legend, and the titles on top."""
+    across = max(map(len, rows.values()))
+    figure = Figure(figsize=(4.2 * across, 4.0 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), across, sharey=True, squeeze=False)
+    for all_axes, (x, panels) in zip(grid, rows.items(), strict=True):
+        for axes, (title, panel) in zip(all_axes, panels.items(), strict=True):
+            draw_lines(axes, panel)
+            axes.set(title=title, xlabel=x)
+        all_axes[0].set_ylabel(y)
+    for axes in grid.flat:  # after the lines: a log scale over a single value has no limits to draw the next one in
         if log:
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_formatter("{x:g}")
-    all_axes[0].set_ylabel(y)
-    figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
-def band_panels(rows: Mapping[str, Mapping[str, Panel]], y: str) -> Figure:
-    """A row per axis, in it a panel per title, with a line per name and its 95 % interval as a band, all in grey."""
-    across = max(map(len, rows.values()))
-    figure = Figure(figsize=(2.6 * across + 0.6, 2.7 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), across, sharey=True, squeeze=False)
-    for all_axes, (x, panels) in zip(grid, rows.items(), strict=True):
-        for axes, (title, panel) in zip(all_axes, panels.items(), strict=True):
-            draw_bands(axes, panel)
-            axes.set(title=title, xlabel=x, ylim=(0.0, 1.0))
-        all_axes[0].set_ylabel(y)
-    for axes in grid[0][:2]:  # the other panels have the lines of the second
-        axes.legend(fontsize=7, frameon=False, loc="lower left", handlelength=3.0)
-    return figure
+def draw_lines(axes: Axes, panel: Panel) -> None:
+    """Draw the lines of a panel in colours, a little beside each other, with their 95 % intervals as bars."""
+    for k, (name, estimates) in enumerate(panel.lines.items()):
+        value, low, high = (np.array([e[end] for e in estimates], float) for end in ("value", "low", "high"))
+        at = np.arange(len(panel.ticks)) + 0.04 * (k - 0.5 * len(panel.lines))
+        bars = np.abs([value - low, high - value])
+        axes.errorbar(at, value, bars, label=name, marker=MARKERS[k % len(MARKERS)], markersize=4, capsize=2)
+    axes.set(xticks=range(len(panel.ticks)), xticklabels=panel.ticks)
+    axes.grid(alpha=0.3)
 
 
 def draw_bands(axes: Axes, panel: Panel) -> None:
-    """Draw the lines of a panel, told apart by marker, dashes and grey."""
+    """Draw the lines of a panel, told apart by marker, dashes and grey, and their 95 % intervals as bands."""
     at = np.arange(len(panel.ticks))
     for k, (name, estimates) in enumerate(panel.lines.items()):
         value, low, high = (np.array([e[end] for e in estimates], float) for end in ("value", "low", "high"))

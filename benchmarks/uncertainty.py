@@ -5,8 +5,8 @@ point: `odometry.scale` multiplies the sigmas of the odometry (the share of step
 `laser.max_range_m` is the range. Each policy explores the same buildings from the same starts with the full estimator,
 with known correspondences, and with the true pose. Quality is the area under the correct coverage over the control
 steps. The price of uncertainty is that of the true pose minus that of the estimator, the price of wrong
-correspondences that of known ones minus that of the estimator, paired by building. An episode is lost as in
-docs/policies.md.
+correspondences that of known ones minus that of the estimator, paired by building. So is what a policy gains, with the
+full estimator, over the greedy one, `next_best_view`. An episode is lost as in docs/policies.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import Figures, Gate, OptionError, Options, chosen, estimate, grouped, in_parallel, share, table
-from benchmarks.plots import Panel, band_panels
+from benchmarks.plots import Panel, panel_rows
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
@@ -42,6 +42,7 @@ QUICK = (BASE, "odometry_x8")
 METRIC = "correct_over_steps"
 KEPT = (METRIC, "correct_coverage", "coverage", "lost", "pose_error_mean_m", "map_rmse_m")
 PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
+GREEDY = "next_best_view"  # to which the others are compared
 
 GATES = tuple(
     Gate(f"points/{point}/{policy}/slam/{METRIC}", "share", 0.03)
@@ -62,7 +63,7 @@ def run(options: Options) -> Figures:
         found.setdefault((point, policy), {})[estimator] = episodes
     points: Figures = {point: {} for point in counts}
     for (point, policy), estimators in found.items():
-        points[point][policy] = summarise(estimators)
+        points[point][policy] = summarise(estimators) | over(estimators, found.get((point, GREEDY)))
     return {"task": task, "range_m": range_of(task), "points": points}
 
 
@@ -119,6 +120,16 @@ def summarise(estimators: Mapping[str, list[dict[str, float]]]) -> Figures:
     return figures | {name: estimate(quality[more] - quality[less]) for name, (more, less) in PRICES.items()}
 
 
+def over(
+    estimators: Mapping[str, list[dict[str, float]]], greedy: Mapping[str, list[dict[str, float]]] | None
+) -> Figures:
+    """What one policy gains over the greedy one at one point, if that is there."""
+    if greedy is None:
+        return {}
+    pairs = zip(estimators["slam"], greedy["slam"], strict=True)
+    return {"over": estimate([own[METRIC] - other[METRIC] for own, other in pairs])}
+
+
 def metrics_of(episodes: list[dict[str, float]]) -> Figures:
     """Each metric with its 95 % interval over buildings."""
     means = {name: estimate([each[name] for each in episodes]) for name in KEPT if name != "lost"}
@@ -128,7 +139,7 @@ def metrics_of(episodes: list[dict[str, float]]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
-    header += ["price of uncertainty", "price of wrong correspondences"]
+    header += ["price of uncertainty", "price of wrong correspondences", f"over `{GREEDY}`"]
     parts = [str(__doc__).partition("\n\n")[2].strip(), f"Task: `{figures['task']}`."]
     for point, policies in figures["points"].items():
         rows = [[policy, *row_of(found)] for policy, found in policies.items()]
@@ -141,7 +152,11 @@ def row_of(found: Figures) -> list[str]:
     """The cells of a policy."""
     qualities = [cell(found[name][METRIC], ".3f", 1.0) for name in ESTIMATORS]
     lost = [cell(found[name]["lost"], ".0f", 100.0) for name in ESTIMATORS]
-    return [*qualities, *lost, *(cell(found[name], "+.3f", 1.0) for name in PRICES)]
+    return [
+        *qualities,
+        *lost,
+        *(cell(found[name], "+.3f", 1.0) if name in found else "-" for name in (*PRICES, "over")),
+    ]
 
 
 def title_of(point: str, figures: Figures) -> str:
@@ -165,17 +180,19 @@ def axes_of(figures: Figures) -> dict[str, dict[str, str]]:
 
 
 def figure(figures: Figures) -> Figure:
-    """A row per axis: all policies with the estimator, then each policy with every estimator."""
+    """A row per axis: all policies with each estimator."""
     points = figures["points"]
     policies = list(next(iter(points.values())))
-    rows: dict[str, dict[str, Panel]] = {}
-    for axis, labels in axes_of(figures).items():
-        ticks = list(labels.values())
+    rows = {
+        axis: {
+            title: Panel(list(labels.values()), {name: line(points, list(labels), name, key) for name in policies})
+            for key, title in ESTIMATORS.items()
+        }
+        for axis, labels in axes_of(figures).items()
+    }
+    return panel_rows(rows, "correct coverage over steps")
 
-        def line(policy: str, estimator: str, labels: Mapping[str, str] = labels) -> list[Figures]:
-            return [points[point][policy][estimator][METRIC] for point in labels]
 
-        rows[axis] = {"all, estimator": Panel(ticks, {policy: line(policy, "slam") for policy in policies})}
-        for policy in policies:
-            rows[axis][policy] = Panel(ticks, {name: line(policy, key) for key, name in ESTIMATORS.items()})
-    return band_panels(rows, "correct coverage over steps")
+def line(points: Figures, labels: Sequence[str], policy: str, estimator: str) -> list[Figures]:
+    """The estimates of a policy along an axis."""
+    return [points[point][policy][estimator][METRIC] for point in labels]

@@ -45,21 +45,32 @@ def test_prices_are_paired_by_building(figures: dict[str, Any]) -> None:
     assert (found["slam"]["lost"]["value"], found["truth"]["lost"]["value"]) == (1.0, 0.0)
 
 
+def test_a_policy_is_paired_with_the_greedy_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def better(unit: uncertainty.Unit) -> dict[str, float]:
+        return {name: value + 0.2 * (unit[2] == "returning") for name, value in toy(unit).items()}
+
+    monkeypatch.setattr(uncertainty, "episode", better)
+    figures = uncertainty.run(Options(buildings=4, policies=("returning", "next_best_view"), folder=tmp_path))
+    over = figures["points"][BASE]["returning"]["over"]
+    assert (over["value"], over["low"], over["high"], over["n"]) == pytest.approx((0.2, 0.2, 0.2, 4))
+    assert figures["points"][BASE]["next_best_view"]["over"]["value"] == 0.0
+    assert "| +0.200 [+0.200, +0.200] |" in uncertainty.report(figures)
+
+
 def test_tables_and_figure(figures: dict[str, Any]) -> None:
     page = uncertainty.report(figures)
     assert "## Odometry noise x8, range 2.5 m, 4 buildings" in page
     assert "## Odometry noise x1, range 30 m, 4 buildings" in page
     assert "| gain | 0.515 [0.505, 0.525] | 0.615" in page
-    assert "+0.300 [+0.300, +0.300] | +0.100 [+0.100, +0.100] |" in page
+    assert "+0.300 [+0.300, +0.300] | +0.100 [+0.100, +0.100] | - |" in page
     axes = uncertainty.axes_of(figures)
     assert list(axes["odometry noise"].values()) == ["x1", "x2", "x4", "x8"]
     assert list(axes["laser range"].values()) == ["2.5 m", "3 m", "5 m", "8 m", "30 m"]
     assert axes["laser range"][BASE] == "2.5 m"
     panels = uncertainty.figure(figures).axes
-    assert [panel.get_title() for panel in panels] == 2 * ["all, estimator", "nearest", "gain"]
-    assert [line.get_label() for line in panels[1].get_lines()] == list(ESTIMATORS.values())
-    assert len({line.get_linestyle() for line in panels[1].get_lines()}) == 3
-    assert len({line.get_color() for line in panels[1].get_lines()}) == 3
+    assert [panel.get_title() for panel in panels] == 2 * list(ESTIMATORS.values())
+    assert [panel.get_xlabel() for panel in panels] == 3 * ["odometry noise"] + 3 * ["laser range"]
+    assert panels[0].get_legend_handles_labels()[1] == ["nearest", "gain"]
 
 
 def test_a_part_of_the_points_has_its_tables_and_its_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -67,7 +78,7 @@ def test_a_part_of_the_points_has_its_tables_and_its_figure(monkeypatch: pytest.
     figures = uncertainty.run(Options(sets=("range_5_m:2", "range_8_m:1"), policies=("gain",), folder=tmp_path))
     counts = [of_point["gain"]["price"]["n"] for of_point in figures["points"].values()]
     assert (list(figures["points"]), counts) == (["range_5_m", "range_8_m"], [2, 1])
-    assert len(uncertainty.figure(figures).axes) == 2
+    assert len(uncertainty.figure(figures).axes) == 3
     assert "1 building\n" in uncertainty.report(figures)
 
 
