@@ -43,6 +43,11 @@ METRIC = "correct_over_steps"
 KEPT = (METRIC, "correct_coverage", "coverage", "lost", "pose_error_mean_m", "map_rmse_m")
 PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
 GREEDY = "next_best_view"  # to which the others are compared
+DIFFERENCES = {  # heading of each; `over` only where the greedy policy is one of them
+    "price": "price of uncertainty",
+    "price_known": "price of wrong correspondences",
+    "over": f"over `{GREEDY}`",
+}
 
 GATES = tuple(
     Gate(f"points/{point}/{policy}/slam/{METRIC}", "share", 0.03)
@@ -139,24 +144,23 @@ def metrics_of(episodes: list[dict[str, float]]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
-    header += ["price of uncertainty", "price of wrong correspondences", f"over `{GREEDY}`"]
     parts = [str(__doc__).partition("\n\n")[2].strip(), f"Task: `{figures['task']}`."]
     for point, policies in figures["points"].items():
-        rows = [[policy, *row_of(found)] for policy, found in policies.items()]
+        there = {
+            name: title for name, title in DIFFERENCES.items() if all(name in found for found in policies.values())
+        }
+        rows = [[policy, *row_of(found, list(there))] for policy, found in policies.items()]
         count = next(iter(policies.values()))["price"]["n"]
-        parts.append(f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}\n\n{table(header, rows)}")
+        title = f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}"
+        parts.append(f"{title}\n\n{table([*header, *there.values()], rows)}")
     return "\n\n".join(parts)
 
 
-def row_of(found: Figures) -> list[str]:
+def row_of(found: Figures, differences: Sequence[str]) -> list[str]:
     """The cells of a policy."""
     qualities = [cell(found[name][METRIC], ".3f", 1.0) for name in ESTIMATORS]
     lost = [cell(found[name]["lost"], ".0f", 100.0) for name in ESTIMATORS]
-    return [
-        *qualities,
-        *lost,
-        *(cell(found[name], "+.3f", 1.0) if name in found else "-" for name in (*PRICES, "over")),
-    ]
+    return [*qualities, *lost, *(cell(found[name], "+.3f", 1.0) for name in differences)]
 
 
 def title_of(point: str, figures: Figures) -> str:
