@@ -225,7 +225,7 @@ def test_a_tampered_checkpoint_is_skipped_with_its_reason(change, trained, tmp_p
         parts[name] = parts[name] | part if isinstance(part, dict) and name in parts else part
     write_checkpoint(path, parts)
     assert resume(folder) == 0
-    out = capsys.readouterr().out.replace("\n", "")
+    out = " ".join(capsys.readouterr().out.split())
     assert "skipped " in out
     assert "resumed after 12 decisions" in out
 
