@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bytes, Ints
+from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.se2 import inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import GroundTruth
-from mecp_env.slam.messages import Belief, Cell, Door, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import NO_ID, Belief, Cell, Door, SemanticGrid, SlamOutput
 
 DOOR_GATE_M = 0.3
 
@@ -42,12 +43,11 @@ def _from_doorways(truth: GroundTruth, p_world: Array) -> Array:
 
 def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     """(d,2) m, map frame: the middle of each door's jambs; nan where none of them is a landmark."""
-    places = dict(zip(belief.ids.tolist(), belief.p_map.tolist(), strict=True))
-    centres = np.full((len(doors), 2), np.nan)
-    for d, door in enumerate(doors):
-        known = [places[jamb] for jamb in (*door.jambs, *(door.other_face or ())) if jamb in places]
-        if known:
-            centres[d] = [sum(axis) / len(known) for axis in zip(*known, strict=True)]
+    jambs = np.array([door.jambs + (door.other_face or (NO_ID, NO_ID)) for door in doors], np.int64).reshape(-1, 4)
+    rows = np.where(jambs == NO_ID, -1, rows_by_id(belief.ids, jambs)[jambs])
+    places = np.concatenate((belief.p_map, np.zeros((1, 2))))[rows]  # the last one, of none, adds nothing
+    count = (rows >= 0).sum(axis=1, keepdims=True)
+    centres: Array = (places[:, 0] + places[:, 1] + places[:, 2] + places[:, 3]) / np.where(count > 0, count, np.nan)
     return centres
 
 
