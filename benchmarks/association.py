@@ -85,9 +85,10 @@ class Pairs:
 
 def run(options: Options) -> Figures:
     """Results of every layout and associator."""
-    rows, seeds = methods(options.modules), chosen(options.sets, SEEDS, MOST) or SEEDS
+    load_modules(options.modules)
+    rows, seeds = methods(), chosen(options.sets, SEEDS, MOST) or SEEDS
     drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
-    task = partial(compare, options.modules, records=Records(options.records))
+    task = partial(compare, records=Records(options.records))
     runs = in_parallel(task, dict[str, Figures], drives, options)
     return {
         layout: {
@@ -99,9 +100,8 @@ def run(options: Options) -> Figures:
     }
 
 
-def methods(modules: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """The rows of the table, and what each changes in the estimator; with those that `modules` register."""
-    load_modules(modules)
+def methods() -> dict[str, dict[str, Any]]:
+    """The rows of the table, and what each changes in the estimator; with those that modules register."""
     rows = {name: {"association": fields} for name, fields in METHODS.items()}
     rows |= {name: {"association": {"method": name}} for name in config.METHODS.others}
     return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
@@ -112,9 +112,9 @@ def course(layout: str, seed: int) -> Course:
     return Course(place(layout, seed), seed, {"max_steps": MAX_STEPS} if layout == HARD else {})
 
 
-def compare(modules: Sequence[str], drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
+def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    drive, rows = records.drive(course(*drive_of)), methods(modules)
+    drive, rows = records.drive(course(*drive_of)), methods()
     return {name: counts(drive, replay(drive, with_change(drive.slam, change))) for name, change in rows.items()}
 
 

@@ -15,7 +15,6 @@ end, or has diverged. `associate_ms` are milliseconds of association per scan, t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -62,7 +61,7 @@ def run(options: Options) -> Figures:
         for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
         for detection, spurious in CELLS
     ]
-    task = partial(compare, options.modules, records=Records(options.records))
+    task = partial(compare, records=Records(options.records))
     figures: Figures = {layout: {} for layout in counts}
     for (layout, *cell), runs in grouped(drives, in_parallel(task, dict[str, Figures], drives, options)).items():
         figures[layout][named(*cell)] = {name: noise.summarise([one[name] for one in runs]) for name in runs[0]}
@@ -74,11 +73,8 @@ def named(detection: float, spurious: int) -> str:
     return f"detection {detection:g}, spurious {spurious} %"
 
 
-def compare(
-    modules: Sequence[str], task: tuple[str, float, int, int], records: Records = IN_MEMORY
-) -> dict[str, Figures]:
+def compare(task: tuple[str, float, int, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each associator on one drive of a cell."""
-    load_modules(modules)
     layout, detection, spurious, seed = task
     drive = records.drive(course(layout, seed))
     made = partial(ClutteredPipeline, chances=(detection, spurious / 100.0), seed=seed)

@@ -8,7 +8,6 @@ are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[s
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 import os
@@ -24,9 +23,11 @@ from typing import Any, Literal, TypeVar
 import numba
 import numpy as np
 
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.core.jit import compiled
-from mecp_env.core.provenance import checksum, dependencies
+from mecp_env.core.own_modules import checksums, import_modules
+from mecp_env.core.provenance import dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
@@ -89,11 +90,10 @@ def shared_data(kind: str) -> Path | None:
 
 def load_modules(names: Iterable[str]) -> None:
     """Import modules that register custom associators or filters. Raises `OptionError` for a missing module."""
-    for name in names:
-        try:
-            importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            raise OptionError(f"--with {name}: {error}") from None
+    try:
+        import_modules(names)
+    except ConfigError as error:
+        raise OptionError(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +131,9 @@ def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], o
 
 def run_key(options: Options) -> dict[str, Any]:
     """What results belong to: only those of one key are combined."""
-    modules = {name: checksum(Path(str(sys.modules[name].__file__)).read_bytes()) for name in options.modules}
     own = options.records is None or options.records.parent == options.folder  # made for this run
-    return {"--with": modules, "--records": "" if own else str(options.records), **dependencies(Path(__file__).parent)}
+    records = "" if own else str(options.records)
+    return {"--records": records, **checksums(), **dependencies(Path(__file__).parent)}
 
 
 def show_progress(done: int, todo: int, seconds: float) -> None:

@@ -17,7 +17,6 @@ on the same drives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -86,7 +85,7 @@ def run(options: Options) -> Figures:
         for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
     ]
     drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
-    task = partial(compare, options.modules, records=Records(options.records))
+    task = partial(compare, records=Records(options.records))
     runs = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
     return {model: {name: summarise(of_model, name) for name in of_model[0]} for model, of_model in runs.items()}
 
@@ -97,9 +96,8 @@ def course(model: str, seed: int) -> Course:
     return Course(LAYOUT, seed, {"estimator": "truth", "max_steps": loop.MAX_STEPS, **fields})
 
 
-def compare(modules: Sequence[str], task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
+def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each filter, and of the batch optimum, on one drive."""
-    load_modules(modules)
     model, seed = task
     drive = records.drive(course(model, seed))
     record, path, corners = measured(drive, model in SLIPS)

@@ -6,7 +6,7 @@ mean of 60 runs is 2.41-3.65.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -42,16 +42,15 @@ def run(options: Options) -> Figures:
     runs = 8 if options.quick else 60
     cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}
-    measured = in_parallel(partial(consistency, options.modules), Figures, cases, options)
+    measured = in_parallel(consistency, Figures, cases, options)
     for (reading, kind, _), figures in zip(cases, measured, strict=True):
         nees[reading][kind] = figures
     times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in FILTERS}
     return {"time_us": times, "nees": nees}
 
 
-def consistency(modules: Sequence[str], case: tuple[str, str, int]) -> Figures:
+def consistency(case: tuple[str, str, int]) -> Figures:
     """NEES by phase, at the closing scan with a one-shot and with an iterated update, and the position error."""
-    load_modules(modules)
     reading, kind, runs = case
     variance, step_m = READINGS[reading]
     config = FilterConfig(kind=kind)

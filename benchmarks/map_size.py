@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -59,16 +58,15 @@ def run(options: Options) -> Figures:
         for part, names in ((FILTERS, kinds), (ASSOCIATORS, methods))
         for name in names
     ]
-    task = partial(measure, options.modules, records=Records(options.records))
+    task = partial(measure, records=Records(options.records))
     figures: Figures = {FILTERS: {name: {} for name in kinds}, ASSOCIATORS: {name: {} for name in methods}}
     for (part, name, count), ms in zip(tasks, in_parallel(task, list[float], tasks, options), strict=True):
         figures[part][name][str(count)] = estimate(ms)
     return figures
 
 
-def measure(modules: Iterable[str], task: tuple[str, str, int], records: Records = IN_MEMORY) -> list[float]:
+def measure(task: tuple[str, str, int], records: Records = IN_MEMORY) -> list[float]:
     """Milliseconds of each scan."""
-    load_modules(modules)
     part, name, count = task
     return TIMED[part](records.drive(loop.course("paper", SEED)), name, count)
 

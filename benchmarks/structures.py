@@ -12,7 +12,6 @@ that the structure made, the share of scans with at least three right pairs and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -115,7 +114,7 @@ def run(options: Options) -> Figures:
     units += [
         ("rough", layout, seed) for layout in seeds for seed in range(min(ROUGH.get(layout, 0), seeds[layout], most))
     ]
-    task = partial(measure, options.modules, records=Records(options.records))
+    task = partial(measure, records=Records(options.records))
     found = grouped(units, in_parallel(task, dict[str, Any], units, options))
     parts: Figures = {"closed": {}, "rough": {}}
     for (kind, layout), runs in found.items():
@@ -129,9 +128,8 @@ def names() -> tuple[str, ...]:
     return (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others)
 
 
-def measure(modules: Sequence[str], unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
+def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
     """The counts of each structure on one drive."""
-    load_modules(modules)
     kind, layout, seed = unit
     if kind == "rough":
         drive = records.drive(loop.course(layout, seed))

@@ -33,7 +33,8 @@ def registered(name: str) -> str:
     if name not in REWARDS.others:
         known = ", ".join(REWARDS.others) or "none yet"
         raise ValueError(
-            f"{name:.80}: not registered by register_reward (registered: {known}){guess(name, REWARDS.others)}"
+            f"{name:.80}: not registered by register_reward (registered: {known}){guess(name, REWARDS.others)}; "
+            "on the command line, --with MODULE imports a module that registers it"
         )
     return name
 

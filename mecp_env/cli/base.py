@@ -26,6 +26,11 @@ class Command(ABC):
     choices: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> the words that it takes
 
     @classmethod
+    def own_modules(cls, line: Sequence[str]) -> list[str]:
+        """Modules of the user to import before options are checked: they register names."""
+        return []
+
+    @classmethod
     def completed(cls, line: Sequence[str]) -> list[str]:
         """The line with what a user may leave out."""
         return list(line)

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from mecp_env.cli.base import Command, Seed, check_folder
+from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import INTERRUPTED
 from mecp_env.cli.fields import Fields, configuration
+from mecp_env.cli.with_option import WithModules
 
 
 @dataclass(frozen=True)
-class Demo(Command):
+class Demo(WithModules):
     """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
 
     examples: ClassVar[tuple[str, ...]] = (

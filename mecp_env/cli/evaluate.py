@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Steps, check_writable
+from mecp_env.cli.base import OutFolder, Steps, check_writable
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
 from mecp_env.cli.fields import EnvironmentFields, named_fields, named_options
+from mecp_env.cli.with_option import WithModules
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.paths import exists, is_folder
@@ -50,7 +51,7 @@ READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.n
 
 
 @dataclass(frozen=True)
-class Evaluate(Command):
+class Evaluate(WithModules):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
     and, with --record, a film. A policy is bfs, nearest, next_best_view, gain, pause, returning, stachniss,
     random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished

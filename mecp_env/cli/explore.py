@@ -9,10 +9,11 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 
-from mecp_env.cli.base import Command, Seed, Steps, check_folder
+from mecp_env.cli.base import Seed, Steps, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.map_option import check_map, save_map
+from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
@@ -24,7 +25,7 @@ EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task i
 
 
 @dataclass(frozen=True)
-class Explore(Command):
+class Explore(WithModules):
     """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest,
     next_best_view, gain, pause, returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training
     run, or a custom class as module:Class."""

@@ -15,6 +15,7 @@ import mecp_env
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.own_modules import import_modules
 from mecp_env.core.settings import Settings, describe
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
@@ -102,6 +103,7 @@ def parse(words: str, line: list[str]) -> Command:
     import tyro  # the overview does without
 
     kind = load(words)
+    import_modules(kind.own_modules(line))
     line = kind.completed(line)
     for hint in kind.hints(line):
         print_error(hint)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Seed
+from mecp_env.cli.base import OutFolder, Seed
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import echo
+from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class OneScan(Command):
+class OneScan(WithModules):
     """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
 
     examples: ClassVar[tuple[str, ...]] = (

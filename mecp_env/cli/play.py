@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Seed
+from mecp_env.cli.base import OutFolder, Seed
 from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
 from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.fields import Fields, configuration
+from mecp_env.cli.with_option import WithModules
 from mecp_env.core.array_types import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
@@ -50,7 +51,7 @@ HELP = "Time stands still while no key is held. Find every room and door; green 
 
 
 @dataclass(frozen=True)
-class Play(Command):
+class Play(WithModules):
     """Drive through a building by keyboard: left the world, right what the robot believes of it. The keys are listed in
     the window: arrows or W A S D drive, Shift slowly, Space waits, H hides the world, P keeps a picture, R begins
     again, N takes the next building of a series or folder, or else the next seed, Esc quits."""

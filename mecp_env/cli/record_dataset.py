@@ -11,9 +11,10 @@ from typing import Annotated, ClassVar, Literal, get_args
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, Seed, Steps, check_folder
+from mecp_env.cli.base import Seed, Steps, check_folder
 from mecp_env.cli.evaluate import check_word
 from mecp_env.cli.exit_codes import INTERRUPTED, echo, print_error
+from mecp_env.cli.with_option import WithModules
 from mecp_env.episode.tasks import TASKS
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 
@@ -23,7 +24,7 @@ FOLDER = "MINARI_DATASETS_PATH"  # of minari; without it, .minari/datasets in th
 
 
 @dataclass(frozen=True)
-class RecordDataset(Command):
+class RecordDataset(WithModules):
     """Record episodes of a policy as a Minari dataset, one building per episode. A policy is random_goal,
     random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, Seed, check_folder
+from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo
 from mecp_env.cli.fields import named_fields
+from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -40,7 +41,7 @@ SlamFields.__name__, NoiseFields.__name__ = "--config", "--noise"  # errors then
 
 
 @dataclass(frozen=True)
-class Slam(Command):
+class Slam(WithModules):
     """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths."""
 
     examples: ClassVar[tuple[str, ...]] = (

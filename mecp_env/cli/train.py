@@ -9,9 +9,10 @@ from typing import Annotated, ClassVar, Self
 
 import tyro
 
-from mecp_env.cli.base import Command, check_folder
+from mecp_env.cli.base import check_folder
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, print_os_error
 from mecp_env.cli.fields import named_fields
+from mecp_env.cli.with_option import WithModules
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, check_algorithm, read_config
@@ -20,7 +21,7 @@ ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTE
 
 
 @dataclass(frozen=True)
-class Train(Command):
+class Train(WithModules):
     """Train a policy: maskable_ppo selects goals, ppo and recurrent_ppo drive by velocities. Every field of the
     environment and every hyperparameter is an option."""
 

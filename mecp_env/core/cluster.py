@@ -10,7 +10,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from itertools import islice
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.own_modules import checksums, import_modules, imported_modules
 from mecp_env.core.processes import FailedUnit, Failure, WorkerDied
 from mecp_env.core.provenance import dependencies
 
@@ -41,7 +42,7 @@ def run_on_cluster(
         try:
             while True:
                 for number, unit in islice(numbered, at_once - len(busy)):
-                    busy[work(task, unit, code)] = number, unit
+                    busy[work(task, unit, code, imported_modules())] = number, unit
                 if not busy:
                     return
                 for reference in ray.wait(list(busy))[0]:
@@ -74,9 +75,10 @@ def connected(address: str) -> Iterator[Any]:
         ray.shutdown()
 
 
-def attempt(task: Callable[[Any], Any], unit: Any, code: dict[str, str]) -> Any:
-    """The result of a unit on a node of the cluster, or a `FailedUnit`."""
+def attempt(task: Callable[[Any], Any], unit: Any, code: dict[str, str], modules: Sequence[str] = ()) -> Any:
+    """The result of a unit on a node of the cluster, or a `FailedUnit`; `modules` register custom parts of the user."""
     try:
+        import_modules(modules)
         here = code_of(task)
         other = ", ".join(f"{name} {here[name]}, not {code.get(name)}" for name in here if here[name] != code.get(name))
         if other:
@@ -90,7 +92,7 @@ def attempt(task: Callable[[Any], Any], unit: Any, code: dict[str, str]) -> Any:
 def code_of(task: Callable[[Any], Any]) -> dict[str, str]:
     """What the results of a task depend on beside its unit; of a partial function, that of the function."""
     function = task.func if isinstance(task, partial) else task
-    return _dependencies(Path(str(sys.modules[function.__module__].__file__)).parent)
+    return _dependencies(Path(str(sys.modules[function.__module__].__file__)).parent) | checksums()
 
 
 @cache

@@ -22,6 +22,8 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, NoReturn
 
+from mecp_env.core.own_modules import import_modules, imported_modules
+
 LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
 PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
 STOP_S = 5.0  # how long workers have to stop by themselves
@@ -97,7 +99,9 @@ class Worker:
         self.name = name
         self.pipe, theirs = context.Pipe()
         inherited = [*siblings, self.pipe] if method == "fork" else []
-        self.process = context.Process(target=_serve, args=(theirs, inherited, target), name=name, daemon=True)
+        self.process = context.Process(
+            target=_serve, args=(theirs, inherited, imported_modules(), target), name=name, daemon=True
+        )
         with _one_thread_each(), _ctrl_c_later(method), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
             self.process.start()
@@ -227,16 +231,17 @@ class WorkerPool:
             raise WorkerDied(f"{error}; the others are stopped") from None
 
 
-def _serve(pipe: Connection, others: Sequence[Connection], target: Any) -> None:
+def _serve(pipe: Connection, others: Sequence[Connection], modules: Sequence[str], target: Any) -> None:
     """The process of a worker: call what the pipe names of `target`, whose `place` is what it is working on.
 
-    What a method yields is sent at once, one answer after another.
+    What a method yields is sent at once, one answer after another. `modules` register the custom parts of the user.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
     gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
     for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
         other.close()
+    import_modules(modules)
     with contextlib.suppress(*GONE), pipe:
         for name, arguments in _questions(pipe):
             try:

@@ -32,23 +32,25 @@ KEPT = (
     *("pose_error_final_m", "pose_rmse_m", "nees_mean"),
 )
 LENGTHS = ("episode_periods", "episode_decisions")
-FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *(f"reward_{term}" for term in TERMS), "terminated")
+REWARDS = (*(f"reward_{term}" for term in TERMS), "reward_custom")  # the last: of all custom terms
+FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *REWARDS, "terminated")
 
 
 class EpisodeStatistics:
-    """What is summed over an episode."""
+    """What is summed over an episode; `custom` are the names of the reward terms that the user has registered."""
 
-    def __init__(self) -> None:
+    def __init__(self, custom: Sequence[str] = ()) -> None:
         self.curve, self.correct = CoverageCurve(), CoverageCurve(falls=True)
-        self.rewards = {f"reward_{term}": 0.0 for term in TERMS}
+        self.rewards, self.custom = dict.fromkeys(REWARDS, 0.0), [f"reward_{name}" for name in custom]
         self.decisions = 0
 
     def add(self, info: dict[str, Any]) -> None:
         """Add one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
         self.correct.add(info["metres"], info["period"], info["correct_coverage"])
-        for name in self.rewards:
+        for name in REWARDS[:-1]:
             self.rewards[name] += info[name]
+        self.rewards[REWARDS[-1]] += sum(info[name] for name in self.custom)
 
     def figures(self, summary: dict[str, float], terminated: bool, max_steps: int) -> dict[str, float]:
         """The metrics of an episode of at most `max_steps`, in the order of `FIGURES`."""
@@ -75,7 +77,8 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: Env, discount: float, discount_m: float) -> None:
         super().__init__(env)
         self.discount, self.discount_m = discount, discount_m
-        self.statistics, self.steps = EpisodeStatistics(), list[Step]()
+        self.custom = tuple(env.get_wrapper_attr("config").reward.custom)
+        self.statistics, self.steps = EpisodeStatistics(self.custom), list[Step]()
         self.goals = env.has_wrapper_attr("callback")  # of `GoalActions`
         if self.goals:
             env.set_wrapper_attr("callback", self.steps.append)
@@ -85,7 +88,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As of the wrapped environment; `info` is empty."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.statistics, self.metres = EpisodeStatistics(), 0.0
+        self.statistics, self.metres = EpisodeStatistics(self.custom), 0.0
         self.statistics.add(info)
         return observation, {}
 

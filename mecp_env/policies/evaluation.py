@@ -16,6 +16,7 @@ from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
+from mecp_env.core.own_modules import checksums
 from mecp_env.core.paths import write_atomic
 from mecp_env.core.provenance import dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
@@ -64,7 +65,7 @@ class Evaluation:
 
     def kept(self, folder: Path) -> KeptResults:
         """The finished episodes in a folder. Raises `ConfigError` for those of other code or another setting."""
-        return KeptResults(folder, EpisodeResult, {**self.setting.run_key(), **dependencies()})
+        return KeptResults(folder, EpisodeResult, {**self.setting.run_key(), **dependencies(), **checksums()})
 
     def run(self, kept: KeptResults, jobs: int, cluster: str = "") -> Generator[EpisodeResult | FailedUnit]:
         """Each episode: first those that are kept already, then the others as they are finished (see `run_kept`)."""

@@ -79,7 +79,7 @@ def test_sensors_and_buildings_of_every_kind_come_back(course: Course, tmp_path:
 
 def test_an_experiment_on_records_has_the_figures_of_one_that_drives(tmp_path: Path) -> None:
     def rows(records: Records) -> str:
-        of_all = association.compare((), ("two_rooms", 0), records)
+        of_all = association.compare(("two_rooms", 0), records)
         return json.dumps({name: of | {"associate_ms": 0.0} for name, of in of_all.items()})
 
     assert rows(Records(tmp_path)) == rows(Records())

@@ -16,6 +16,8 @@ pytest.importorskip("safetensors")
 
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
+from mecp_env.config import REWARDS  # noqa: E402
+from mecp_env.episode.potentials import register_reward  # noqa: E402
 from mecp_env.learning import files, learned  # noqa: E402
 from mecp_env.learning.checkpoints import MOST_BYTES, Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
@@ -247,6 +249,18 @@ def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres
     plain.reset(seed=0)
     _, undiscounted, *_ = plain.step(0)
     assert reward != undiscounted
+
+
+def test_custom_rewards_are_part_of_the_return_and_have_a_column(monkeypatch):
+    monkeypatch.setattr(REWARDS, "others", [])
+    register_reward("landmarks_seen", lambda inputs: float(len(inputs.belief.ids)))
+    env = make_env(quick("ppo", env=QUICK["env"] | {"max_steps": 5, "reward": {"custom": {"landmarks_seen": 2.0}}}))
+    env.reset(seed=0)
+    begin = env.unwrapped.slam_output.belief.ids.size
+    steps = [env.step(np.array([0.5, 0.3], np.float32)) for _ in range(5)]
+    figures = steps[-1][4]["figures"]
+    assert figures["reward_custom"] == 2.0 * (env.unwrapped.slam_output.belief.ids.size - begin)
+    assert figures["reward"] == pytest.approx(sum(step[1] for step in steps))
 
 
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])

@@ -1,0 +1,102 @@
+"""`--with`: parts that a module of the user registers, in commands and in the processes that they start."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mecp_env import config
+from mecp_env.cli import main as cli
+from mecp_env.core import own_modules
+from mecp_env.policies.registry import EXPLORERS
+from mecp_env.slam.association import ASSOCIATORS
+from mecp_env.slam.config import METHODS
+
+PARTS = """
+from mecp_env.episode.potentials import register_reward
+from mecp_env.policies.registry import register_policy
+from mecp_env.slam.association import register_associator
+from mecp_env.slam.association.mecp import MecpAssociator
+
+
+class Own(MecpAssociator):
+    pass
+
+
+register_associator("own_associator", Own)
+register_reward("landmarks_seen", lambda inputs: float(len(inputs.belief.ids)))
+register_policy("own_policy", "mecp_env.policies.explorers:Nearest")
+"""
+OWN = ["--with", "own_parts_of_a_test", "--env.slam.association.method", "own_associator"]
+WEIGHT = ["--env.reward.custom", "landmarks_seen", "1"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A module of the user in the working directory; what it registers is forgotten in the end."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_modules, "_imported", {})
+    file = tmp_path / "own_parts_of_a_test.py"
+    file.write_text(PARTS)
+    yield file
+    sys.modules.pop(file.stem, None)
+    for names, name in ((METHODS.others, "own_associator"), (config.REWARDS.others, "landmarks_seen")):
+        if name in names:
+            names.remove(name)
+    for table, name in ((ASSOCIATORS, "own_associator"), (EXPLORERS, "own_policy")):
+        table.pop(name, None)
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_policy_associator_and_reward_of_a_module_are_evaluated(jobs: str) -> None:
+    line = ["own_policy", "--layout", "two_rooms", "--episodes", "2", "--no-truth", "--jobs", jobs, "--max-steps", "30"]
+    assert cli.main(["evaluate", *line, "--reference", "own_policy", *OWN, *WEIGHT, "--out", "runs"]) == 0
+    result = json.loads(Path("runs/results.json").read_text())
+    assert result["setting"]["env"]["slam"]["association"]["method"] == "own_associator"
+    assert result["rows"][0]["figures"]["reward"]["value"] > 3.0  # of landmarks
+
+
+def test_episodes_of_another_module_are_refused(parts: Path, capsys: Captured) -> None:
+    line = ["evaluate", "nearest", "--layout", "two_rooms", "--episodes", "1", "--no-truth", "--max-steps", "5"]
+    assert cli.main([*line, *OWN, "--out", "runs"]) == 0
+    parts.write_text(PARTS + "\n# changed\n")
+    assert cli.main([*line, *OWN, "--out", "runs"]) == 2
+    assert "module own_parts_of_a_test" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("parts")
+def test_a_module_may_follow_an_equals_sign() -> None:
+    line = ["--layout", "two_rooms", "--out", "runs", "--step", "3"]
+    assert cli.main(["one-scan", *line, "--with=own_parts_of_a_test"]) == 0
+    assert "own_associator" in METHODS.others
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [
+        ("no_such_module", "--with no_such_module: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("own_parts_of_a_test.py", "a module is named as `import` names it: own_parts_of_a_test"),
+        ("broken", "--with broken: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_named(module: str, told: str, capsys: Captured) -> None:
+    Path("broken.py").write_text("1 / 0\n")
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", "runs", "--with", module]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_without_the_module_the_option_is_told_of(capsys: Captured) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["evaluate", "nearest", *WEIGHT])
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "landmarks_seen: not registered by register_reward" in told
+    assert "--with MODULE imports a module" in told
