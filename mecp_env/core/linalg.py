@@ -140,6 +140,39 @@ def product_of(A: Array, B: Array, pairs: Ints) -> Array:
 
 
 @compiled
+def low_rank(A: Array, rounding: float) -> tuple[Array, Array]:
+    """Q (n,r) and R (r,n) with Q R = A (n,n), but for `rounding` times the norm of A's largest column in each column.
+
+    Gram-Schmidt, the largest of the columns that are left comes next. A is overwritten.
+    """
+    n = A.shape[0]
+    Q, R, square, first, rank = np.empty((n, n)), np.zeros((n, n)), np.zeros(n), 0.0, 0
+    for i in range(n):
+        for j in range(n):
+            square[j] += A[i, j] * A[i, j]
+    while rank < n:
+        pivot = np.argmax(square)
+        norm, column, row = math.sqrt(square[pivot]), Q[rank], R[rank]
+        first = max(first, norm)
+        if not norm > rounding * first:
+            break
+        for i in range(n):
+            column[i] = A[i, pivot] / norm
+        for i in range(n):
+            for j in range(n):
+                row[j] += column[i] * A[i, j]
+        for j in range(n):
+            square[j] = 0.0
+        for i in range(n):
+            left = A[i]
+            for j in range(n):
+                left[j] -= column[i] * row[j]
+                square[j] += left[j] * left[j]
+        rank += 1
+    return np.ascontiguousarray(Q[:rank].T), R[:rank]
+
+
+@compiled
 def block_of(P: Array, rows: Ints, columns: Ints) -> Array:
     """P[np.ix_(rows, columns)], in a fraction of its time."""
     block = np.empty((rows.shape[0], columns.shape[0]))
@@ -151,31 +184,38 @@ def block_of(P: Array, rows: Ints, columns: Ints) -> Array:
 
 
 @compiled
-def pick_lower(P: Array, numbers: Ints, picked: Array, first: int) -> None:
-    """Copy the lower half of P at its rows and columns `numbers` (m,) to `picked`, from row and column `first` on.
+def changed_part(P: Array, numbers: Ints, A: Array, B: Array, C: Array, first: int, pairs: Ints) -> None:
+    """Write P[np.ix_(numbers, numbers)] + A B of a symmetric P to C, from its row and column `first` on.
 
-    Numbers that follow each other are copied together.
+    For a symmetric A B, of which only the rows i and i + 1 for each i of `pairs` are added; those of C that belong to
+    no pair are spoilt. The lower half is written and then copied, a few rows after the other, while they are in the
+    cache. Numbers that follow each other are copied together.
     """
-    start, runs = np.empty(numbers.shape[0], np.int64), 0
+    start, runs, p = np.empty(numbers.shape[0] + 1, np.int64), 0, 0
     for j in range(numbers.shape[0]):
         if j == 0 or numbers[j] != numbers[j - 1] + 1:
             start[runs] = j
             runs += 1
-    for i in range(numbers.shape[0]):
-        row, to = P[numbers[i]], picked[first + i]
-        for r in range(runs):
-            begin, end = start[r], min(start[r + 1] if r + 1 < runs else i + 1, i + 1)
-            some, there = row[numbers[begin] :], to[first + begin : first + max(begin, end)]
-            for j in range(there.shape[0]):
-                there[j] = some[j]
+    start[runs] = numbers.shape[0]
+    for begin in range(0, numbers.shape[0], TILE):
+        end, q = min(begin + TILE, numbers.shape[0]), p
+        for i in range(begin, end):
+            row, to = P[numbers[i]], C[first + i]
+            for r in range(runs):
+                j, stop = start[r], min(start[r + 1], i + 1)
+                some, there = row[numbers[j] :], to[first + j : first + max(j, stop)]
+                for k in range(there.shape[0]):
+                    there[k] = some[k]
+        while q < pairs.shape[0] and pairs[q] < end:
+            q += 1
+        add_product(C, A, B, first, True, pairs[p:q])
+        mirror_rows(C, first + begin, first + end)
+        p = q
 
 
 @compiled
 def own_blocks(P: Array, numbers: Ints, A: Array, B: Array, C: Array, first: int) -> None:
-    """As `pick_lower`, `add_product` of A and B^T and `mirror_lower` one after the other, but 2x2 blocks alone.
-
-    These are the blocks on the diagonal of P + A B^T, which are the same to the bit.
-    """
+    """As `changed_part` of A and B^T, but of the blocks (2,2) on the diagonal alone, which are the same to the bit."""
     depth = A.shape[1]
     for i in range(numbers.shape[0]):
         for j in range(i - i % 2, i + 1):
@@ -198,11 +238,16 @@ def wide(n: int) -> int:
 @compiled
 def mirror_lower(P: Array, n: int) -> None:
     """Copy the lower half of the leading n x n block of P to the upper half, in tiles that stay in the cache."""
-    tiles = (n + TILE - 1) // TILE
-    for tile in range(tiles * tiles):
-        i0, j0 = tile // tiles * TILE, tile % tiles * TILE
-        for i in range(max(i0, j0), min(i0 + TILE, n)):
-            for j in range(j0, min(j0 + TILE, i)):
+    for begin in range(0, n, TILE):
+        mirror_rows(P, begin, min(begin + TILE, n))
+
+
+@compiled
+def mirror_rows(P: Array, begin: int, end: int) -> None:
+    """Copy what is left of the diagonal in some rows of P to the columns above it."""
+    for first in range(0, end, TILE):
+        for i in range(max(begin, first), end):
+            for j in range(first, min(first + TILE, i)):
                 P[j, i] = P[i, j]
 
 

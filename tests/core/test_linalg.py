@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from mecp_env.core.linalg import (
     add_product,
     block_of,
+    changed_part,
     inverse3,
-    mirror_lower,
+    low_rank,
     own_blocks,
-    pick_lower,
     product,
     product_of,
     sandwich,
@@ -48,18 +48,19 @@ def test_a_lower_product_is_right_up_to_the_diagonal(m: int) -> None:
     np.testing.assert_allclose(np.tril(total), np.tril(C + A @ A.T), rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("first", [0, 3])
-def test_a_part_of_a_covariance_is_picked_and_changed_in_place(first: int) -> None:
+@pytest.mark.parametrize(("first", "size"), [(0, 4), (3, 4), (3, 90)])
+def test_a_part_of_a_covariance_is_picked_and_changed(first: int, size: int) -> None:
     rng = np.random.default_rng(first)
-    P, A, numbers = rng.normal(size=(9, 9)), rng.normal(size=(4, 5)), np.array([1, 2, 5, 8])
-    picked = np.full((first + 5, first + 5), 7.0)
-    pick_lower(P, numbers, picked, first)
-    add_product(picked, A, np.ascontiguousarray(A.T), first, True, all_pairs(4))
-    part = slice(first, first + 4)
-    np.testing.assert_allclose(np.tril(picked[part, part]), np.tril(P[np.ix_(numbers, numbers)] + A @ A.T), atol=1e-12)
-    assert (picked[:first] == 7.0).all()
-    assert (picked[:, :first] == 7.0).all()
-    assert (picked[first + 4 :] == 7.0).all()
+    root, A = rng.normal(size=(size + 9, size + 9)), rng.normal(size=(size, 5))
+    P, numbers = root @ root.T, np.sort(rng.permutation(size + 9)[:size])
+    whole = np.full((first + size + 1, first + size + 1), 7.0)
+    pairs = all_pairs(size)[rng.random(size // 2) < 0.8]
+    changed_part(P, numbers, A, np.ascontiguousarray(A.T), whole, first, pairs)
+    rows = np.concatenate((pairs, pairs + 1))
+    part, expected = whole[first:-1, first:-1], P[np.ix_(numbers, numbers)] + A @ A.T
+    np.testing.assert_allclose(part[np.ix_(rows, rows)], expected[np.ix_(rows, rows)], atol=1e-11)
+    assert (whole[-1] == 7.0).all()
+    assert (whole[:, -1] == 7.0).all()
 
 
 def test_rows_of_a_product_are_those_of_the_whole() -> None:
@@ -81,9 +82,7 @@ def test_own_blocks_are_to_the_bit_those_of_the_whole(depth: int) -> None:
     P, A, B = (rng.normal(size=size) for size in ((20, 20), (8, depth), (8, depth)))
     numbers, first = np.array([3, 4, 5, 6, 9, 10, 17, 18]), 3
     whole, some = np.zeros((11, 11)), np.zeros((11, 11))
-    pick_lower(P, numbers, whole, first)
-    add_product(whole, A, np.ascontiguousarray(B.T), first, True, all_pairs(8))
-    mirror_lower(whole, 11)
+    changed_part(P, numbers, A, np.ascontiguousarray(B.T), whole, first, all_pairs(8))
     own_blocks(P, numbers, A, B, some, first)
     for i in range(first, 11, 2):
         np.testing.assert_array_equal(some[i : i + 2, i : i + 2], whole[i : i + 2, i : i + 2])
@@ -99,3 +98,22 @@ def test_small_systems_are_those_of_numpy(seed: int) -> None:
     solved, spoilt = g.copy(), P.copy()
     solve3(spoilt, solved)
     np.testing.assert_allclose(solved, np.linalg.solve(P + np.diag(1e-6 * np.diag(P)), g), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "rank"), [(6, 0), (6, 1), (40, 9), (7, 7)])
+def test_a_matrix_is_the_product_of_as_many_columns_and_rows_as_its_rank(n: int, rank: int) -> None:
+    rng = np.random.default_rng(n)
+    half, signs = rng.normal(size=(n, rank)), np.diag(rng.choice([-3.0, 2.0], rank))  # neither positive nor negative
+    A = half @ signs @ half.T
+    Q, R = low_rank(A.copy(), 1e-13)
+    assert Q.shape == R.T.shape == (n, rank)
+    np.testing.assert_allclose(Q @ R, A, rtol=0.0, atol=1e-11)
+
+
+def test_what_is_left_out_of_a_matrix_is_less_than_the_rounding() -> None:
+    rng = np.random.default_rng(3)
+    turned, _ = np.linalg.qr(rng.normal(size=(30, 30)))
+    A = turned @ np.diag(0.1 ** np.arange(30)) @ turned.T
+    Q, R = low_rank(A.copy(), 1e-6)
+    assert 5 <= Q.shape[1] <= 9
+    assert np.hypot.reduce(A - Q @ R).max() <= 1e-6 * np.hypot.reduce(A).max()

@@ -25,6 +25,7 @@ from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
+NO_LANDMARKS = np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
 
@@ -194,6 +195,12 @@ class LandmarkFilter:
             kept = self.slot_ids > NO_ID
             return Belief(pose, pose_cov, self.slot_ids[kept], p_map[kept], covs[kept])
         return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)
+
+    def pose(self) -> tuple[Array, Array]:
+        """The pose (3,) and its covariance (3,3), as in `belief`."""
+        pose, pose_cov = np.empty(3), np.empty((3, 3))
+        world_belief(self.state, NO_LANDMARKS[0], self.invariant, pose, pose_cov, *NO_LANDMARKS[1:])
+        return pose, pose_cov
 
     def copy(self) -> Self:
         """An independent filter with the same state; later changes of one do not touch the other."""

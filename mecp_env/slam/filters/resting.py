@@ -13,6 +13,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, factor_lower, forward_rows, product
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError
@@ -60,19 +61,56 @@ class Rest:
         found[1::2, 0::2], found[1::2, 1::2] = known[1::2], known[0::2]
         return found
 
+    def landmarks_with(self, own: Belief) -> tuple[Ints, Array, Array]:
+        """Ids, places and covariances of all landmarks: those of the submap as in its `own` belief, new ones last."""
+        shown = self.belief
+        return overlaid(shown.ids, shown.p_map, shown.covs, self.is_at_rest, own.ids, own.p_map, own.covs)
+
     def near(self, p_map: Array, variance: Array) -> Ints:
         """Ids of landmarks at rest that may be inside a gate for a measurement at p_map (k,2), variance (k,)."""
-        (x, y), (rest_x, rest_y) = p_map.T, self.belief.p_map.T
-        reach = np.sqrt(50.0 * (variance.max() + self.variance))  # as below, for all measurements
-        around = (rest_x > x.min() - reach) & (rest_x < x.max() + reach) & self.is_at_rest
-        rows = np.flatnonzero(around & (rest_y > y.min() - reach) & (rest_y < y.max() + reach))
-        square = (x[:, None] - rest_x[rows]) ** 2 + (y[:, None] - rest_y[rows]) ** 2
-        bound = 2.0 * (
-            variance[:, None] + self.variance[rows]
-        )  # of the innovation, in any direction, whatever joins them
-        close = (square < 25.0 * bound).any(axis=0)  # else the NIS is above every gate
-        ids: Ints = self.belief.ids[rows[close]]
+        ids: Ints = self.belief.ids[near_any(self.belief.p_map, self.variance, self.is_at_rest, p_map, variance)]
         return ids
+
+
+@compiled
+def near_any(p_map: Array, variance: Array, asked: Bools, seen: Array, seen_variance: Array) -> Bools:
+    """(M,) which of the landmarks p_map (M,2) that are `asked` for may be inside the gate of one of `seen` (k,2)."""
+    near = np.empty(asked.shape[0], np.bool_)
+    for i in range(near.shape[0]):
+        x, y, found = p_map[i, 0], p_map[i, 1], False
+        for k in range(seen.shape[0] if asked[i] else 0):
+            square = (seen[k, 0] - x) ** 2 + (seen[k, 1] - y) ** 2
+            bound = 2.0 * (seen_variance[k] + variance[i])  # of the innovation, in any direction, whatever joins them
+            found |= square < 25.0 * bound  # else the NIS is above every gate
+        near[i] = found
+    return near
+
+
+@compiled
+def overlaid(
+    ids: Ints, p_map: Array, covs: Array, at_rest: Bools, own_ids: Ints, own_p_map: Array, own_covs: Array
+) -> tuple[Ints, Array, Array]:
+    """Ids, places and covariances of landmarks (N,): those `at_rest`, and those of `own_ids` (m,) as they are there.
+
+    Landmarks that are neither are left out; own ones that are not among the N come last.
+    """
+    most, n = ids.shape[0] + own_ids.shape[0], 0
+    rows, own_row = np.empty(own_ids.shape[0], np.int64), np.full(most, -1)
+    find_rows(ids, own_ids, rows)
+    for k in range(rows.shape[0]):  # of the whole: first the known landmarks, then the new ones
+        own_row[rows[k] if rows[k] >= 0 else ids.shape[0] + k] = k
+    all_ids, places, spreads = np.empty(most, np.int64), np.empty((most, 2)), np.empty((most, 2, 2))
+    for i in range(most):
+        k = own_row[i]
+        if k < 0 and (i >= ids.shape[0] or not at_rest[i]):
+            continue
+        row = i if k < 0 else k
+        place, spread = (p_map, covs) if k < 0 else (own_p_map, own_covs)
+        all_ids[n] = ids[i] if k < 0 else own_ids[k]
+        for u in range(2):
+            places[n, u], spreads[n, u, 0], spreads[n, u, 1] = place[row, u], spread[row, u, 0], spread[row, u, 1]
+        n += 1
+    return all_ids[:n], places[:n], spreads[:n]
 
 
 def factored(cov: Array) -> Array:

@@ -5,7 +5,8 @@ measure. With places and covariances as complex numbers, x + iy, each of those i
 covariances with the numbers in work. A step multiplies all these vectors by one matrix, and changes the covariance of
 two landmarks by a form of both vectors. So a few probes, of which every vector is a sum (`resting`), are carried along
 like landmarks in place of all landmarks at rest, and tell later what has become of each: but for rounding, what `riekf`
-has.
+has. Only what was measured changes a probe, which is less than there are probes: the change that is carried over to all
+landmarks has a low rank.
 
 The idea to compress the filter is that of Guivant and Nebot, "Optimization of the simultaneous localization and
 map-building algorithm for real-time implementation", 2001.
@@ -19,11 +20,11 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.linalg import add_product, block_of, mirror_lower, own_blocks, pick_lower, product_of
+from mecp_env.core.linalg import block_of, changed_part, low_rank, own_blocks, product_of
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
-from mecp_env.slam.filters.resting import Rest, factored, numbers_of, rows_of
+from mecp_env.slam.filters.resting import ROUNDING, Rest, factored, numbers_of, rows_of
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import NO_ID, Belief
 
@@ -33,8 +34,7 @@ class Expanded(NamedTuple):
 
     mean: Array  # (2m,) m
     cross: Array  # (2m,o) covariance with some numbers in work
-    vectors: Array  # (2m,p) in terms of the probes
-    change: Array  # (2m,p) change vectors^T is the change of the covariance among themselves
+    change: tuple[Array, Array]  # two A, B (2m,k), A B^T is the change of the covariance among themselves
     pairs: Ints  # (n,) the first number of each landmark that is written
 
     def write_among(self, whole: Array, numbers: Ints, cov: Array, first: int) -> None:
@@ -42,9 +42,8 @@ class Expanded(NamedTuple):
 
         `numbers` (2m,) are where they are in that of the whole map when the submap was taken.
         """
-        pick_lower(whole, numbers, cov, first)
-        add_product(cov, self.change, np.ascontiguousarray(self.vectors.T), first, True, self.pairs)
-        mirror_lower(cov, first + len(numbers))
+        A, B = self.change
+        changed_part(whole, numbers, A, np.ascontiguousarray(B.T), cov, first, self.pairs)
 
 
 class SubmapEkf(RightInvariantEkf):
@@ -95,9 +94,9 @@ class SubmapEkf(RightInvariantEkf):
         ids = integers(ids)
         if self.rest is None or not len(z):
             return super().individual_nis(z, R, ids)
-        nis, pose = np.full((len(z), len(ids)), math.inf), super().belief()
-        variance = np.trace(pose.pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose.pose_cov[2, 2] + R[:, 1, 1])
-        near = self.rest.near(to_map(pose.T_map_robot, polar_to_points(z)), variance)
+        nis, (T_map_robot, pose_cov) = np.full((len(z), len(ids)), math.inf), self.pose()
+        variance = np.trace(pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose_cov[2, 2] + R[:, 1, 1])
+        near = self.rest.near(to_map(T_map_robot, polar_to_points(z)), variance)
         if len(self._at_work()) + len(near) <= self.most:
             self._wake(near)  # the next scans ask for them again
             near = near[:0]
@@ -121,16 +120,7 @@ class SubmapEkf(RightInvariantEkf):
         own = super().belief()
         if self.rest is None:
             return own
-        shown, kept = self.rest.belief, self.rest.is_at_rest.copy()
-        rows = rows_of(shown.ids, own.ids)
-        known, fresh = rows >= 0, rows < 0
-        ids = np.concatenate((shown.ids, own.ids[fresh]))
-        p_map, covs = np.concatenate((shown.p_map, own.p_map[fresh])), np.concatenate((shown.covs, own.covs[fresh]))
-        p_map[rows[known]], covs[rows[known]], kept[rows[known]] = own.p_map[known], own.covs[known], True
-        if not kept.all():  # some were removed
-            left = np.flatnonzero(np.concatenate((kept, fresh[fresh])))
-            ids, p_map, covs = ids[left], p_map[left], covs[left]
-        return Belief(own.T_map_robot, own.pose_cov, ids, p_map, covs)
+        return Belief(own.T_map_robot, own.pose_cov, *self.rest.landmarks_with(own))
 
     def copy(self) -> Self:
         other = super().copy()
@@ -202,13 +192,15 @@ class SubmapEkf(RightInvariantEkf):
         assert self.rest is not None
         ids = ids[rows_of(self.slot_ids, ids) < 0]
         size, count, rows = self.size, 2 * len(ids), self._rows_of_rest(ids)
-        awake = self._joined(np.arange(size), rows)
-        rest = self.rest.with_more(rows)
+        before, expanded = self.state, self._expanded(rows, np.arange(size), np.arange(0, count, 2))
+        whole, rest = self._whole_cov, self.rest.with_more(rows)
         self.divided = (rest,)
         woken = np.arange(size, size + count)
         probes, last = size + count + 2 * np.arange(count), size + 3 * count
         self.state = np.zeros((1 + last, last))
-        self.mean[: size + count], self.cov[: size + count, : size + count] = awake[0], awake[1:]
+        self.state[: 1 + size, :size], self.mean[woken] = before[: 1 + size, :size], expanded.mean
+        expanded.write_among(whole, numbers_of(rows), self.cov, size)
+        self.cov[size : size + count, :size], self.cov[:size, size : size + count] = expanded.cross, expanded.cross.T
         self._begin_probes(woken, probes, rest.factor[-count:, -count:])
         new = FIRST_PROBE - (self.slot_ids <= FIRST_PROBE).sum() - np.arange(count)
         self.slot_ids = np.concatenate((self.slot_ids, ids, new))
@@ -227,7 +219,7 @@ class SubmapEkf(RightInvariantEkf):
         state = np.empty((1 + size, size))
         cov, expanded = state[1:], self._expanded(rows, own, np.arange(0, 2 * len(rows), 2))
         if apart:
-            own_blocks(self._whole_cov, numbers, expanded.change, expanded.vectors, cov, first)
+            own_blocks(self._whole_cov, numbers, *expanded.change, cov, first)
         else:
             expanded.write_among(self._whole_cov, numbers, cov, first)
         state[0, :first], state[0, first:] = self.mean[own], expanded.mean
@@ -243,7 +235,13 @@ class SubmapEkf(RightInvariantEkf):
         among[np.arange(2, len(among), 2), np.arange(2, len(among), 2)] -= 1.0  # what they had at first
         mean = product_of(vectors, self.mean[probes, None].copy(), pairs)[:, 0]
         cross = product_of(vectors, block_of(self.cov, probes, own), pairs)
-        return Expanded(mean, cross, vectors, product_of(vectors, among, pairs), pairs)
+        if len(pairs) < len(probes):  # few landmarks: not worth it
+            return Expanded(mean, cross, (product_of(vectors, among, pairs), vectors), pairs)
+        scale = np.abs(vectors).max(axis=0)  # so that no probe of which little is in any landmark counts for much
+        scale[scale == 0.0] = 1.0
+        Q, R = low_rank(scale[:, None] * among * scale, 512.0 * ROUNDING)
+        left, right = Q / scale[:, None], np.ascontiguousarray((R / scale).T)
+        return Expanded(mean, cross, (product_of(vectors, left, pairs), product_of(vectors, right, pairs)), pairs)
 
     @property
     def _whole_cov(self) -> Array:
