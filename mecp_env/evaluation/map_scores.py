@@ -30,14 +30,15 @@ def doors_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> t
 def _from_doorways(truth: GroundTruth, p_world: Array) -> Array:
     """(n,D) m, of the points p_world (n,2) from the line through each true doorway, between the middles of its faces.
 
-    Of a door in a thick wall one face may be all that is known: it is as right as the centre.
+    Of a door in a thick wall one face may be all that is known: it is as right as the centre. inf: beyond the gate.
     """
     doors = truth.outline.doors
-    offset = p_world[:, None] - doors.centre
-    ahead_x, ahead_y = np.cos(doors.normal), np.sin(doors.normal)
-    ahead = np.abs(offset[..., 0] * ahead_x + offset[..., 1] * ahead_y) - 0.5 * doors.thickness
-    aside = offset[..., 0] * ahead_y - offset[..., 1] * ahead_x
-    far: Array = np.hypot(np.maximum(ahead, 0.0), aside)
+    x, y = (p_world[:, None] - doors.centre).transpose(2, 0, 1)
+    far = np.full(x.shape, np.inf)
+    point, door = np.nonzero(x * x + y * y < (2.0 * DOOR_GATE_M + doors.thickness) ** 2)
+    x, y, normal = x[point, door], y[point, door], doors.normal[door]
+    ahead = np.abs(x * np.cos(normal) + y * np.sin(normal)) - 0.5 * doors.thickness[door]
+    far[point, door] = np.hypot(np.maximum(ahead, 0.0), x * np.sin(normal) - y * np.cos(normal))
     return far
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import accumulate
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints
+from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid
@@ -23,6 +25,7 @@ BARRIER_CELLS = 1.5  # floor is not joined this close to the line of a door
 DROW = np.array([0, 1, 0, -1, 1, 1, -1, -1])
 DCOL = np.array([1, 0, -1, 0, 1, -1, -1, 1])
 NOWHERE = [math.nan, math.nan]
+IDS, INTERVALS = attrgetter("ids"), attrgetter("intervals")
 
 
 def floor_clusters(grid: SemanticGrid, lines: Array, config: GoalsConfig) -> tuple[Ints, Ints]:
@@ -48,21 +51,13 @@ def uncovered_edges(
 
     `wanted`: the EdgeLabel, the least width and the distance from the edge at which another polygon is looked for, m.
     """
-    ids = np.concatenate([polygon.ids for polygon in polygons])
-    row = np.full(1 + max(ids.max(), belief.ids.max(initial=0)), -1)
-    row[belief.ids] = np.arange(len(belief.ids))
-    p_map = np.concatenate((belief.p_map, [NOWHERE]))[row[ids]]
-    rings = p_map, starts([len(polygon.ids) for polygon in polygons])
-    intervals = np.concatenate([polygon.intervals for polygon in polygons])
-    rows = starts([len(polygon.intervals) for polygon in polygons])
+    rings, labels = list(map(IDS, polygons)), list(map(INTERVALS, polygons))
+    ids = np.concatenate(rings)
+    p_map = np.concatenate((belief.p_map, [NOWHERE]))[rows_by_id(belief.ids, ids)[ids]]
+    first, rows = (np.array([0, *accumulate(map(len, some))], np.int64) for some in (rings, labels))
     layer = grid.polygon, grid.origin, grid.resolution_m
-    edges: Array = _uncovered_edges(*rings, intervals, rows, wanted, layer)
+    edges: Array = _uncovered_edges(p_map, first, np.concatenate(labels), rows, wanted, layer)
     return edges
-
-
-def starts(lengths: list[int]) -> Ints:
-    """(n+1,) the first row of each of some parts that follow each other, and the end of the last."""
-    return np.array([0, *accumulate(lengths)], np.int64)
 
 
 @compiled
@@ -255,6 +250,20 @@ def _uncovered_edges(
             edges[n, 2], edges[n, 3], edges[n, 4], edges[n, 5] = nx, ny, width, owner
             n += 1 if covered <= 1 else 0
     return edges[:n].copy()
+
+
+@compiled
+def far_apart(places: Array, apart: float) -> Ints:
+    """The rows (k,) of the places (g,2) that are farther than `apart` from each row that was taken before."""
+    taken, n = np.empty(places.shape[0], np.int64), 0
+    for i in range(places.shape[0]):
+        free = True
+        for k in range(n):
+            free &= math.hypot(places[i, 0] - places[taken[k], 0], places[i, 1] - places[taken[k], 1]) > apart
+        if free:
+            taken[n] = i
+            n += 1
+    return taken[:n].copy()
 
 
 def before_wall(label: Bytes, origin: Array, resolution: float, edges: Array, depth: float) -> Bools:

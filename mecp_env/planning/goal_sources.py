@@ -5,7 +5,6 @@ Goals are few, so they are plain lists; only the cells of the grid are searched 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -97,15 +96,11 @@ def open_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
 
 def widest(goals: list[Goal], apart_m: float) -> list[Goal]:
     """The widest of goals closer to each other than this."""
-    kept: list[Goal] = []
-    squares: dict[tuple[float, float], list[Goal]] = {}  # of that side: others so close are in it or beside it
-    for goal in sorted(goals, key=lambda goal: -goal.size_m):
-        column, row = goal.x // apart_m, goal.y // apart_m
-        beside = [squares.get((column + right, row + up), ()) for right in (-1, 0, 1) for up in (-1, 0, 1)]
-        if all(math.hypot(goal.x - other.x, goal.y - other.y) > apart_m for some in beside for other in some):
-            squares.setdefault((column, row), []).append(goal)
-            kept.append(goal)
-    return kept
+    if len(goals) < 2:
+        return goals
+    ordered = sorted(goals, key=lambda goal: -goal.size_m)
+    kept = goal_search.far_apart(np.array([(goal.x, goal.y) for goal in ordered]), apart_m)
+    return [ordered[k] for k in kept.tolist()]
 
 
 def uncovered_edges(context: GoalContext, wanted: tuple[int, float, float]) -> list[OpenEdge]:

@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from mecp_env.core.array_types import Array
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, PLACE, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
@@ -212,11 +214,14 @@ def with_levels(goals: list[Goal], output: SlamOutput, history: GoalHistory) -> 
     return goals
 
 
-def set_levels(goals: list[Goal], centres: list[list[float]], levels: list[int]) -> None:
+def set_levels(goals: list[Goal], centres: Array, levels: Ints) -> None:
     """Give goals of a room the level of the polygon nearest to each, if there is one."""
-    for goal in goals if levels else ():
-        far = [math.hypot(goal.x - x, goal.y - y) for x, y in centres]
-        goal.level = levels[far.index(min(far))]
+    if not len(levels):
+        return
+    x, y = np.array([(goal.x, goal.y) for goal in goals]).T[:, :, None]
+    nearest_one = np.hypot(x - centres[:, 0], y - centres[:, 1]).argmin(axis=1)
+    for goal, level in zip(goals, levels[nearest_one].tolist(), strict=True):
+        goal.level = level
 
 
 def in_order(goals: list[Goal], current: int) -> list[Goal]:

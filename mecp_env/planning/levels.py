@@ -34,8 +34,8 @@ def door_levels(graph: RoomGraph, first_room: int) -> dict[int, int]:
     return levels_from(graph.resolve(first_room), neighbours)
 
 
-def polygon_levels(rings: list[Ints], belief: Belief, p_entry: Array | None) -> tuple[list[list[float]], list[int]]:
-    """Centres (m, map frame) and levels of the polygons of a room, `rings` of vertex ids.
+def polygon_levels(rings: list[Ints], belief: Belief, p_entry: Array | None) -> tuple[Array, Ints]:
+    """Centres (p,2) (m, map frame) and levels (p,) of the polygons of a room, `rings` of vertex ids.
 
     Neighbours share a vertex. Level 0 is the polygon nearest to where the room was entered; polygons out of reach have
     the number of all as their level. A polygon with a vertex that is no landmark is left out.
@@ -43,8 +43,7 @@ def polygon_levels(rings: list[Ints], belief: Belief, p_entry: Array | None) -> 
     ids = np.concatenate([np.empty(0, np.int64), *rings])
     rows, first = rows_by_id(belief.ids, ids)[ids], np.array([0, *accumulate(map(len, rings))], np.int64)
     entry = np.full(2, math.nan) if p_entry is None else p_entry
-    centres, levels = _ring_levels(rows, first, belief.p_map, entry)
-    return centres.tolist(), levels.tolist()
+    return _ring_levels(rows, first, belief.p_map, entry)
 
 
 @compiled
@@ -67,13 +66,16 @@ def _ring_levels(rows: Ints, first: Ints, p_map: Array, p_entry: Array) -> tuple
         count += 1
     level, reached = np.full(count, count, np.int64), np.zeros(p_map.shape[0], np.bool_)
     level[start : start + 1] = 0
-    for wave in range(count):
+    wave, last = 0, 0
+    while wave <= last:
         for k in range(count):
             for i in range(first[ring[k]], first[ring[k] + 1] if level[k] == wave else first[ring[k]]):
                 reached[rows[i]] = True
         for k in range(count):
             for i in range(first[ring[k]], first[ring[k] + 1] if level[k] == count else first[ring[k]]):
-                level[k] = wave + 1 if reached[rows[i]] else level[k]
+                if reached[rows[i]]:
+                    level[k], last = wave + 1, wave + 1
+        wave += 1
     return centres[:count], level
 
 

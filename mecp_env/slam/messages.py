@@ -102,6 +102,11 @@ class MergedScan:
     raw_ranges: Array  # (K*B,) m, all raw beams in order of bearing
     raw_bearings: Array  # (K*B,) rad, ascending
 
+    def with_hits(self, hit: Bools) -> MergedScan:
+        """The same scan with other hits (B,)."""
+        raw = self.max_range_m, self.raw_ranges, self.raw_bearings
+        return MergedScan(self.ranges, self.bearings, hit, self.count, *raw)
+
     @property
     def step(self) -> float:
         """The spacing of the bearings, rad."""

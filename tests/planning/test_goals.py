@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, near_lines
+from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, far_apart, near_lines
 from mecp_env.planning.goal_sources import (
     GoalContext,
     barriers,
@@ -311,7 +311,7 @@ def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
     rings, p_entry = rings_by_room(output, {0}), to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0]
     centres, levels = polygon_levels(rings[0], output.belief, p_entry)
     assert len(centres) == 3
-    assert levels == [0, 1, 2]
+    assert levels.tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -328,8 +328,19 @@ def test_levels_of_polygons_are_those_of_their_graph(seed: int) -> None:
         centres, levels = polygon_levels(rings, belief, entry)
         np.testing.assert_allclose(centres, middles)
         expected = levels_from(start, beside)
-        assert levels == [expected.get(k, len(whole)) for k in range(len(whole))]
-    assert polygon_levels([], belief, None) == ([], [])
+        assert levels.tolist() == [expected.get(k, len(whole)) for k in range(len(whole))]
+    assert all(len(none) == 0 for none in polygon_levels([], belief, None))
+
+
+def test_places_are_apart_from_all_taken_before() -> None:
+    places = np.random.default_rng(4).uniform(0.0, 4.0, size=(60, 2))
+    taken: list[int] = []
+    for i, place in enumerate(places):
+        if all(np.hypot(*(place - places[k])) > 0.7 for k in taken):
+            taken.append(i)
+    assert far_apart(places, 0.7).tolist() == taken
+    assert 5 < len(taken) < 50
+    assert far_apart(np.empty((0, 2)), 0.7).tolist() == []
 
 
 def test_goals_of_other_rooms_come_last() -> None:

@@ -3,6 +3,7 @@
 import math
 import pickle
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from mecp_env.core.linalg import downdate
 from mecp_env.core.quick import quick
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.landmark_map.map_polygons import groups_of, link, still_whole, without_doubles
+from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore, are_whole, groups_of, link, without_doubles
 from mecp_env.slam.messages import Corners, Decision, Door, Doorways, FeatureState, MapPolygon, Match, Reason
 from tests.slam.tables import table_of
 
@@ -115,11 +116,11 @@ def polygons_of(rings):
 
 def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
     features = table_of(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0])
-    polygons = polygons_of([[0, 1], [0, 2], [0, 3], [1, 1]])
-    kept = still_whole(polygons, groups_of(polygons), features, lambda room: 0)
-    assert [polygon.ids.tolist() for polygon in without_doubles(kept)] == [[0, 1]]
-    assert kept[0].room == 0
-    assert still_whole([], {}, features, lambda room: room) == []
+    store = MapPolygonStore(10, polygons_of([[0, 1], [0, 2], [0, 3], [1, 1]]), outdated=True)
+    store.prune(features, lambda room: 0)
+    assert [polygon.ids.tolist() for polygon in store.polygons] == [[0, 1]]
+    assert store.polygons[0].room == 0
+    MapPolygonStore(10, outdated=True).prune(features, lambda room: room)
 
 
 def test_whole_polygons_are_found_as_vertex_by_vertex():
@@ -130,7 +131,8 @@ def test_whole_polygons_are_found_as_vertex_by_vertex():
     dead = int(FeatureState.DEAD)
     wanted = [ring for i, ring in enumerate(rings) if all(state[v] != dead and room[v] == now[i] for v in ring)]
     polygons = polygons_of(rings)
-    kept = still_whole(polygons, groups_of(polygons), table_of(40, state=state, room=room), now.__getitem__)
+    rooms, features = np.array(list(now.values())), table_of(40, state=state, room=room)
+    kept = list(compress(polygons, are_whole(groups_of(polygons), rooms, features)))
     assert [polygon.ids.tolist() for polygon in kept] == wanted
     assert 10 < len(wanted) < 290
     last = {tuple(polygon.ids.tolist()): polygon for polygon in kept}

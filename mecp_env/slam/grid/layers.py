@@ -225,12 +225,13 @@ class DoorLayer:
             return np.empty((0, 2, 2))
         quads = self._quads_of(p_landmark, key)
         quads[self._shut(canvas, quads, again=voted or key != self.key)] = np.nan
-        still = self._standing(key, quads)
+        rows = self._rows_of(key)
+        still, same = (self._standing(rows, quads, limit) for limit in (0.5 * self.config.resolution_m, 0.0))
         if still.all() and len(key) == len(self.key):
             return np.empty((0, 2, 2))
-        canvas.stamp(self.quads, cells.DOOR, -1)
+        canvas.stamp(np.delete(self.quads, rows[same], axis=0), cells.DOOR, -1)
+        canvas.stamp(quads[~same], cells.DOOR, 1)
         self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), self._cut_lines(quads)
-        canvas.stamp(self.quads, cells.DOOR, 1)
         return self._cut_lines(quads[~still])
 
     def _shut(self, canvas: Canvas, quads: Array, again: bool) -> Bools:
@@ -242,13 +243,16 @@ class DoorLayer:
         shut = np.isnan(self.quads).any() or canvas.are_walled_up(self.quads, self.config.occupied_ratio).any()
         return bool(shut)
 
-    def _standing(self, key: tuple[DoorKey, ...], quads: Array) -> Bools:
-        """(d,) True for each door that was painted before where it is now (d,4,2), within half a cell."""
+    def _rows_of(self, key: tuple[DoorKey, ...]) -> Ints:
+        """(d,) where each door is among those that are painted, or -1."""
         row = {door: i for i, door in enumerate(self.key)}
-        rows = np.array([row.get(door, -1) for door in key], np.int64)
+        return np.array([row.get(door, -1) for door in key], np.int64)
+
+    def _standing(self, rows: Ints, quads: Array, limit: float) -> Bools:
+        """(d,) True for each door that was painted before, in row `rows` (d,), within `limit` m of where it is now."""
         still = rows >= 0
         before, now = self.quads[rows[still]], quads[still]
-        changed = (np.abs(before - now) > 0.5 * self.config.resolution_m) | (np.isnan(before) != np.isnan(now))
+        changed = (np.abs(before - now) > limit) | (np.isnan(before) != np.isnan(now))
         still[still] = ~changed.any(axis=(1, 2))
         return still
 

@@ -8,7 +8,7 @@ where they end. In a static world every hit is on a wall, beside which the map h
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -80,7 +80,7 @@ class DynamicObjects:
         """Beams and segments to paint: free floor up to dynamic objects, no wall there."""
         if dynamic is None:
             return beams, segments
-        return replace(beams, hit=beams.hit & ~dynamic), without_dynamic(segments, dynamic)
+        return beams.with_hits(beams.hit & ~dynamic), without_dynamic(segments, dynamic)
 
 
 class StaticWorld(DynamicObjects):

@@ -25,7 +25,7 @@ from mecp_env.slam.messages import (
 )
 
 DEAD = int(FeatureState.DEAD)
-IDS = attrgetter("ids")
+IDS, ROOM = attrgetter("ids"), attrgetter("room")
 
 
 @dataclass(slots=True, eq=False)
@@ -70,14 +70,26 @@ class MapPolygonStore:
         """
         if not self.outdated:
             return
-        before, renamed = self.polygons, len(self.row) < len(self.polygons)
-        kept = still_whole(before, groups_of(before) if renamed else self.groups, features, resolve)
-        self.polygons = _seen_most(without_doubles(kept) if renamed else kept, self.most_per_room)
         self.outdated = False
+        rooms = self._resolve_rooms(resolve)
+        renamed = len(self.row) < len(self.polygons)
+        kept = are_whole(groups_of(self.polygons) if renamed else self.groups, np.array(rooms, np.int64), features)
         if renamed:
+            self.polygons = without_doubles(list(compress(self.polygons, kept.tolist())))
             self._index()
-        elif len(self.polygons) < len(before):
-            self._leave_out(before)
+            rooms, kept = list(map(ROOM, self.polygons)), np.ones(len(self.polygons), np.bool_)
+        leave_most_seen(kept, self.polygons, rooms, self.most_per_room)
+        if not kept.all():
+            self._keep(kept)
+
+    def _resolve_rooms(self, resolve: Callable[[int], int]) -> list[int]:
+        """Put the polygons into the rooms that theirs have become; the room of each."""
+        named = list(map(ROOM, self.polygons))
+        became = {room: resolve(room) for room in set(named)}
+        if all(room == now for room, now in became.items()):
+            return named
+        self.polygons = [in_room(polygon, became[polygon.room]) for polygon in self.polygons]
+        return [polygon.room for polygon in self.polygons]
 
     def visible_landmarks(self, p_map: Array, belief: Belief) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
@@ -102,14 +114,14 @@ class MapPolygonStore:
         self.row = {tuple(polygon.ids.tolist()): i for i, polygon in enumerate(self.polygons)}
         self.groups = groups_of(self.polygons)
 
-    def _leave_out(self, before: list[MapPolygon]) -> None:
-        """The index of those left of the polygons `before`; each has kept its array of ids."""
-        kept = set(map(id, map(IDS, self.polygons)))
-        here = np.fromiter(map(kept.__contains__, map(id, map(IDS, before))), np.bool_, len(before))
-        self.row = dict(zip(compress(self.row, here.tolist()), range(len(self.polygons)), strict=True))
-        index = np.cumsum(here) - 1
+    def _keep(self, kept: Bools) -> None:
+        """Forget the polygons that `kept` (P,) does not name."""
+        chosen = kept.tolist()
+        self.polygons = list(compress(self.polygons, chosen))
+        self.row = dict(zip(compress(self.row, chosen), range(len(self.polygons)), strict=True))
+        index = np.cumsum(kept) - 1
         for cardinality, group in list(self.groups.items()):
-            still = here[group.index]
+            still = kept[group.index]
             self.groups[cardinality] = PolygonGroup(index[group.index[still]], group.ids[still])
             if not still.any():
                 del self.groups[cardinality]
@@ -159,28 +171,18 @@ def roll_to_least(ring: Ints, intervals: Array, rolled: Array) -> None:
         rolled[i, 0] = (rolled[i, 0] - shift) % k
 
 
-def _seen_most(polygons: list[MapPolygon], most: int) -> list[MapPolygon]:
-    """The polygons in order, of each room the `most` that were seen most often, then latest."""
-    dropped: set[int] = set()
-    for room, count in Counter([p.room for p in polygons]).items():
+def leave_most_seen(kept: Bools, polygons: list[MapPolygon], rooms: list[int], most: int) -> None:
+    """Take off the mark `kept` (P,) in place: each room keeps the `most` polygons seen most often, then latest."""
+    for room, count in Counter(compress(rooms, kept.tolist())).items():
         if count > most:
-            members = sorted((p for p in polygons if p.room == room), key=lambda p: (p.seen, p.last_step))
-            dropped.update(id(p) for p in members[: count - most])
-    return [p for p in polygons if id(p) not in dropped] if dropped else polygons
+            members = [i for i in np.flatnonzero(kept).tolist() if rooms[i] == room]
+            members.sort(key=lambda i: (polygons[i].seen, polygons[i].last_step))
+            kept[members[: count - most]] = False
 
 
-def still_whole(
-    polygons: list[MapPolygon], groups: dict[int, PolygonGroup], features: FeatureTable, resolve: Callable[[int], int]
-) -> list[MapPolygon]:
-    """The polygons, of which `groups` are the rings, whose vertices live and lie in the room that theirs has become."""
-    named = [polygon.room for polygon in polygons]
-    became = {room: resolve(room) for room in set(named)}
-    rooms = [became[room] for room in named]
-    whole = are_whole(groups, np.array(rooms, np.int64), features)
-    if whole.all() and rooms == named:
-        return polygons
-    kept = compress(zip(polygons, rooms, strict=True), whole.tolist())
-    return [polygon if polygon.room == room else replace(polygon, room=room) for polygon, room in kept]
+def in_room(polygon: MapPolygon, room: int) -> MapPolygon:
+    """The polygon in that room."""
+    return polygon if polygon.room == room else replace(polygon, room=room)
 
 
 def are_whole(groups: dict[int, PolygonGroup], rooms: Ints, features: FeatureTable) -> Bools:
