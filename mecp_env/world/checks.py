@@ -44,6 +44,7 @@ OPEN_SHARE = 0.9  # of a doorway that is a gap
 SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts may not touch
 
 
+@np.errstate(all="ignore")  # of coordinates such as 1e-230 the library computes what it should, but sets the flags
 def check_geometry(layout: Layout) -> Outline:
     """The outline of `layout`. Raises LayoutError with the fields, the values and the bounds of what is impossible.
 

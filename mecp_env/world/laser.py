@@ -58,7 +58,8 @@ class Laser:
         draws, segments, dropout = self._draw(rng), self._segments, self._dropout
         if faces is not None and len(faces):
             segments = np.concatenate([segments, faces])
-            dropout = np.concatenate([dropout, np.zeros(len(faces) if len(dropout) else 0)])  # pedestrians are not dark
+            if len(dropout):  # pedestrians are not dark
+                dropout = np.concatenate([dropout, np.zeros(len(faces))])
         T_world_laser = compose(T_world_robot, self._T_robot_laser)
         ranges, hit = _burst(segments, T_world_laser, self._table, draws, self._normals, self._optics, dropout)
         return Scan(ranges, self._bearings, hit, self.config.max_range_m)

@@ -293,6 +293,13 @@ def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -
     assert load_layout(json.loads(layout.to_json())) == layout
 
 
+def test_a_tiny_coordinate_gives_no_warning() -> None:
+    document = copy.deepcopy(DOCUMENTS["two_rooms"])
+    document["rooms"][0]["polygon"][1][0] = 1.9e-230
+    with pytest.raises(LayoutError, match="rooms"):  # a warning is an error here, too
+        load_layout(document)
+
+
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**6), st.binary(max_size=3), st.integers(0, 40))
 def test_spoilt_bytes_raise_nothing_but_layout_errors(tmp_path_factory: Any, at: int, piece: bytes, cut: int) -> None:
