@@ -73,8 +73,7 @@ def _ring_levels(rows: Ints, first: Ints, p_map: Array, p_entry: Array) -> tuple
                 reached[rows[i]] = True
         for k in range(count):
             for i in range(first[ring[k]], first[ring[k] + 1] if level[k] == count else first[ring[k]]):
-                if reached[rows[i]]:
-                    level[k], last = wave + 1, wave + 1
+                level[k], last = (wave + 1, wave + 1) if reached[rows[i]] else (level[k], last)
         wave += 1
     return centres[:count], level
 
