@@ -188,8 +188,8 @@ def changed_part(P: Array, numbers: Ints, A: Array, B: Array, C: Array, first: i
     """Write P[np.ix_(numbers, numbers)] + A B of a symmetric P to C, from its row and column `first` on.
 
     For a symmetric A B, of which only the rows i and i + 1 for each i of `pairs` are added; those of C that belong to
-    no pair are spoilt. The lower half is written and then copied, a few rows after the other, while they are in the
-    cache. Numbers that follow each other are copied together.
+    no pair are spoilt, and so is what lies left of and above the part. The lower half is written and then copied, a few
+    rows after the other, while they are in the cache. Numbers that follow each other are copied together.
     """
     start, runs, p = np.empty(numbers.shape[0] + 1, np.int64), 0, 0
     for j in range(numbers.shape[0]):

@@ -44,7 +44,6 @@ OPEN_SHARE = 0.9  # of a doorway that is a gap
 SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts may not touch
 
 
-@np.errstate(all="ignore")  # of coordinates such as 1e-230 the library computes what it should, but sets the flags
 def check_geometry(layout: Layout) -> Outline:
     """The outline of `layout`. Raises LayoutError with the fields, the values and the bounds of what is impossible.
 
@@ -86,7 +85,8 @@ def _wrong_rooms(layout: Layout, shapes: NDArray[np.object_]) -> Iterator[str]:
         if first.setdefault(room.name, i) != i:
             yield f"rooms.{i}.name: {room.name!r} is the name of rooms.{first[room.name]} too"
     one, other = _close_pairs(shapes, MAX_TOUCHING, "rooms")
-    shared = shapely.area(shapely.intersection(shapes[one], shapes[other], grid_size=GRID_M))
+    with np.errstate(all="ignore"):  # of coordinates such as 1e-230 the area is right, but flags are set
+        shared = shapely.area(shapely.intersection(shapes[one], shapes[other], grid_size=GRID_M))
     for pair in np.flatnonzero(shared > OVERLAP_M2).tolist():
         what = f"shares {shared[pair]:.2f} m2 with rooms.{other[pair]}, at most {OVERLAP_M2} m2"
         yield f"rooms.{one[pair]}.polygon: {what}"

@@ -12,7 +12,7 @@ from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
-from mecp_env.slam.filters.resting import overlaid
+from mecp_env.slam.filters.resting import near_any, overlaid
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
 FIELD = np.random.default_rng(0).uniform(-3.0, 33.0, (320, 2))
@@ -251,3 +251,14 @@ def test_the_belief_shows_landmarks_at_work_as_they_are_there():
     assert shown.tolist() == [i for i in ids.tolist() if i in expected] + [95, 97]
     assert np.array_equal(places, [expected[i][0] for i in shown.tolist()])
     assert np.array_equal(spreads, [expected[i][1] for i in shown.tolist()])
+
+
+def test_landmarks_that_may_be_seen_are_those_within_five_sigmas():
+    rng = np.random.default_rng(6)
+    p_map, seen = rng.uniform(0.0, 10.0, size=(80, 2)), rng.uniform(0.0, 10.0, size=(5, 2))
+    variance, seen_variance, asked = rng.uniform(0.0, 0.02, 80), rng.uniform(0.0, 0.02, 5), rng.random(80) < 0.7
+    apart = np.hypot(*(p_map[:, None] - seen).transpose(2, 0, 1))
+    within = apart < 5.0 * np.sqrt(2.0 * (variance[:, None] + seen_variance))
+    found = near_any(p_map, variance, asked, seen, seen_variance)
+    assert np.array_equal(found, within.any(axis=1) & asked)
+    assert 5 < found.sum() < asked.sum()
