@@ -65,7 +65,10 @@ def expand(word: str, reading: Reading = AS_FOUND) -> list[str]:
     if word and is_folder(word):
         from mecp_env.floorplans import plan_files
 
-        return [str(path) for path in plan_files(Path(word), reading.kind, images=reading.resolution_m is not None)]
+        with warnings.catch_warnings(record=True, action="always") as found:
+            paths = plan_files(Path(word), reading.kind, images=reading.resolution_m is not None)
+        print_notes(found)
+        return [str(path) for path in paths]
     return [word]
 
 
@@ -143,9 +146,14 @@ def load(word: str, reading: Reading = AS_FOUND) -> Layout:
 
     with warnings.catch_warnings(record=True, action="always") as found:
         layout = load_plan(word, **reading.options())
+    print_notes(found)
+    return layout
+
+
+def print_notes(found: Iterable[warnings.WarningMessage]) -> None:
+    """Print what was warned of, a line each."""
     for warning in found:
         print_error(f"note: {warning.message}")
-    return layout
 
 
 def _no_such(word: str) -> MecpError:

@@ -18,6 +18,7 @@ from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load, spare_sources
 from mecp_env.cli.exit_codes import WRONG_INPUT, echo
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.core.paths import is_folder
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -66,6 +67,8 @@ def sound(word: str, reading: Reading) -> bool:
     """Whether a building is sound, or all of a series or folder; prints a line for each, with the reason if not."""
     try:
         singles = expand(word, reading)
+        if is_folder(word):
+            _tell_left_out(Path(word), reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
         echo(f"ok     {word}: {counted(load(word, reading))}")
@@ -73,6 +76,14 @@ def sound(word: str, reading: Reading) -> bool:
         echo(f"wrong  {error}")
         return False
     return True
+
+
+def _tell_left_out(folder: Path, reading: Reading) -> None:
+    """Print which JSON and yaml files of a folder are no plans, and why."""
+    from mecp_env.floorplans.folder import left_out
+
+    for path, reason in left_out(folder, reading.kind).items():
+        echo(f"other  {path}: {reason}")
 
 
 @dataclass(frozen=True)

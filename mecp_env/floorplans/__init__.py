@@ -14,6 +14,7 @@ from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
 from mecp_env.floorplans.folder import ENDINGS, plan_files
+from mecp_env.floorplans.foreign import by_ending, of_json
 from mecp_env.floorplans.houseexpo import read_houseexpo
 from mecp_env.floorplans.image import read_plain_image
 from mecp_env.floorplans.labelled import read_labelled_image
@@ -31,7 +32,7 @@ READERS = {"map_server": read_map_server, "image": read_plain_image, "labelled":
 def load_plan(
     path: str | os.PathLike[str], *, kind: Kind | None = None, resolution_m: float | None = None, **options: Any
 ) -> Layout:
-    """The layout of a plan file: our JSON, HouseExpo JSON, a map_server yaml, or a PNG or PGM image.
+    """The layout of a plan file: our JSON, HouseExpo JSON, a map_server yaml, or an image (PNG, PGM, BMP, TIFF).
 
     `kind` is found by what is in the file; only a labelled image has to be called `"labelled"`. An image without a
     yaml file needs `resolution_m`, metres per pixel. `options` are the fields of `PlanOptions`.
@@ -55,6 +56,9 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
     if found in READERS:
         return layout_of(READERS[found](path, options), options)
     document = decode_json(read_bytes(path, MAX_BYTES))
+    foreign = of_json(document)
+    if foreign:
+        raise LayoutError(foreign)
     found = "houseexpo" if "verts" in document else "layout"
     if kind not in (None, found):
         raise LayoutError(f"kind: {kind}, but the fields are those of {found}")
@@ -67,7 +71,7 @@ def _kind_of(path: Path, kind: Kind | None) -> str:
     if not possible:
         known = ", ".join(dict.fromkeys(chain.from_iterable(ENDINGS.values())))
         wrong = f"a plan file ends in {known}, given {path.suffix!r:.80}"
-        raise LayoutError(wrong if exists(path) else "no such file or folder")
+        raise LayoutError((by_ending(path) or wrong) if exists(path) else "no such file or folder")
     if kind not in (None, *possible):
         raise LayoutError(f"kind: {kind}, but by its ending the file is {' or '.join(possible)}")
     return kind or possible[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry import Point, Polygon
 
-from mecp_env.core.errors import LayoutError
+from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.floorplans.door_detection import (
     FINE_STEP_M,
     Gap,
@@ -31,10 +32,11 @@ from mecp_env.world.checks import check_geometry
 from mecp_env.world.outline import ROBOT_RADIUS_M
 from mecp_env.world.schema import Layout
 
-MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside
+MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside; with more it is thinned
 ON_EDGE_M = 1e-6  # a vertex so near to the line through its neighbours is in the middle of an edge
 MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
-MAX_THINNED = 8_000  # of a floor as it was read, drawn as coarsely as possible
+MAX_THINNED = 8_000  # of a floor drawn as coarsely as its pixels are; one with more is drawn more coarsely
+COARSER_M = (0.09, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # how coarsely a large floor may be drawn
 RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
 MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
 CLEAN_SHARE = 0.7  # of the length of all edges of a plan that is not ragged goes along its directions
@@ -52,10 +54,10 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     """The layout of a plan. Raises LayoutError for one that has no floor for a robot, or far too many corners."""
     given = int(shapely.get_num_coordinates(plan.area))
     floor = plan.area if given <= MAX_VERTICES else _without_steps(plan.area)
-    _require_few(floor, MAX_VERTICES)
-    thin = thinned(floor, plan.noise_m)
-    _require_few(thin, MAX_THINNED)
-    read, area = _floors(floor if given <= MANY_VERTICES else thin, plan, options)
+    thin, coarse_m = _fitting(floor, plan.noise_m, MAX_THINNED)
+    fits = given <= MANY_VERTICES and coarse_m == plan.noise_m
+    plan = _told(replace(plan, noise_m=coarse_m), plan.noise_m)
+    read, area = _floors(floor if fits else thin, plan, options)
     plan = replace(plan, description=f"{plan.description} {left_out(floor, area, options)}".strip())
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     _require_rooms(plan.drawn, rooms.floors)
@@ -63,6 +65,27 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
         return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
     except LayoutError:  # a piece of furniture blocks a door by less than a pixel
         return _layout(plan, area, rooms, [])
+
+
+def _fitting(floor: Polygon, noise_m: float, most: int) -> tuple[Polygon, float]:
+    """`floor` drawn no more coarsely than it takes to have at most so many vertices, and how coarsely, m."""
+    for noise in (noise_m, *(coarse for coarse in COARSER_M if coarse > noise_m)):
+        thin = thinned(floor, noise)
+        if shapely.get_num_coordinates(thin) <= most:
+            return thin, noise
+    raise LayoutError(
+        f"the floor has {shapely.get_num_coordinates(thin)} vertices even where it is drawn to within {noise:g} m, "
+        f"at most {most}: save the map with larger pixels, or clean it of scattered cells"
+    )
+
+
+def _told(plan: FreeSpace, noise_m: float) -> FreeSpace:
+    """`plan`, whose description says how coarsely it is drawn where that is more than its `noise_m`; warns of it."""
+    if plan.noise_m == noise_m:
+        return plan
+    said = f"Large: walls are simplified to within {plan.noise_m:g} m."
+    warnings.warn(f"{plan.name:.80}: {said}", PlanWarning, stacklevel=3)
+    return replace(plan, description=f"{plan.description} {said}".strip())
 
 
 def _floors(floor: Polygon, plan: FreeSpace, options: PlanOptions) -> tuple[Polygon, Polygon]:
@@ -111,7 +134,7 @@ def _pieces(area: Polygon, read: list[Polygon], noise_m: float) -> list[dict[str
 def _drawn(floor: Polygon, noise_m: float, options: PlanOptions) -> Polygon:
     """`floor` with straight edges; a ragged one is drawn more coarsely. Raises LayoutError when it stays ragged."""
     noises = [noise_m, *(noise for noise in RAGGED_NOISES_M if noise > noise_m)]
-    _require_few(thinned(floor, noises[-1]), MAX_FACES)
+    noises.append(_fitting(floor, noises[-1], MAX_FACES)[1])
     chosen = next((noise for noise in noises if not _is_ragged(thinned(floor, noise))), noises[-1])
     return straightened(floor, chosen, options.straighten)
 
@@ -132,12 +155,6 @@ def _without_steps(floor: Polygon) -> Polygon:
     kept = np.concatenate([[True], ~along, [True]])
     rings = shapely.linearrings(points[kept], indices=ring[kept])
     return Polygon(rings[0], rings[1:])
-
-
-def _require_few(area: Polygon, most: int) -> None:
-    vertices = int(shapely.get_num_coordinates(area))
-    if vertices > most:
-        raise LayoutError(f"the floor has {vertices} vertices, at most {most}")
 
 
 def _require_rooms(drawn: tuple[tuple[str, Point], ...], floors: list[Polygon]) -> None:

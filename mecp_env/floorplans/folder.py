@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
+from mecp_env.floorplans.foreign import why_no_plan
 from mecp_env.floorplans.map_server import image_of
 
-JSON, YAML, IMAGES = (".json",), (".yaml", ".yml"), (".png", ".pgm", ".ppm", ".pbm")
+JSON, YAML, IMAGES = (".json",), (".yaml", ".yml"), (".png", ".pgm", ".ppm", ".pbm", ".bmp", ".tif", ".tiff")
 ENDINGS = {"layout": JSON, "houseexpo": JSON, "map_server": YAML, "image": IMAGES, "labelled": IMAGES}  # of each kind
 OF_A_RUN = (
     "belief.yaml",
@@ -22,18 +24,43 @@ MAX_FILES = 100_000  # in a folder and those in it, plans or not
 def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> tuple[Path, ...]:
     """The plans in a folder and the folders in it, in the order of their paths; hidden ones are left out.
 
-    With a `kind` only files that can be of it; without one JSON and yaml, and `images` that no yaml file names. Raises
+    With a `kind` only files that can be of it; without one JSON and yaml, and `images` that no yaml file names. JSON
+    and yaml of another kind is left out, with a `PlanWarning`. Raises
     ConfigError for a folder of a run, without plans, or with too many files, and LayoutError for a link that leaves it.
     """
     _refuse_run(folder)
     endings = ENDINGS.get(kind or "", (*JSON, *YAML, *(IMAGES if images else ())))
     files = sorted(_files(folder), key=lambda path: path.relative_to(folder).parts)
     named = {image_of(path) for path in files if path.suffix.lower() in YAML}
-    plans = tuple(path for path in files if path.suffix.lower() in endings and path.resolve() not in named)
+    likely = [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
+    reasons = {path: _why_no_plan(path) for path in likely}
+    plans = tuple(path for path in likely if not reasons[path])
+    _tell(folder, {path: reason for path, reason in reasons.items() if reason})
+    if likely and not plans:
+        raise ConfigError(f"plan: {folder}, none of {len(likely)} files is a plan: {likely[0]}: {reasons[likely[0]]}")
     if not plans:
         hint = "" if images else "; images are taken where resolution_m gives their metres per pixel"
         raise ConfigError(f"plan: {folder}, no file in it ends in {', '.join(endings)}{hint}")
     return plans
+
+
+def _why_no_plan(path: Path) -> str:
+    return why_no_plan(path) if path.suffix.lower() in (*JSON, *YAML) else ""
+
+
+def _tell(folder: Path, reasons: dict[Path, str]) -> None:
+    """Warn of the files that are left out, with their number and what the first is."""
+    if reasons:
+        first = next(iter(reasons))
+        said = f"{len(reasons)} other file{'s' * (len(reasons) > 1)} left out, as {first.name}: {reasons[first]:.200}"
+        warnings.warn(f"{folder}: {said}", PlanWarning, stacklevel=4)
+
+
+def left_out(folder: Path, kind: str | None = None) -> dict[Path, str]:
+    """The JSON and yaml files in a folder and those in it that are no plans, and why. Raises as `plan_files`."""
+    endings = ENDINGS.get(kind or "", (*JSON, *YAML))
+    files = (path for path in sorted(_files(folder)) if path.suffix.lower() in endings)
+    return {path: reason for path in files if (reason := _why_no_plan(path))}
 
 
 def _refuse_run(folder: Path) -> None:

@@ -24,6 +24,7 @@ MAX_PIXELS = 4096 * 4096
 MAX_PLAIN_PIXELS = 1_000_000  # of an image written in digits, which is slow to read
 UNKNOWN_SHARE, APART = 0.02, 25  # of the pixels that a grey level has, so far from others, to mean something of its own
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+FORMATS = ("PNG", "PPM", "BMP", "TIFF")
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
 DAMAGE = (
     OSError,
@@ -32,13 +33,15 @@ DAMAGE = (
     struct.error,
     OverflowError,
     LookupError,
+    TypeError,
+    EOFError,
     zlib.error,
     Image.DecompressionBombError,
 )
 
 
 def read_image(path: Path) -> Image.Image:
-    """The decoded image of a PNG or PGM file, in one of `MODES`.
+    """The decoded image of a PNG, PGM, BMP or TIFF file, in one of `MODES`.
 
     Raises LayoutError naming what is wrong: bytes, format, pixels or mode out of bounds (before anything is decoded),
     or data that do not fit the header.
@@ -46,7 +49,7 @@ def read_image(path: Path) -> Image.Image:
     try:
         data = read_bytes(path, MAX_IMAGE_BYTES)
         most = MAX_PLAIN_PIXELS if data.startswith(DIGITS) else MAX_PIXELS
-        with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(data), formats=("PNG", "PPM")) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(data), formats=FORMATS) as image:
             _check_header(image, most)
             check_content(data, image)
             image.load()
@@ -54,7 +57,7 @@ def read_image(path: Path) -> Image.Image:
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except DAMAGE as error:
-        said = f"damaged, or no PNG or PGM of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
+        said = f"damaged, or no PNG, PGM, BMP or TIFF of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
         raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
 
 

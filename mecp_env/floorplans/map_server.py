@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Hashable
 from pathlib import Path
@@ -10,18 +11,22 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 
 from mecp_env.core.array_types import Bools
-from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import read_bytes
+from mecp_env.core.errors import LayoutError, PlanWarning
+from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import shown
-from mecp_env.floorplans.image import grey, read_image
+from mecp_env.floorplans.foreign import of_yaml
+from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 from mecp_env.world.schema import Document
 
 MAX_YAML_BYTES = 20_000
+SAVED_UNKNOWN, SAVED_FREE = 205, 254  # grey levels that every map_saver writes in the mode trinary
+NEAR_WHITE = 230  # a level from here on is free without a doubt
 HALF = 50  # percent: in the modes scale and raw a cell less likely to be occupied is floor
 
 Offset = Annotated[float, Strict(), Field(ge=-900.0, le=900.0)]
@@ -69,10 +74,40 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     x, y, yaw = sheet.origin
     placement = Placement(sheet.resolution, (x, y), yaw)
     image = _beside(path, sheet.image)
+    _tell_moved(path, sheet.image, image)
     levels, opaque = grey(read_image(image))
-    area = floor_polygon(sheet.floor_levels()[levels] & opaque, placement)
+    area = floor_polygon(_free(sheet, levels, opaque, path.name)[levels] & opaque, placement)
     note = f"From {path.name} and {image.name}: {sheet.resolution:g} m per pixel."
     return FreeSpace(path.stem, note, area, placement.noise_m)
+
+
+def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> Bools:
+    """Which grey levels (256,) are floor in a picture; warns of one that is not near white and might be unknown.
+
+    The mark of unknown cells of a map_saver is unknown, also where `free_thresh` would make it free, as the one of nav2
+    does, which saves 205 and 0.25.
+    """
+    free, share = sheet.floor_levels(), np.bincount(levels[opaque], minlength=256) / max(1, int(opaque.sum()))
+    if sheet.mode == "raw":
+        return free
+    saved = sheet.mode == "trinary" and not sheet.negate and share[SAVED_FREE:].sum() > 0.0
+    if saved and free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0:
+        free[SAVED_UNKNOWN] = False
+        said = f"is read as unknown, as map_saver means it, although free_thresh {sheet.free_thresh:g} makes it free"
+        warnings.warn(f"{name!r:.80}: grey {SAVED_UNKNOWN} {said}", PlanWarning, stacklevel=4)
+    white = np.arange(256)[::-1] if sheet.negate else np.arange(256)
+    doubtful = [int(level) for level in np.flatnonzero(free & (white < NEAR_WHITE) & (share >= UNKNOWN_SHARE))]
+    for level in doubtful:
+        said = f"grey {level} on {100.0 * share[level]:.0f} % of the picture is not near white and counts as free"
+        warnings.warn(f"{name!r:.80}: {said}; free_thresh decides", PlanWarning, stacklevel=4)
+    return free
+
+
+def _tell_moved(path: Path, given: str, image: Path) -> None:
+    """Warn where the image is not at the path that the yaml file gives."""
+    if _within(path.parent.resolve(), given) != image:
+        said = f"image: {shown(given)} is not there; {image.name!r:.80} beside the yaml file is read instead"
+        warnings.warn(f"{path.name!r:.80}: {said}", PlanWarning, stacklevel=4)
 
 
 def image_of(path: Path) -> Path | None:
@@ -106,16 +141,31 @@ def _sheet(path: Path) -> Sheet:
         raise LayoutError(f"no yaml: {' '.join(str(error).split()):.160}") from None
     if not isinstance(fields, dict):
         raise LayoutError(f"a mapping with image, resolution and origin expected, given {type(fields).__name__}")
+    foreign = of_yaml(fields) if "image" not in fields else ""
+    if foreign.startswith("this is"):
+        raise LayoutError(foreign)
     return Sheet(**{str(name): value for name, value in fields.items()})
 
 
 def _beside(path: Path, given: str) -> Path:
-    """The image file, which must lie in the folder of the yaml file or below."""
+    """The image file, in the folder of the yaml file or below: as it is written, or else of that name beside the yaml.
+
+    Nothing outside that folder is read. Raises LayoutError where neither exists.
+    """
+    folder, slashed = path.parent.resolve(), given.replace("\\", "/")
+    name = slashed.rstrip("/").rpartition("/")[2]
+    for written in dict.fromkeys((given, slashed, name)):
+        image = _within(folder, written)
+        if image is not None:
+            return image
+    beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
+    raise LayoutError(f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}")
+
+
+def _within(folder: Path, written: str) -> Path | None:
+    """The file at a path from `folder`, with all links followed; None where it does not exist or lies outside."""
     try:
-        folder = path.parent.resolve()
-        image = (folder / given).resolve()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise LayoutError(f"image: {shown(given)} cannot be found ({error})") from None
-    if not image.is_relative_to(folder):
-        raise LayoutError(f"image: {shown(given)} leaves the folder of the yaml file")
-    return image
+        image = (folder / written).resolve()
+    except (OSError, RuntimeError, ValueError):
+        return None
+    return image if image.is_relative_to(folder) and exists(image) and image.is_file() else None

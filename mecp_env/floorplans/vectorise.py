@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,9 +15,9 @@ from scipy import ndimage
 from shapely.geometry import Polygon
 
 from mecp_env.core.array_types import Array, Bools
-from mecp_env.core.errors import LayoutError
+from mecp_env.core.errors import LayoutError, PlanWarning
 
-MAX_CELLS = 4_000_000  # of the box around the floor
+MAX_CELLS = 4_000_000  # of the box around the floor; with more, several pixels become one
 MAX_SPECKS = 20_000  # free-standing pieces of wall
 MAX_CORNERS = 400_000
 SPECK_CELLS = 4
@@ -52,12 +53,31 @@ def floor_polygon(free: Bools, placement: Placement) -> Polygon:
     if not len(rows):
         raise LayoutError("image: no pixel is floor")
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-    if (bottom - top) * (right - left) > MAX_CELLS:
-        raise LayoutError(f"image: the floor spans {right - left} x {bottom - top} pixels, at most {MAX_CELLS} in all")
-    floor = _without_specks(_largest(free[top:bottom, left:right]))
-    polygon = _contour(np.pad(floor[::-1], 1))
-    shift = np.array([left - 1.0, len(free) - bottom - 1.0])  # column and row from below of the padded corner
-    return shapely.transform(polygon, lambda points: placement.to_world(points + 0.5 + shift))
+    side = _pooled_side(int((bottom - top) * (right - left)), placement.resolution_m)
+    floor = _without_specks(_largest(_pooled(free[top:bottom, left:right][::-1], side)))
+    polygon = _contour(np.pad(floor, 1))
+    corner = np.array([left, len(free) - bottom], np.float64)  # column and row from below
+    return shapely.transform(polygon, lambda points: placement.to_world(side * (points - 0.5) + corner))
+
+
+def _pooled_side(cells: int, resolution_m: float) -> int:
+    """How many pixels each way become one, so that few enough of `cells` are left; warns where it is not 1."""
+    side = math.ceil(math.sqrt(cells / MAX_CELLS))
+    if side > 1:
+        said = f"{cells} pixels around the floor: {side} x {side} are read as one of {side * resolution_m:g} m"
+        warnings.warn(f"image: {said}", PlanWarning, stacklevel=4)
+    return side
+
+
+def _pooled(free: Bools, side: int) -> Bools:
+    """`free` in squares of `side` pixels: not free where a wall of one pixel goes through."""
+    if side == 1:
+        return free
+    height, width = (-(-length // side) * side for length in free.shape)
+    walls = np.ones((height, width), np.bool_)
+    walls[: free.shape[0], : free.shape[1]] = ~free
+    counts = walls.reshape(height // side, side, width // side, side).sum(axis=(1, 3))
+    return np.asarray(counts < side, np.bool_)
 
 
 def _largest(free: Bools) -> Bools:

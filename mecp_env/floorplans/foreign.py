@@ -1,0 +1,98 @@
+"""What a file is that is no plan, in a sentence: foreign kinds of buildings, and other yaml and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mecp_env.core.errors import LayoutError
+from mecp_env.core.paths import read_bytes
+
+SUPPORTED = "read are our JSON, HouseExpo JSON, map_server yaml with its image, PNG, PGM, BMP and TIFF"
+DRAW = "export it as a PNG with white floor and black walls, and read that with --resolution-m"
+SAVE = "run it, map it or slice it at the height of the laser, and save that with map_saver as yaml and pgm"
+BY_ENDING = {
+    ".dxf": ("a CAD drawing (DXF)", DRAW),
+    ".dwg": ("a CAD drawing (DWG)", DRAW),
+    ".ifc": ("a building information model (IFC)", f"cut a floor out of it, then {DRAW}"),
+    ".geojson": ("GeoJSON", DRAW),
+    ".osm": ("an OpenStreetMap extract", DRAW),
+    ".svg": ("an SVG drawing, as the floor plans of CubiCasa5K", DRAW),
+    ".pdf": ("a PDF document", DRAW),
+    ".jpg": ("a JPEG picture, whose compression blurs walls", "save it as a PNG, and read that with --resolution-m"),
+    ".jpeg": ("a JPEG picture, whose compression blurs walls", "save it as a PNG, and read that with --resolution-m"),
+    ".world": ("a world of Gazebo or Stage", SAVE),
+    ".sdf": ("a world or model of Gazebo (SDF)", SAVE),
+    ".urdf": ("a robot or scene description (URDF)", SAVE),
+    ".xml": ("XML of a simulator", SAVE),
+    ".wbt": ("a world of Webots", SAVE),
+    ".pbstream": ("a map of Cartographer", "write it with cartographer_pbstream_to_ros_map as yaml and pgm"),
+    ".posegraph": ("a map of slam_toolbox", "save it with map_saver as yaml and pgm"),
+    ".ply": ("a point cloud or mesh", SAVE),
+    ".pcd": ("a point cloud", SAVE),
+    ".obj": ("a mesh", SAVE),
+    ".stl": ("a mesh", SAVE),
+    ".glb": ("a 3-D scene (glTF)", SAVE),
+    ".gltf": ("a 3-D scene (glTF)", SAVE),
+}
+GEOJSON_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
+MAP_FIELDS = ("image", "resolution", "origin")
+LAYOUT_FIELDS = ("rooms", "starts")
+MAX_READ = 2_000_000  # bytes
+
+
+def by_ending(path: Path) -> str:
+    """What a file is by its ending, what is read instead, and how to convert it; empty where the ending says nothing."""
+    return _sentence(*BY_ENDING[path.suffix.lower()]) if path.suffix.lower() in BY_ENDING else ""
+
+
+def _sentence(what: str, remedy: str) -> str:
+    return f"this is {what}; {SUPPORTED}: {remedy}"
+
+
+def of_json(document: dict[str, Any]) -> str:
+    """What a JSON document is that is neither a layout nor of HouseExpo, in a sentence; empty where it may be one."""
+    if document.get("type") in GEOJSON_TYPES:
+        return _sentence("GeoJSON", DRAW)
+    if "proceduralParameters" in document or {"walls", "objects", "rooms"} <= document.keys():
+        return _sentence("a house of ProcTHOR", SAVE)
+    if "verts" in document or all(field in document for field in LAYOUT_FIELDS) or "format" in document:
+        return ""
+    return "" if document.keys() & {"solids", "starts", "rooms"} else f"JSON of another kind; {SUPPORTED}"
+
+
+def of_yaml(fields: Any) -> str:
+    """What a yaml document is that is no map, in a sentence; empty where it has a field of a map."""
+    if isinstance(fields, dict) and "levels" in fields and "image" not in fields:
+        return _sentence("a building of RMF (building.yaml)", f"take the drawing it names, or {DRAW}")
+    missing = [field for field in MAP_FIELDS if not isinstance(fields, dict) or field not in fields]
+    return f"yaml without {', '.join(missing)}, which no map is" if missing else ""
+
+
+def why_no_plan(path: Path) -> str:
+    """Why a JSON or yaml file in a folder is no plan; empty for one that is, and for one that means to be and is not."""
+    read, judge, marks = KINDS.get(path.suffix.lower(), KINDS[".yaml"])
+    try:
+        data = read_bytes(path, MAX_READ)
+    except LayoutError as error:
+        return "" if path.is_symlink() else str(error)
+    try:
+        document = read(data)
+    except (ValueError, yaml.YAMLError, RecursionError, TypeError):
+        return "" if all(mark in data for mark in marks) else "damaged, and without the fields of a plan"
+    return judge(document)
+
+
+def _json_reason(document: Any) -> str:
+    return of_json(document) if isinstance(document, dict) else f"JSON of another kind; {SUPPORTED}"
+
+
+KINDS: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str], tuple[bytes, ...]]] = {
+    ".json": (json.loads, _json_reason, (b'"',)),
+    ".yaml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
+    ".yml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
+}
