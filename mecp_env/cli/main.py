@@ -24,6 +24,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "replay": ("replay", "Replay", "the page that plays a kept run, and shows why the robot believes what it does"),
     "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
     "slam": ("slam", "Slam", "map a recorded log: CARMEN, a ROS bag or an .npz; keep pictures and figures"),
+    "export": ("export", "Export", "landmarks, rooms, graph and grid of a saved map for other programs"),
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
     "leaderboard": ("leaderboard", "Leaderboard", "one table of several results of a frozen benchmark"),

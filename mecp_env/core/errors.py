@@ -17,6 +17,10 @@ class ActionError(MecpError):
     """An action does not lie in the action space; the environment is as it was before."""
 
 
+class SensorError(MecpError):
+    """A scan or an odometry reading has the wrong shape or type, is not finite, or is out of bounds."""
+
+
 class LayoutError(MecpError):
     """A layout or plan file is damaged, out of its limits, or geometrically impossible."""
 

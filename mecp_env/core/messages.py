@@ -5,10 +5,18 @@ Lengths are in metres, angles in radians counter-clockwise in (-pi, pi], float64
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
 
 from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.errors import SensorError
 from mecp_env.core.quick import quick
+from mecp_env.core.se2 import compose, inverse
+
+SIDEWAYS_M = 1e-3  # a motion further from an arc than that is a turn, a drive and a turn
 
 
 @quick
@@ -21,6 +29,25 @@ class Scan:
     hit: Bools  # (K,B)
     max_range_m: float
 
+    @classmethod
+    def of(cls, ranges: Any, bearings: Any, max_range_m: float, *, clockwise: bool = False) -> Self:
+        """One sweep of ranges (B,) m at bearings (B,) rad in the laser's frame, of any order and any turn.
+
+        Bearings may ascend or descend, and count from 0 to 2 pi; `clockwise` ones grow to the right. A range that is
+        not finite, not positive, or not below `max_range_m` is no hit. Of beams at one bearing the first is kept.
+        Raises `SensorError`.
+        """
+        r, given = np.asarray(ranges, np.float64), np.asarray(bearings, np.float64)
+        if r.ndim != 1 or r.shape != given.shape or not len(r):
+            raise SensorError(f"ranges, bearings: shapes {r.shape} and {given.shape}, both (B,) with B >= 1 expected")
+        if not (np.isfinite(given).all() and 0.0 < max_range_m < math.inf):
+            raise SensorError(f"bearings, max_range_m: finite, and max_range_m = {max_range_m!r:.80} above 0, expected")
+        counter_clockwise = -given if clockwise else given
+        wrapped = math.pi - np.mod(math.pi - counter_clockwise, 2.0 * math.pi)  # (-pi, pi]
+        angles, first = np.unique(wrapped, return_index=True)
+        hit = np.isfinite(r[first]) & (r[first] > 0.0) & (r[first] < max_range_m)
+        return cls(np.where(hit, r[first], max_range_m)[None], angles[None], hit[None], float(max_range_m))
+
 
 @quick
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,3 +57,31 @@ class Odometry:
     increments: Array  # (M,2) m, rad: distance along the mean heading of the arc, turn
     cov: Array  # (M,2,2) covariance of each increment
     bumper: bool  # the robot touched something in this step: it may have slipped sideways
+
+    @classmethod
+    def between(cls, T_odom_before: Any, T_odom_after: Any, noise: Any, *, bumper: bool = False) -> Self:
+        """The motion between two poses (3,) x, y, heading (m, rad) of the robot in the frame of its odometry.
+
+        `noise` (2,): standard deviations of distance (m) and turn (rad) of this motion. A motion that is no arc, as of
+        a robot that moves sideways, becomes a turn, a drive and a turn. Raises `SensorError`.
+        """
+        before, after, sigmas = (np.asarray(v, np.float64) for v in (T_odom_before, T_odom_after, noise))
+        if (before.shape, after.shape, sigmas.shape) != ((3,), (3,), (2,)) or not np.isfinite([*before, *after]).all():
+            raise SensorError("T_odom_before, T_odom_after, noise: finite, of shapes (3,), (3,) and (2,), expected")
+        if not (np.isfinite(sigmas).all() and (sigmas > 0.0).all()):
+            raise SensorError(f"noise: {sigmas.tolist()}, two finite standard deviations above 0 expected")
+        increments = _arcs(*compose(inverse(before), after).tolist())
+        cov = np.diag(sigmas**2) / len(increments)
+        return cls(increments, np.repeat(cov[None], len(increments), axis=0), bumper)
+
+
+def _arcs(x: float, y: float, turn: float) -> Array:
+    """(M,2) distance and turn of the arcs that lead to `x`, `y`, `turn` in the frame of the start."""
+    cos, sin = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    if abs(cos * y - sin * x) <= SIDEWAYS_M:
+        return np.array([(cos * x + sin * y, turn)])
+    course = math.atan2(y, x)
+    back = math.pi if abs(course) > 0.5 * math.pi else 0.0  # drive backwards rather than turn round
+    course = math.remainder(course - back, 2.0 * math.pi)
+    distance = math.hypot(x, y) * (-1.0 if back else 1.0)
+    return np.array([(0.0, course), (distance, 0.0), (0.0, math.remainder(turn - course, 2.0 * math.pi))])

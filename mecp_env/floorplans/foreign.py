@@ -41,7 +41,7 @@ BY_ENDING = {
 }
 GEOJSON_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
 MAP_FIELDS = ("image", "resolution", "origin")
-LAYOUT_FIELDS = ("rooms", "starts")
+PLAN_FIELDS = {"verts", "solids", "rooms", "starts"}  # JSON with one of them is meant to be a plan
 MAX_READ = 2_000_000  # bytes
 
 
@@ -60,9 +60,9 @@ def of_json(document: dict[str, Any]) -> str:
         return _sentence("GeoJSON", DRAW)
     if "proceduralParameters" in document or {"walls", "objects", "rooms"} <= document.keys():
         return _sentence("a house of ProcTHOR", SAVE)
-    if "verts" in document or all(field in document for field in LAYOUT_FIELDS) or "format" in document:
+    if document.keys() & PLAN_FIELDS:
         return ""
-    return "" if document.keys() & {"solids", "starts", "rooms"} else f"JSON of another kind; {SUPPORTED}"
+    return f"JSON of another kind; {SUPPORTED}"
 
 
 def of_yaml(fields: Any) -> str:

@@ -158,6 +158,10 @@ def _beside(path: Path, given: str) -> Path:
         image = _within(folder, written)
         if image is not None:
             return image
+    if exists(folder / given):
+        raise LayoutError(
+            f"image: {shown(given)} leaves the folder of the yaml file, and nothing of that name is in it"
+        )
     beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
     raise LayoutError(f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}")
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.errors import MecpError
+from mecp_env.core.errors import SensorError as SensorError
 from mecp_env.core.jit import compiled
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.messages import Decision, Match
@@ -30,10 +31,6 @@ class Fault(Enum):
     NOT_FINITE = auto()
     OUT_OF_RANGE = auto()
     OUT_OF_ORDER = auto()
-
-
-class SensorError(MecpError):
-    """A scan or an odometry reading has the wrong shape or type, is not finite, or is out of bounds."""
 
 
 class MatchError(MecpError):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field
 
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.laser_presets import LASERS
 from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.registry import Names
-from mecp_env.core.settings import Settings
+from mecp_env.core.settings import Settings, guess, shown
 from mecp_env.slam.messages import Belief
 
 
@@ -56,6 +58,17 @@ class SensorModel(LaserNoise):
     least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
     merge_slope: float = Field(4.0, ge=0.0, le=100.0)
     """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
+
+    @classmethod
+    def preset(cls, name: str, **fields: Any) -> Self:
+        """The noise and view of a laser that exists, such as "urg04lx"; `fields` replace those of it, `x_m` is 0.
+
+        Raises `ConfigError` for an unknown name or field.
+        """
+        if name not in LASERS:
+            raise ConfigError(f"preset: {shown(name)}, one of {', '.join(LASERS)} expected{guess(name, LASERS)}")
+        known = {key: value for key, value in LASERS[name].items() if key in LaserNoise.model_fields and key != "x_m"}
+        return cls(**{**known, **fields})
 
 
 class ClusteringConfig(Settings):

@@ -7,10 +7,11 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from mecp_env.core.laser_presets import LASERS
 from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.preset import PresetSettings
 from mecp_env.core.settings import Settings
-from mecp_env.world.presets import LASERS, WHEELS
+from mecp_env.world.presets import WHEELS
 
 
 def ordered(limits: tuple[float, float]) -> tuple[float, float]:

@@ -107,6 +107,7 @@ LEVELS = {  # wall, floor, unknown, and the fields that make it so
 }
 
 
+@pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")
 @pytest.mark.parametrize("name", LEVELS)
 def test_the_modes_of_map_server(name: str, tmp_path: Path) -> None:
     wall, floor, unknown, fields = LEVELS[name]

@@ -1,0 +1,78 @@
+"""A user's own stream of scans and odometry: any bearing convention, poses of the wheels, a laser by its name."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.se2 import compose
+from mecp_env.slam import Odometry, Scan, SensorError, SlamConfig, SlamPipeline
+from mecp_env.slam.config import SensorModel
+
+B = 360
+ANGLES = np.linspace(-math.pi, math.pi, B + 1)[1:]
+ROOM = np.minimum(3.0 / np.abs(np.cos(ANGLES)), 2.0 / np.abs(np.sin(ANGLES)))  # 6 x 4 m, from its middle
+
+
+@pytest.mark.parametrize(
+    ("bearings", "clockwise"),
+    [(ANGLES, False), (np.mod(ANGLES, 2.0 * math.pi), False), (-ANGLES, True), (ANGLES - 20.0 * math.pi, False)],
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_scan_is_the_same_in_every_bearing_convention(bearings: np.ndarray, clockwise: bool, order: int) -> None:
+    scan = Scan.of(ROOM[::order].astype(np.float32), bearings[::order], 30.0, clockwise=clockwise)
+    np.testing.assert_allclose(scan.bearings[0], ANGLES, atol=1e-6)
+    np.testing.assert_allclose(scan.ranges[0], ROOM, rtol=1e-6)
+    assert scan.hit.all()
+
+
+def test_what_did_not_return_is_no_hit() -> None:
+    scan = Scan.of([math.nan, math.inf, 0.0, 5.0, 2.0], [0.0, 0.1, 0.2, 0.3, 0.4], 5.0)
+    assert scan.hit.tolist() == [[False, False, False, False, True]]
+    assert scan.ranges.tolist() == [[5.0, 5.0, 5.0, 5.0, 2.0]]
+
+
+def test_wrong_shapes_are_named() -> None:
+    with pytest.raises(SensorError, match="shapes"):
+        Scan.of([1.0, 2.0], [0.0], 5.0)
+    with pytest.raises(SensorError, match="max_range_m"):
+        Scan.of([1.0], [0.0], 0.0)
+    with pytest.raises(SensorError, match="noise"):
+        Odometry.between(np.zeros(3), np.zeros(3), (0.0, 0.1))
+
+
+@pytest.mark.parametrize("motion", [(1.0, 0.0, 0.0), (0.4, 0.2, 0.3), (-0.5, 0.1, -0.2), (0.0, 0.3, 0.0), (0, 0, 1)])
+def test_the_arcs_between_two_poses_lead_from_one_to_the_other(motion: tuple[float, float, float]) -> None:
+    before = np.array([3.0, -1.0, 2.8])
+    after = compose(before, np.array(motion, np.float64))
+    odometry = Odometry.between(before, after, (0.02, 0.01))
+    reached = before
+    for distance, turn in odometry.increments:
+        arc = np.array([distance * math.cos(turn / 2.0), distance * math.sin(turn / 2.0), turn])
+        reached = compose(reached, arc)
+    np.testing.assert_allclose(reached[:2], after[:2], atol=2e-3)
+    assert math.remainder(reached[2] - after[2], 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(odometry.cov.sum(axis=0), np.diag([4e-4, 1e-4]))
+
+
+def test_a_laser_by_its_name() -> None:
+    sensor = SensorModel.preset("urg04lx", heading_deg=90.0)
+    assert (sensor.range_sigma_share, sensor.field_of_view_deg, sensor.heading_deg, sensor.x_m) == (
+        *(0.01, 239.77, 90.0),
+        0.0,
+    )
+    with pytest.raises(ConfigError, match="urg04lx"):
+        SensorModel.preset("urg04")
+
+
+def test_a_stream_of_ten_lines_maps_the_room() -> None:
+    pipeline = SlamPipeline(SlamConfig(sensor=SensorModel.preset("rplidar_a1")))
+    pipeline.start(Scan.of(ROOM, ANGLES, 12.0))
+    for _ in range(4):
+        odometry = Odometry.between(np.zeros(3), np.zeros(3), (0.01, 0.01))
+        output = pipeline.step(odometry, Scan.of(ROOM, ANGLES, 12.0))
+    assert len(output.belief.ids) == 4
+    np.testing.assert_allclose(np.abs(output.belief.p_map), [[3.0, 2.0]] * 4, atol=0.02)
