@@ -15,7 +15,7 @@ from mecp_env.cli.main import main
 from mecp_env.slam import Odometry, Scan, SlamMap, SlamPipeline
 
 ANGLES = np.linspace(-math.pi, math.pi, 721)[1:]
-ROOM = np.minimum(3.0 / np.abs(np.cos(ANGLES)), 2.0 / np.abs(np.sin(ANGLES)))
+ROOM = np.minimum(3.0 / np.maximum(np.abs(np.cos(ANGLES)), 1e-9), 2.0 / np.maximum(np.abs(np.sin(ANGLES)), 1e-9))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from mecp_env.slam.config import SensorModel
 
 B = 360
 ANGLES = np.linspace(-math.pi, math.pi, B + 1)[1:]
-ROOM = np.minimum(3.0 / np.abs(np.cos(ANGLES)), 2.0 / np.abs(np.sin(ANGLES)))  # 6 x 4 m, from its middle
+ROOM = np.minimum(3.0 / np.maximum(np.abs(np.cos(ANGLES)), 1e-9), 2.0 / np.maximum(np.abs(np.sin(ANGLES)), 1e-9))
 
 
 @pytest.mark.parametrize(
