@@ -46,7 +46,7 @@ MAX_READ = 2_000_000  # bytes
 
 
 def by_ending(path: Path) -> str:
-    """What a file is by its ending, what is read instead, and how to convert it; empty where the ending says nothing."""
+    """What a file is by its ending, what is read instead, and how to convert it; empty for others."""
     return _sentence(*BY_ENDING[path.suffix.lower()]) if path.suffix.lower() in BY_ENDING else ""
 
 
@@ -74,7 +74,7 @@ def of_yaml(fields: Any) -> str:
 
 
 def why_no_plan(path: Path) -> str:
-    """Why a JSON or yaml file in a folder is no plan; empty for one that is, and for one that means to be and is not."""
+    """Why a JSON or yaml file in a folder is no plan; empty for one that is, or means to be."""
     read, judge, marks = KINDS.get(path.suffix.lower(), KINDS[".yaml"])
     try:
         data = read_bytes(path, MAX_READ)

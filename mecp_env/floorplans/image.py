@@ -24,6 +24,7 @@ MAX_PIXELS = 4096 * 4096
 MAX_PLAIN_PIXELS = 1_000_000  # of an image written in digits, which is slow to read
 UNKNOWN_SHARE, APART = 0.02, 25  # of the pixels that a grey level has, so far from others, to mean something of its own
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+KNOWN = "PNG, PGM, BMP or TIFF"
 FORMATS = ("PNG", "PPM", "BMP", "TIFF")
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
 DAMAGE = (
@@ -57,7 +58,7 @@ def read_image(path: Path) -> Image.Image:
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except DAMAGE as error:
-        said = f"damaged, or no PNG, PGM, BMP or TIFF of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
+        said = f"damaged, or no {KNOWN} of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
         raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
 
 

@@ -133,7 +133,7 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "thresholds crossed": ("map.yaml", sheet(free_thresh="0.7"), r"free_thresh: 0\.7 is not below occupied_thresh"),
     "threshold 2": ("map.yaml", sheet(occupied_thresh="2"), r"occupied_thresh: .*less than or equal to 1 .*2"),
     "no image": ("map.yaml", sheet(image="other.pgm"), r"map\.yaml: image: 'other\.pgm': no such file"),
-    "image is none": ("map.yaml", sheet(image="map.yaml"), r"map\.yaml: image: 'map\.yaml': .*no PNG, PGM, BMP or TIFF"),
+    "image is none": ("map.yaml", sheet(image="map.yaml"), r"map\.yaml: image: 'map\.yaml': .*no PNG, PGM"),
     "mode is checked before the image": ("map.yaml", sheet(image="other.pgm", mode="x"), r"mode: .*'x'"),
     "image is a number": ("map.yaml", sheet(image="3"), r"image: .*valid string"),
     "image is a folder": ("map.yaml", sheet(image="."), r"no such file|cannot be read"),
