@@ -30,18 +30,28 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
     """
     _refuse_run(folder)
     endings = ENDINGS.get(kind or "", (*JSON, *YAML, *(IMAGES if images else ())))
+    likely = _likely(folder, endings)
+    reasons = {path: reason for path in likely if (reason := _why_no_plan(path))}
+    _tell(folder, reasons)
+    plans = tuple(path for path in likely if path not in reasons)
+    if not plans:
+        raise ConfigError(f"plan: {folder}, {_nothing(reasons, endings, images)}")
+    return plans
+
+
+def _likely(folder: Path, endings: tuple[str, ...]) -> list[Path]:
+    """The files that end as plans do, in the order of their paths, without the images that a yaml file names."""
     files = sorted(_files(folder), key=lambda path: path.relative_to(folder).parts)
     named = {image_of(path) for path in files if path.suffix.lower() in YAML}
-    likely = [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
-    reasons = {path: _why_no_plan(path) for path in likely}
-    plans = tuple(path for path in likely if not reasons[path])
-    _tell(folder, {path: reason for path, reason in reasons.items() if reason})
-    if likely and not plans:
-        raise ConfigError(f"plan: {folder}, none of {len(likely)} files is a plan: {likely[0]}: {reasons[likely[0]]}")
-    if not plans:
-        hint = "" if images else "; images are taken where resolution_m gives their metres per pixel"
-        raise ConfigError(f"plan: {folder}, no file in it ends in {', '.join(endings)}{hint}")
-    return plans
+    return [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
+
+
+def _nothing(reasons: dict[Path, str], endings: tuple[str, ...], images: bool) -> str:
+    hint = "" if images else "; images are taken where resolution_m gives their metres per pixel"
+    if not reasons:
+        return f"no file in it ends in {', '.join(endings)}{hint}"
+    path, reason = next(iter(reasons.items()))
+    return f"none of {len(reasons)} files in it is a plan, as {path.name}: {reason}{hint}"
 
 
 def _why_no_plan(path: Path) -> str:
