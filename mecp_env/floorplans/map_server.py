@@ -158,7 +158,7 @@ def _beside(path: Path, given: str) -> Path:
         image = _within(folder, written)
         if image is not None:
             return image
-    if exists(folder / given):
+    if exists(folder / given) and (folder / given).is_file():
         raise LayoutError(
             f"image: {shown(given)} leaves the folder of the yaml file, and nothing of that name is in it"
         )
