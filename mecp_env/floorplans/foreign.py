@@ -92,7 +92,7 @@ def _json_reason(document: Any) -> str:
 
 
 KINDS: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str], tuple[bytes, ...]]] = {
-    ".json": (json.loads, _json_reason, (b'"',)),
+    ".json": (json.loads, _json_reason, ()),
     ".yaml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
     ".yml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
 }
