@@ -67,7 +67,7 @@ def sound(word: str, reading: Reading) -> bool:
     """Whether a building is sound, or all of a series or folder; prints a line for each, with the reason if not."""
     try:
         singles = expand(word, reading)
-        if is_folder(word):
+        if word and is_folder(word):
             _tell_left_out(Path(word), reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
