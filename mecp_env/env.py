@@ -33,8 +33,8 @@ from mecp_env.episode.episode import (
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import Observer
 from mecp_env.episode.oracle import ORACLES
-from mecp_env.episode.potentials import RewardInputs
-from mecp_env.episode.rewards import apply_weights, events, measured_terms, remember, weights_of
+from mecp_env.episode.potentials import NO_GOALS, RewardInputs
+from mecp_env.episode.rewards import Happened, apply_weights, events, measured_terms, new_memory, weights_of
 from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
@@ -395,7 +395,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """A new episode at the simulation's pose, with its scans at rest."""
         pose = self._true_world.T_world_robot
         pipeline = self._oracle.make_pipeline(self._slam)
-        metrics = EpisodeMetrics.begin(self._true_world.truth, pose, self._true_world.obstacles())
+        world = self._true_world
+        metrics = EpisodeMetrics.begin(world.truth, pose, world.obstacles(), self.config.max_steps)
         for _ in range(SCANS_AT_REST):
             self._oracle.inform(pipeline, self._true_world, metrics)
             output = pipeline.start(self._look(pose))
@@ -404,7 +405,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._episode = episode = EpisodeState(pipeline, output, metrics)
         self._follow(episode, pose)
         self.refresh_goals()
-        remember(episode.memory, self._reward_inputs(episode), self.config.reward)
+        episode.memory = new_memory(self._reward_inputs(episode), self.config.reward)
         return episode
 
     def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
@@ -447,7 +448,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:
         """Compare the estimate with ground truth."""
         episode.contact = motion.contact
-        episode.metrics.move(motion.increments, motion.contact)
+        episode.metrics.move(self._true_world.truth, motion.increments, motion.contact)
         episode.metrics.look(self._true_world.truth, T_world_robot, episode.slam_output, self._true_world.obstacles())
         self._follow(episode, T_world_robot)
 
@@ -486,16 +487,27 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The terms of this step's reward, weighted."""
         measured = measured_terms(episode.memory, self._reward_inputs(episode), self.config.reward)
         output = episode.slam_output
-        lost = episode.over and episode.metrics.lost.is_lost(output.diverged)
-        lost_m2 = episode.metrics.misplaced_m2(self._true_world.truth) if lost else None
-        happened = events(episode.memory, episode.contact, terminated, output.diverged, lost_m2)
-        return apply_weights(self._weights, measured | happened)
+        metrics, truth = episode.metrics, self._true_world.truth
+        lost = episode.over and metrics.lost.is_lost(output.diverged)
+        lost_m2 = metrics.misplaced_m2(truth) if lost else None
+        off = metrics.lost.off_steps > 0
+        happened = Happened(episode.contact, off, terminated, output.diverged, lost_m2, self.config.max_steps)
+        return apply_weights(self._weights, measured | events(episode.memory, happened))
 
     def _reward_inputs(self, episode: EpisodeState) -> RewardInputs:
         """The inputs of the measured reward terms."""
-        output = episode.slam_output
-        true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
-        return RewardInputs(output.belief, output.grid, output.diverged, true_area)
+        output, metrics, truth = episode.slam_output, episode.metrics, self._true_world.truth
+        by_truth = self.config.reward.source == "truth"
+        return RewardInputs(
+            output.belief,
+            output.grid,
+            output.diverged,
+            true_area_m2=metrics.seen_cells * CELL_M**2 if by_truth else None,
+            true_shares=(metrics.coverage(truth), metrics.quality.correct_coverage) if by_truth else None,
+            free_area_m2=truth.free_cells * CELL_M**2,
+            budget=1.0 - metrics.steps / self.config.max_steps,
+            p_goals=NO_GOALS if episode.over else episode.goals.p_map,
+        )
 
     def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:
         seen = episode.slam_output, episode.pipeline.map.features, episode.rows, episode.path_map

@@ -16,14 +16,7 @@ ACTIVE: dict[str, Any] = {  # of every task
     "max_steps": 1500,
     "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
     "observation": {"uncertainty": True},
-    "reward": {
-        "area": 0.0,
-        "pose_information": 0.0,
-        "landmark_information": 0.0,
-        "completion": 0.0,
-        "expected_area": 0.1,
-        "lost": -5.0,
-    },
+    "reward": {"preset": "correct_coverage"},
 }
 PLAIN: dict[str, Any] = {"shaped_rooms": 0, "furniture": 0.0, "corridors": 0}
 TASKS: dict[str, dict[str, Any]] = {

@@ -17,12 +17,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.core.budget import budget_m
 from mecp_env.core.errors import LayoutError
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import DownsampledObservation
 from mecp_env.learning.sb3_batch import SB3Batch
-from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.vector import BatchEnv
 
 Env = gym.Env[Any, Any]

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
 from mecp_env.core.own_modules import checksums
@@ -21,7 +22,6 @@ from mecp_env.core.paths import write_atomic
 from mecp_env.core.provenance import dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, rows_of, timing
-from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.returns import returns_of

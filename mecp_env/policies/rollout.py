@@ -11,7 +11,8 @@ import gymnasium as gym
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.core.budget import budget_m
+from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.setting import Setting
