@@ -57,6 +57,7 @@ IN_UNITS = (
     "map_size",
     "noise",
     "real",
+    "returns",
     "soak",
     "scale",
     "structures",
@@ -85,6 +86,7 @@ NAMES = (
     "replay",
     "stock_ppo",
     "uncertainty",
+    "returns",
     "consistency",
     "victoria_park",
     "figures",
@@ -98,7 +100,7 @@ HERE_ONLY = (
     "scale",
     "soak",
 )  # times and memory of this machine; maps beside results
-OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
+OVER_POLICIES = ("uncertainty", "returns")  # --task, --policies, --buildings
 RECORD = "record"  # makes what others replay, and has no figures
 WITH_RECORDS = (
     "association",

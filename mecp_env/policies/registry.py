@@ -23,6 +23,7 @@ EXPLORERS = {  # name -> "module:Class", constructed without arguments
     "stachniss": "mecp_env.policies.active:Stachniss",
     "random_goal": "mecp_env.policies.explorers:RandomGoal",
     "random_walk": "mecp_env.policies.explorers:RandomWalk",
+    "standing": "mecp_env.policies.explorers:Standing",
 }
 OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`

@@ -172,6 +172,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
     curve, budget = log.curve, budget_m(summary["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
+    figures["coverage_over_steps"] = curve.area_under_steps(max_steps)
     figures["correct_over_metres"] = log.correct.area_under(budget)
     figures["correct_over_steps"] = log.correct.area_under_steps(max_steps)
     for level in LEVELS:
