@@ -11,6 +11,7 @@ from gymnasium.envs.registration import register, registry
 __version__ = "0.1.0"
 
 ENVIRONMENTS = {  # id -> entry point
+    "mecp_env/First-v0": "mecp_env.registration:make_first",
     "mecp_env/PaperMap-v0": "mecp_env.registration:make_paper_map",
     "mecp_env/Layout-v0": "mecp_env.registration:make",
     "mecp_env/Rooms-v0": "mecp_env.registration:make_rooms",

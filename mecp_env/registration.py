@@ -13,7 +13,7 @@ from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv
 from mecp_env.episode.buildings import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
-from mecp_env.episode.tasks import TASKS
+from mecp_env.episode.tasks import FIRST, TASKS
 from mecp_env.wrappers import GoalActions
 
 PAPER_LAYOUT = "paper"
@@ -48,6 +48,11 @@ def make_rooms(
     """
     buildings, rest = generator_keywords(keywords)
     return _make_from(GENERATE, buildings, config, render_mode, rest)
+
+
+def make_first(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
+    """`First-v0`: small buildings, five motions, one vector to observe, 500 steps; as `make_rooms`."""
+    return make_rooms(config, render_mode, **merge(FIRST, {key: plain_value(v) for key, v in keywords.items()}))
 
 
 def make_task(name: str, config: Any, render_mode: str | None, keywords: dict[str, Any]) -> gymnasium.Env[Any, Any]:
@@ -99,6 +104,7 @@ def make_active_cheap_robot(
 
 
 MAKERS: tuple[Any, ...] = (
+    make_first,
     *(make, make_paper_map, make_rooms, make_floor_plan),
     *(make_active_halls, make_active_corridors, make_active_cheap_robot),
 )

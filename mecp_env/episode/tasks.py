@@ -1,4 +1,4 @@
-"""The tasks of active SLAM: buildings and robots in which greedy exploration loses its map (docs/tasks.md).
+"""The first task, and the tasks of active SLAM: buildings and robots in which greedy exploration loses its map.
 
 Plain fields of the buildings and of `EnvConfig`; settings were chosen on the validation split.
 """
@@ -10,6 +10,13 @@ from typing import Any
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 
+FIRST: dict[str, Any] = {  # of `First-v0`: a stock learner with a small network learns it in minutes
+    "difficulty": "easy",
+    "actions": "discrete",
+    "observation": {"format": "flat"},
+    "max_steps": 500,
+    "start": "random",
+}
 ACTIVE: dict[str, Any] = {  # of every task
     "actions": "goal",
     "start": "random",
