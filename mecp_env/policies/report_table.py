@@ -33,7 +33,7 @@ EXPLORATION: tuple[Column, ...] = (
     ("coverage, %", "coverage", PLAIN, 100.0),
     ("m in all", "metres", PERCENT, 1.0),
     ("decisions", "decisions", PERCENT, 1.0),
-    ("return", "reward", PLAIN, 1.0),
+    ("return", "reward", ".3f", 1.0),
 )
 LOCALISATION: tuple[Column, ...] = (
     ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
@@ -55,9 +55,9 @@ DIFFERENCES: tuple[Column, ...] = (
     ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
 )
 RETURNS: tuple[Column, ...] = (
-    ("lost", "lost", PLAIN, 1.0),
-    ("others", "others", PLAIN, 1.0),
-    ("lost - others", "difference", "+.1f", 1.0),
+    ("lost", "lost", ".3f", 1.0),
+    ("others", "others", ".3f", 1.0),
+    ("lost - others", "difference", "+.3f", 1.0),
     ("lost / others", "ratio", ".2f", 1.0),
     ("correlation with correct coverage", "correlation", ".2f", 1.0),
 )
