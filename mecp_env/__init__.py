@@ -6,6 +6,8 @@ loaded by the first `gymnasium.make`.
 
 from __future__ import annotations
 
+from typing import Any
+
 from gymnasium.envs.registration import register, registry
 
 __version__ = "0.1.0"
@@ -27,6 +29,17 @@ def register_environments() -> None:
         if name not in registry:
             batch = entry_point.replace("registration", "vector")
             register(id=name, entry_point=entry_point, vector_entry_point=batch)
+
+
+def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool = False) -> tuple[str, ...]:
+    """The name of each number of an observation of the format "flat", in its order (docs/observations.md).
+
+    Of an environment that was made with `observation="flat"`, or of one with these `actions` ("velocity", "discrete",
+    "goal") and `uncertainty`. Raises `ConfigError` for another environment, and for unknown actions.
+    """
+    from mecp_env.episode.flat_layout import flat_names as names  # loads the configuration
+
+    return names(env, actions=actions, uncertainty=uncertainty)
 
 
 register_environments()
