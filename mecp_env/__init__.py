@@ -6,6 +6,7 @@ loaded by the first `gymnasium.make`.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 from gymnasium.envs.registration import register, registry
@@ -37,9 +38,9 @@ def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool 
     Of an environment that was made with `observation="flat"`, or of one with these `actions` ("velocity", "discrete",
     "goal") and `uncertainty`. Raises `ConfigError` for another environment, and for unknown actions.
     """
-    from mecp_env.episode.flat_layout import flat_names as names  # loads the configuration
-
-    return names(env, actions=actions, uncertainty=uncertainty)
+    layout = import_module("mecp_env.episode.flat_layout")  # by name, as an entry point: loaded when it is called
+    names: tuple[str, ...] = layout.flat_names(env, actions=actions, uncertainty=uncertainty)
+    return names
 
 
 register_environments()

@@ -181,6 +181,7 @@ def test_spaces_are_finite_and_of_the_promised_shapes():
     space = make_space(True, 720, 30.0)
     shapes = {name: (box.shape, box.dtype.name) for name, box in space.items()}
     assert shapes == {
+        "budget": ((1,), "float32"),
         "pose": ((4,), "float32"),
         "pose_cov": ((6,), "float32"),
         "landmarks": ((LANDMARKS, 8), "float32"),
