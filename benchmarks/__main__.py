@@ -84,6 +84,7 @@ NAMES = (
     "learning",
     "replay",
     "stock_ppo",
+    "formats",
     "uncertainty",
     "consistency",
     "victoria_park",

@@ -71,18 +71,19 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
       maximum turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (turns at half of the maximum rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
-      `action_masks()` returns the valid rows; a masked row is one step of waiting.
+      `info["action_mask"]` (32,) int8 is 1 in the valid rows; another row is a drive to the nearest goal that explores.
 
     An action outside the space raises `ActionError` and leaves the environment unchanged.
 
     ## Observation Space
 
-    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
-    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,), and
-    with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns of `goals`.
-    Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
-    `observation="flat"` is one `Box(-1, 1, (104,), float32)` instead (see `Flat`), `observation="image"` one
-    `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
+    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `budget` (1,), `pose` (4,),
+    `pose_cov` (6,), `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and
+    `scan` (B,), and with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns
+    of `goals`. Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]`
+    counts both.
+    `observation="flat"` is one `Box(-1, 1, (n,), float32)` instead, n = 181, or 325 with goal actions (see `Flat`;
+    `mecp_env.flat_names` names the columns), `observation="image"` one `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
 
     ## Rewards
 
