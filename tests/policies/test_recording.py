@@ -86,8 +86,8 @@ def test_the_drives_of_a_policy_are_recorded_as_velocities() -> None:
     env = dataset.recover_environment()
     for seed, episode in enumerate(dataset.iterate_episodes()):
         env.reset(seed=seed, options={"building": seed})
-        poses = [env.step(action)[0][:11] for action in episode.actions[:-1]]
-        assert same(np.array(poses), episode.observations[1:-1, :11])
+        poses = [env.step(action)[0][:10] for action in episode.actions[:-1]]
+        assert same(np.array(poses), episode.observations[1:-1, :10])
         assert episode.infos["period"].tolist() == list(range(len(episode) + 1))
         assert set(episode.infos) == set(INFOS)
 
