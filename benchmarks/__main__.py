@@ -85,6 +85,7 @@ NAMES = (
     "learning",
     "replay",
     "stock_ppo",
+    "formats",
     "uncertainty",
     "returns",
     "consistency",

@@ -63,7 +63,7 @@ class ObservationConfig(Settings):
     `observation="flat"` stands for `observation={"format": "flat"}`.
     """
 
-    format: Literal["dict", "flat", "image"] = "dict"  # tables and grids; float32 (104,); uint8 (3,64,64)
+    format: Literal["dict", "flat", "image"] = "dict"  # tables and grids; float32 (n,); uint8 (3,64,64)
     map: bool = False  # a coarse grid, 64 x 64 cells of 0.8 m
     scan: bool = False  # the ranges of the merged beams
     uncertainty: bool = False  # `localisation`, and columns of `goals`: predicted sigmas and gain of information

@@ -31,7 +31,7 @@ from mecp_env.episode.episode import (
     nearest_goal,
 )
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.episode.observations import Observer
+from mecp_env.episode.observations import Observer, Seen
 from mecp_env.episode.oracle import ORACLES
 from mecp_env.episode.potentials import NO_GOALS, RewardInputs
 from mecp_env.episode.rewards import Happened, apply_weights, events, measured_terms, new_memory, weights_of
@@ -42,6 +42,7 @@ from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goal_list import LENGTHS
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
+from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.world.odometry import measure
@@ -70,18 +71,19 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
       maximum turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (turns at half of the maximum rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
-      `action_masks()` returns the valid rows; a masked row is one step of waiting.
+      `info["action_mask"]` (32,) int8 is 1 in the valid rows; another row is a drive to the nearest goal that explores.
 
     An action outside the space raises `ActionError` and leaves the environment unchanged.
 
     ## Observation Space
 
-    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
-    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,), and
-    with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns of `goals`.
-    Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
-    `observation="flat"` is one `Box(-1, 1, (104,), float32)` instead (see `Flat`), `observation="image"` one
-    `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
+    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `budget` (1,), `pose` (4,),
+    `pose_cov` (6,), `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and
+    `scan` (B,), and with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns
+    of `goals`. Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]`
+    counts both.
+    `observation="flat"` is one `Box(-1, 1, (n,), float32)` instead, n = 181, or 325 with goal actions (see `Flat`;
+    `mecp_env.flat_names` names the columns), `observation="image"` one `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
 
     ## Rewards
 
@@ -142,9 +144,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._start = self._true_world.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
+        self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._observer = self._new_observer()
         self.observation_space: spaces.Space[Any] = self._observer.space
-        self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._oracle = ORACLES[self.config.estimator]
         self._weights = weights_of(self.config.reward)
         self._reward_keys = tuple(f"reward_{name}" for name in self._weights)
@@ -386,7 +388,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _new_observer(self) -> Observer | Flat | Image:
         seen, laser = self.config.observation, self.config.laser
         if seen.format == "flat":
-            return Flat(seen.uncertainty, nearest_first=self.config.actions != "goal")
+            return Flat(self.config.actions, seen.uncertainty, RowTimes.of(self._planning))
         if seen.format == "image":
             return Image()
         return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
@@ -510,8 +512,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         )
 
     def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:
-        seen = episode.slam_output, episode.pipeline.map.features, episode.rows, episode.path_map
-        return observer.observe(*seen, episode.recognised)
+        budget = 1.0 - episode.metrics.steps / self.config.max_steps
+        features, rows, path = episode.pipeline.map.features, episode.rows, episode.path_map
+        return observer.observe(Seen(episode.slam_output, features, rows, path, episode.recognised, budget))
 
     def _paint(self) -> Bytes:
         from mecp_env.render.screen import Screen  # pygame is loaded only for rendering
