@@ -111,7 +111,8 @@ class Worker:
         """Let it call the method `name` of its target. Raises `WorkerDied`."""
         try:
             self.pipe.send((name, arguments))
-        except GONE:
+        except GONE as error:
+            traceback.clear_frames(error.__traceback__)  # a view of a BytesIO: collected as a cycle, it ends Python 3.12.1
             self.report_death()
 
     def answer(self) -> Any:
