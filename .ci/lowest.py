@@ -11,8 +11,7 @@ TESTS = ("pytest", "pytest-xdist", "hypothesis")
 
 
 def constraints(project: dict[str, Any]) -> list[str]:
-    """`name==version` for each requirement of the package and for the tools of its tests. Raises `ValueError` for a
-    requirement without a lower bound."""
+    """`name==version` for each requirement of the package and of its tests. Raises `ValueError` without a floor."""
     extras = project["optional-dependencies"]["dev"]
     wanted = [*project["dependencies"], *(line for line in extras if re.split("[><=]", line)[0] in TESTS)]
     return [lowest(requirement) for requirement in wanted]
