@@ -32,6 +32,8 @@ RESERVED = ("reset", "step", "close")  # not for `call`
 class HostedEnvs(VectorEnv[Any, Any, Any]):
     """`N` environments in `workers` processes and the shared buffers of their results."""
 
+    closed = True  # until there are workers: Gymnasium below 1.4 closes what a failed construction leaves
+
     def __init__(self, makers: Makers, workers: int | None, mode: AutoresetMode, context: str | None) -> None:
         if not makers:
             raise ValueError("num_envs: 0, expected at least 1")
@@ -48,6 +50,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         self._pool = WorkerPool(self._targets(makers, fields, memory), method)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
+        self.closed = False
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """For each environment what its method `name` returns, or its attribute of that name."""

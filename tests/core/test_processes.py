@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from typing import Any
 
 import pytest
@@ -134,6 +135,14 @@ def caught(call: Any) -> Exception:
     raise AssertionError
 
 
+def views_kept_by(error: BaseException | None) -> list[memoryview]:
+    """Views of memory among the variables that an exception and its causes keep alive."""
+    if error is None:
+        return []
+    kept = [value for frame, _ in traceback.walk_tb(error.__traceback__) for value in frame.f_locals.values()]
+    return [value for value in kept if isinstance(value, memoryview)] + views_kept_by(error.__context__)
+
+
 def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
     pool = WorkerPool({"a": Target("a"), "b": Target("b")}, "fork")
     pids = pool.pids
@@ -141,8 +150,9 @@ def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
     assert pool.gather() == ["a", "b"]
     os.kill(pids[1], signal.SIGKILL)
     assert gone_within(pids[1:], 1.0)
-    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped"):
+    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped") as caught:
         pool.ask("open", [(), ()])
+    assert views_kept_by(caught.value) == []
     assert gone_within(pids, 1.0)
     pool.close()
 
