@@ -271,7 +271,7 @@ def test_the_episode_is_the_same_in_every_format(observation: str) -> None:
 def test_every_id_takes_every_format_as_word_and_as_setting(name: str, observation: str) -> None:
     short = gymnasium.make(name, observation=observation, **NEEDED.get(name, {}))
     long = gymnasium.make(name, config={"observation": {"format": observation}}, **NEEDED.get(name, {}))
-    assert short.unwrapped.config == long.unwrapped.config
+    assert short.unwrapped.config.to_dict() == long.unwrapped.config.to_dict()
     uncertain = short.unwrapped.config.observation.uncertainty  # a word keeps the other settings of a task
     assert uncertain == ("Active" in name)
     assert short.observation_space.shape == ((421,) if uncertain and observation == "flat" else FORMATS[observation])

@@ -140,7 +140,7 @@ def test_every_choice_takes_at_least_a_step_and_every_policy_comes_to_an_end():
 
 
 def test_an_episode_ends_when_no_goal_is_left():
-    env = make(actions="goal")
+    env = make(actions="goal", reward="terms")
     rows = explore(env)
     for row in rows[:-1]:
         assert row[4]["goals"] > 0

@@ -267,7 +267,7 @@ def test_custom_rewards_are_part_of_the_return_and_have_a_column(monkeypatch):
 def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
     """With the value of the next state added, divergence was worth as much as keeping the map."""
     for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_steps": 2}, False)):
-        venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
+        venv = make_many(quick(algorithm, env=QUICK["env"] | {"reward": "terms"} | fields), 0)
         venv.reset()
         dones = np.zeros(2, np.bool_)
         for _ in range(20):

@@ -282,7 +282,7 @@ def test_with_a_known_pose_there_is_no_pose_error() -> None:
         ({"episodes": 0}, r"--episodes: .*greater than or equal to 1 \(given: 0\)"),
         ({"episodes": 1001}, "1000"),
         ({"episodes": 5000}, "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
-        ({"reference": "gian"}, "one of nearest, bfs, .*random_walk; did you mean 'gain'"),
+        ({"reference": "gian"}, "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
         ({"jobs": 0}, r"--jobs: .*greater than or equal to 1 \(given: 0\)"),
         ({"max_steps": 0}, r"--max_steps: .*greater than or equal to 1 \(given: 0\)"),
         ({"jobs": 257}, r"--jobs: .*less than or equal to 256 \(given: 257\)"),
