@@ -52,12 +52,17 @@ def make_rooms(
 
 def make_first(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
     """`First-v0`: small buildings, five motions, one vector to observe, 500 steps; as `make_rooms`."""
-    return make_rooms(config, render_mode, **merge(FIRST, {key: plain_value(v) for key, v in keywords.items()}))
+    return make_rooms(None, render_mode, **over(FIRST, config, keywords))
 
 
 def make_task(name: str, config: Any, render_mode: str | None, keywords: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     """A task of active SLAM: as `make_rooms`, with the fields of the task below those given."""
-    return make_rooms(config, render_mode, **merge(TASKS[name], {key: plain_value(v) for key, v in keywords.items()}))
+    return make_rooms(None, render_mode, **over(TASKS[name], config, keywords))
+
+
+def over(fields: dict[str, Any], config: Any, keywords: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a task, overridden by a configuration, and both by keywords."""
+    return merge(merge(fields, plain(config)), {name: plain_value(value) for name, value in keywords.items()})
 
 
 def make_floor_plan(
