@@ -87,16 +87,18 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     ## Rewards
 
-    The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): newly
-    mapped area (m^2), pose and landmark information (nat), contact, time, completion (100 m^2 of map), divergence. They
-    are measured on the estimate; `reward={"source": "truth"}` measures the area on ground truth. docs/rewards.md
-    contains the formulas.
+    The sum of an episode is the mean over the step limit of the mapped share of the floor, in [0, 1], less small
+    penalties for contacts and a lost pose; in the tasks of active SLAM, of its expected correct share. `reward="terms"`
+    is a sum of weighted terms instead, `reward={"source": "truth"}` measures on ground truth; every term has an entry
+    in `info` (`reward_coverage`, ...). docs/rewards.md contains the formulas.
 
     ## Starting State
 
     The first start pose of the layout, at rest, with three scans taken. `start="random"` draws a pose in free space,
-    `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode, and
-    `reset(options={"building": 12})` selects the generated building. Any other option raises `ConfigError`.
+    `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode,
+    `reset(options={"building": 12})` selects the generated building, and `reset(options={"difficulty": "hard"})` its
+    difficulty, for curricula; a list as `difficulty` of `gymnasium.make` draws one at every reset. Any other option
+    raises `ConfigError`.
 
     ## Episode End
 
@@ -162,15 +164,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The first observation of a new episode, and its info.
 
         `options` may contain `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; for
-        generated buildings also `building`, an index in the split instead of a random one. Raises `ConfigError` for any
-        other option, a seed that is not an integer of at least 0, a pose that is not free, or a building out of range,
-        and then changes nothing.
+        generated buildings also `building`, an index in the split instead of a random one, and `difficulty`, that of
+        this episode. Raises `ConfigError` for any other option, a seed that is not an integer of at least 0, a pose
+        that is not free, or a building out of range, and then changes nothing.
         """
         given, seed = parse_options(options), check_seed(seed)
-        building = self._true_world.check_building(given.get("building"))
+        buildings = self._true_world.choose_buildings(given.get("building"), given.get("difficulty"))
         start = self._true_world.check_start(given.get("start", self._start))
         super().reset(seed=seed)
-        self._true_world.begin(building, start, self.np_random)
+        self._true_world.begin(buildings, start, self.np_random)
         self._observer = self._new_observer()
         self._begin()
         self._terms = dict.fromkeys(self._weights, 0.0)
