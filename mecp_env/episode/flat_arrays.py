@@ -23,6 +23,7 @@ EXPLORED = (GoalKind.PLACE + 0.5) / KINDS  # the column `kind` of what explores 
 FIRST_RANGE = len(HEAD)
 FIRST_GOAL = FIRST_RANGE + SECTORS
 SIGHT_M, WALL_M = 5.0, 0.3  # range of the imaginary scan; a wall nearer than `WALL_M` belongs to the goal itself
+DEPTH_M = 2.0  # of unknown cells, after which a beam ends: rank correlation with what drives map .61, without it .43
 BEAMS = 24
 SECTOR_RAD, BEAM_RAD = 2.0 * math.pi / SECTORS, 2.0 * math.pi / BEAMS
 UNKNOWN, OCCUPIED = int(Cell.UNKNOWN), int(Cell.OCCUPIED)
@@ -89,22 +90,24 @@ def fill_flat(
 
 @compiled
 def unseen_floor(x: float, y: float, grid: Grid) -> float:
-    """m^2 of unknown cells that a scan at x, y (m, map frame) would see: 24 beams of 5 m, up to the first known wall.
+    """m^2 of unknown cells that a scan at x, y (m, map frame) would see, with 24 beams of 5 m.
 
-    The integral of r dr da over the unknown part of the beams (Gonzalez-Banos and Latombe 2002). What is outside the
-    grid is unknown.
+    The integral of r dr da over the unknown part of the beams (Gonzalez-Banos and Latombe 2002). A beam ends at the
+    first known wall, and after 2 m of unknown cells: some wall is there. What is outside the grid is unknown.
     """
     label, corner, cell_m = grid
     rows, cols = label.shape
     u, v, steps = (x - corner[0]) / cell_m, (y - corner[1]) / cell_m, int(SIGHT_M / cell_m)
-    area = 0.0
+    area, deepest = 0.0, int(DEPTH_M / cell_m)
     for k in range(BEAMS):
+        depth = 0
         for i in range(1, steps + 1):
             column, row = math.floor(u + i * DIRECTIONS[k, 0]), math.floor(v + i * DIRECTIONS[k, 1])
             cell = UNKNOWN
             if (0 <= row < rows) & (0 <= column < cols):
                 cell = label[row, column]
-            if cell == OCCUPIED and i * cell_m > WALL_M:
+            if depth == deepest or (cell == OCCUPIED and i * cell_m > WALL_M):
                 break
             area += i * (cell == UNKNOWN)
+            depth += cell == UNKNOWN
     return area * cell_m * cell_m * BEAM_RAD

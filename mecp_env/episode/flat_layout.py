@@ -34,7 +34,7 @@ GOAL: tuple[Column, ...] = (
     ("cos", 0.0),
     ("sin", 0.0),
     ("distance", 5.0),
-    ("floor", 20.0),
+    ("floor", 5.0),
     ("near", 0.0),
     ("width", 1.0),
     ("visits", 1.0),

@@ -100,7 +100,7 @@ def polar_twin(p_robot: np.ndarray, half: float) -> list[float]:
 
 def goal_twin(row: np.ndarray, seconds: float, env: Any) -> dict[str, float]:
     rank = int(np.hypot(*(env.goals.p_map - from_robot(row[:2], env)).T).argmin())
-    floor = halved(plain_unseen(env.goals.p_map[rank], env.slam_output.grid), 20) if row[4] < 4 else 0.0
+    floor = halved(plain_unseen(env.goals.p_map[rank], env.slam_output.grid), 5) if row[4] < 4 else 0.0
     values = [1.0, *polar_twin(row, 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
     values += [(row[4] + 1) / 7, halved(row[9], 0.1), halved(row[10], 0.05), halved(row[11], 10)]
     return dict(zip(GOAL_NAMES, values, strict=True))
@@ -113,7 +113,7 @@ def from_robot(p_robot: np.ndarray, env: Any) -> np.ndarray:
 
 
 def plain_unseen(p_map: np.ndarray, grid: Any) -> float:
-    """m^2 of unknown cells that 24 beams of 5 m from a place cross before a wall, in NumPy."""
+    """m^2 of unknown cells that 24 beams of 5 m from a place cross before a wall, at most 2 m of each, in NumPy."""
     bearings, steps = np.arange(24) * (2 * math.pi / 24), np.arange(1, int(5.0 / grid.resolution_m) + 1)
     ways = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[:, None] * steps[:, None]
     cells = np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int)
@@ -122,7 +122,8 @@ def plain_unseen(p_map: np.ndarray, grid: Any) -> float:
     inside = (row >= 0) & (column >= 0) & (row < rows) & (column < columns)
     label = np.where(inside, grid.label[row.clip(0, rows - 1), column.clip(0, columns - 1)], Cell.UNKNOWN)
     seen = np.cumsum((label == Cell.OCCUPIED) & (steps * grid.resolution_m > 0.3), axis=1) == 0
-    area = ((label == Cell.UNKNOWN) & seen) * steps
+    fresh = (label == Cell.UNKNOWN) & seen
+    area = (fresh & (np.cumsum(fresh, axis=1) * grid.resolution_m < 2.0 + 1e-9)) * steps
     return float(area.sum()) * grid.resolution_m**2 * 2 * math.pi / 24
 
 
@@ -136,7 +137,7 @@ def test_unseen_floor_against_numpy_also_outside_the_grid(place: tuple[float, fl
 
 def test_unseen_floor_is_that_of_the_disc_in_the_open_and_nothing_behind_walls() -> None:
     empty, corner = np.zeros((10, 10), np.uint8), np.zeros(2)
-    assert unseen_floor(0.5, 0.5, (empty, corner, 0.1)) == pytest.approx(math.pi * 25, rel=0.03)
+    assert unseen_floor(0.5, 0.5, (empty, corner, 0.1)) == pytest.approx(math.pi * 4, rel=0.06)
     walled = np.full((40, 40), int(Cell.OCCUPIED), np.uint8)
     walled[5:35, 5:35] = int(Cell.FREE)
     assert unseen_floor(2.0, 2.0, (walled, corner, 0.1)) == 0.0
