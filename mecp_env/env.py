@@ -353,7 +353,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification from `gymnasium.make`; its keywords are plain data."""
+        """The specification from `gymnasium.make`; its keywords are plain data.
+
+        `max_episode_steps` is `config.max_steps`, in control steps, unless `gymnasium.make` was given another one, with
+        which Gymnasium's `TimeLimit` cuts after so many calls of `step`.
+        """
         return self._spec
 
     @spec.setter
@@ -361,6 +365,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._spec = copy.copy(spec)
         if self._spec is not None:
             self._spec.kwargs = plain_value(self._spec.kwargs)
+            self._spec.max_episode_steps = self._spec.max_episode_steps or self.config.max_steps
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle and deepcopy: the constructor arguments and the state of the running episode."""

@@ -16,15 +16,22 @@ FIX = "start it on a desktop or with DISPLAY set (ssh -X, xvfb-run), or do witho
 def require_display() -> str:
     """SDL's driver of windows. Raises `ConfigError` where none could be seen, unless SDL_VIDEODRIVER asks for that."""
     try:
+        return open_display()
+    finally:
+        pygame.display.quit()
+
+
+def open_display() -> str:
+    """SDL's driver of windows, ready for them; raises as `require_display`, and then closes it."""
+    try:
         pygame.display.init()
         driver = pygame.display.get_driver()
         if driver in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
             raise pygame.error("there is no display")
-        return driver
     except pygame.error as error:
-        raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
-    finally:
         pygame.display.quit()
+        raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
+    return driver
 
 
 class Window:
@@ -66,8 +73,8 @@ class Window:
         self.closed = True
 
     def _open(self, width: int, height: int) -> pygame.Surface:
+        open_display()
         try:
-            pygame.display.init()
             self._surface = pygame.display.set_mode((width, height))
         except pygame.error as error:
             pygame.display.quit()

@@ -208,11 +208,12 @@ def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
     assert load(folder)
 
 
-def test_ctrl_c_saves_and_says_where(launcher, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
     process = start(launcher, "--config", str(config), "--out", str(folder))
     wait_for_checkpoint(process, Checkpoints(folder / "checkpoints", 3))
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     said, _ = process.communicate(timeout=300)
     assert process.returncode == 130, said
     assert f"--resume {folder}" in said.replace("\n", "")
