@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, ValidationError
 
 from mecp_env.config import ObservationConfig, as_section
 from mecp_env.core.array_types import Bools
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import Settings
+from mecp_env.core.settings import Settings, describe
 from mecp_env.learning.fits import Fit, choices_of, with_known_ground
 from mecp_env.learning.model_policy import ModelPolicy
 
@@ -100,7 +100,10 @@ def exported_policy(path: Path, network: Network) -> ModelPolicy:
         raise ConfigError(
             f'policy: {path}: {beside.name} is missing beside it, such as {{"observation": "flat", "actions": "goal"}}'
         )
-    config = ExportedConfig.build(read_fields(beside))
+    try:
+        config = ExportedConfig.model_validate(read_fields(beside))
+    except ValidationError as error:
+        raise ConfigError(f"{beside}: {describe(error, 'fields', ExportedConfig)}") from None
     return ModelPolicy(ExportedModel(network, config, str(path)), config.fit(), str(path))
 
 

@@ -57,7 +57,7 @@ def fit(observations: Space, actions: Space, name: str) -> Fit:
         if same_array(observations, ours):
             return Fit(kind, with_known_ground(settings))
         if same_array(observations, ours, last=True):
-            return Fit(kind, settings, channels_last=True)
+            return Fit(kind, with_known_ground(settings), channels_last=True)
     raise ConfigError(
         f"policy: {name} was trained on the observation {observations}, which no environment has with "
         f"actions={kind!r}; the nearest is {nearest_array(observations, kind)}"

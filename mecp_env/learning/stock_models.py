@@ -29,10 +29,10 @@ CLASSES = {  # module of the policy or of the buffer that a file names -> "modul
     "stable_baselines3.sac": "stable_baselines3:SAC",
     "stable_baselines3.td3": "stable_baselines3:TD3",
 }
-ON_POLICY = {  # a setting that only this one of the others has
+ON_POLICY = {  # the first of these settings that a file has
     "clip_range": "stable_baselines3:PPO",
     "cg_max_steps": "sb3_contrib:TRPO",
-    "rms_prop_eps": "stable_baselines3:A2C",
+    "vf_coef": "stable_baselines3:A2C",
 }
 ANY = "stable_baselines3:PPO"
 STATISTICS = ("{stem}_vecnormalize.pkl", "vecnormalize.pkl")  # of `VecNormalize`, beside the file
