@@ -52,6 +52,11 @@ class ModelPolicy:
             return int(allowed.argmax())
         return int(self.model.predict(self._inputs(seen), mine))
 
+    def check_space(self, space: Any) -> None:
+        """Raise `ConfigError` for the observation space of an environment without the parts of the model."""
+        if self.parts is not None:
+            check_parts(self.parts, {part: box.shape for part, box in space.spaces.items()}, self.name)
+
     def _inputs(self, observation: Any) -> Any:
         if self.fit.format == "dict":
             return observation if self.parts is None else fitting(observation, self.parts, self.name)
@@ -72,7 +77,11 @@ def own_goals(observation: Any, mask: Any, uncertainty: bool, name: str) -> tupl
 
 def fitting(observation: dict[str, Any], theirs: Mapping[str, tuple[int, ...]], name: str) -> dict[str, Any]:
     """The parts of an observation with those shapes. Raises `ConfigError` where they do not fit."""
-    here = {part: np.shape(values) for part, values in observation.items()}
-    if any(here.get(part) != shape for part, shape in theirs.items()):
-        raise ConfigError(f"policy: {name} was trained on {dict(theirs)}, the observation has {here}")
+    check_parts(theirs, {part: np.shape(values) for part, values in observation.items()}, name)
     return {part: observation[part] for part in theirs}
+
+
+def check_parts(theirs: Mapping[str, Any], here: Mapping[str, Any], name: str) -> None:
+    """Raise `ConfigError` where a part of a model's observation is missing here, or has another shape."""
+    if any(here.get(part) != shape for part, shape in theirs.items()):
+        raise ConfigError(f"policy: {name} was trained on {dict(theirs)}, the observation has {dict(here)}")

@@ -133,6 +133,13 @@ def options_of(policy: Policy) -> dict[str, Any]:
     return {**settings, "actions": policy.actions}
 
 
+def check_observation(policy: Policy, env: Env) -> None:
+    """Raise `ConfigError` where a policy names the space of its observations and an environment has another one."""
+    check = getattr(policy, "check_space", None)
+    if check is not None:
+        check(env.observation_space)
+
+
 def watched(env: Env, on_step: OnStep) -> Env:
     """`env` that calls `on_step` with the info of every control step, those within drives included."""
     if env.get_wrapper_attr("config").actions != "goal":
