@@ -34,7 +34,7 @@ class Submit(WithModules):
     quick: bool = False  # the suite active-quick-v1: 20 episodes, a few minutes
     trust: bool = False  # load model files (.zip of Stable-Baselines3, .pt), which may run arbitrary code
     name: str = ""  # of the row in tables; by default the name of the policy, of its file or its folder
-    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None  # of training
+    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None  # of training; by default those of a run folder
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # trainings that the policy was chosen from
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json
@@ -42,6 +42,7 @@ class Submit(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
         from mecp_env.cli.evaluate import Evaluate, write_submission
+        from mecp_env.policies.registry import training_hours
         from mecp_env.policies.suites import Training, submission
 
         if self.quick and "--suite" in {word.partition("=")[0] for word in line}:
@@ -55,8 +56,8 @@ class Submit(WithModules):
         if isinstance(done, int):
             return done
         named = [(setting, [replace(row, policy=name) for row in rows]) for setting, rows in done]
-        command = f"mecp-env submit {shlex.join(line)}"
-        write_submission(submission(suite, named, command, Training(self.hours, self.seeds)), path)
+        training = Training(training_hours(self.policy) if self.hours is None else self.hours, self.seeds)
+        write_submission(submission(suite, named, f"mecp-env submit {shlex.join(line)}", training), path)
         return 0
 
     def _name(self) -> str:

@@ -25,7 +25,7 @@ from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.returns import returns_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, check_observation, make_rooms, run_episode
 from mecp_env.policies.seeds import seeds_of
 from mecp_env.policies.setting import Setting, plan_names
 

@@ -12,7 +12,6 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import estimate, share
 
 FOLDER = Path(__file__).parent / "references"
-FORMAT = "mecp_env/references"
 SUFFIX = " (reference)"  # no other row can have it: parentheses are no part of a name
 UNSAFE = re.compile(r"[^\w .,:/+*@=-]")  # marks of Markdown, bars, line breaks, control characters, ...
 LONGEST = 80  # characters of a name
@@ -41,21 +40,20 @@ def reference_rows(suite: str, frozen: str) -> list[dict[str, Any]]:
     return list(content["results"]) if content.get("hash") == frozen else []
 
 
-def reference_content(
-    suite: str, submissions: Iterable[Mapping[str, Any]], first: int, tasks: Sequence[str]
-) -> dict[str, Any]:
-    """The content of a file of references, from results of submissions: the first so many buildings of those tasks.
+def rows_of_references(
+    submissions: Iterable[Mapping[str, Any]], first: int, tasks: Sequence[str]
+) -> list[dict[str, Any]]:
+    """The rows of references, from results of submissions: the first so many buildings of those tasks.
 
     So a result of a large suite gives the row of a smaller one whose buildings are the first of the same.
     """
-    results = [
+    return [
         {"task": row["task"], "policy": row["policy"], "estimator": row["estimator"], "figures": compact(row, first)}
         | {name: content[name] for name in ("hours", "seeds") if content.get(name) is not None}
         for content in submissions
         for row in content["results"]
         if row["task"] in tasks and len(row["episodes"]) >= first
     ]
-    return {"format": FORMAT, "suite": suite, "results": results}
 
 
 def compact(row: Mapping[str, Any], first: int) -> dict[str, dict[str, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import sys
 from pathlib import Path
@@ -80,6 +81,15 @@ def policy_checksum(name: str) -> str:
         paths = [path / "policy.json"]  # which contains the checksum of the weights
     data = [path.read_bytes() for path in paths if path.is_file()]
     return checksum(b"".join(data)) if data else ""
+
+
+def training_hours(name: str) -> float | None:
+    """The hours that the training of a shipped policy or a run folder took; None for other policies."""
+    folder = WEIGHTS / name if name in LEARNED else Path(name)
+    if not (folder / "policy.json").is_file():
+        return None
+    seconds = json.loads((folder / "policy.json").read_text()).get("seconds")
+    return round(seconds / 3600.0, 2) if isinstance(seconds, int | float) else None
 
 
 def import_policy(module: str, class_name: str) -> Policy:
