@@ -13,7 +13,7 @@ from mecp_env.core.intervals import estimate, share
 
 FOLDER = Path(__file__).parent / "references"
 SUFFIX = " (reference)"  # no other row can have it: parentheses are no part of a name
-UNSAFE = re.compile(r"[^\w .,:/+*@=-]")  # marks of Markdown, bars, line breaks, control characters, ...
+UNSAFE = re.compile(r"[^\w .,:/+@=-]")  # marks of Markdown, bars, line breaks, control characters, ...
 LONGEST = 80  # characters of a name
 SHARES = ("lost", "complete")
 DIGITS = 4
@@ -28,7 +28,7 @@ def check_name(name: str, field: str = "name") -> str:
     """`name` itself. Raises `ConfigError` for one that a table would not show as it is, or an empty one."""
     if not name.strip() or name != safe_name(name):
         raise ConfigError(
-            f"{field}: {name!r:.100}, expected at most {LONGEST} letters, digits, spaces and _.,:/+*@=- in one line"
+            f"{field}: {name!r:.100}, expected at most {LONGEST} letters, digits, spaces and _.,:/+@=- in one line"
         )
     return name
 
