@@ -76,7 +76,9 @@ class Evaluate(WithModules):
     split: str = "test"  # of the buildings: train, validation or test
     difficulty: str = "medium"  # easy, medium, hard or huge
     task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
-    suite: str = ""  # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
+    suite: str = (
+        ""  # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
+    )
     plans: Path | None = None  # a folder of real floor plans, or one; with --task, the robot is that of the task
     layout: str = ""  # one building: a shipped name (paper, office, ...), or the file of a plan
     # buildings, one episode in each; episode i starts by the seed i, with --plans in plan i mod the number of plans

@@ -73,9 +73,10 @@ class Explore(WithModules):
         observation, info = env.reset(seed=self.seed, options=options)
         policy.reset(self.seed)
         masks = masks_of(env)
+        base: Any = env.unwrapped
         terminated = truncated = False
         while not (terminated or truncated):
-            action, goals = policy.act(observation, masks()), env.unwrapped.goals
+            action, goals = policy.act(observation, masks()), base.goals
             observation, _, terminated, truncated, info = env.step(action)
             if policy.actions == "goal":
                 echo(drive_line(goals, int(action), info))

@@ -19,7 +19,7 @@ QUICK = "active-quick-v1"
 
 @dataclass(frozen=True)
 class Leaderboard(Command):
-    """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the reference rows of the package, the
+    """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the package's reference rows, the
     best policy first. A file of another suite, of another version of it, or one that was changed, is refused."""
 
     examples: ClassVar[tuple[str, ...]] = (

@@ -34,7 +34,9 @@ class Submit(WithModules):
     quick: bool = False  # the suite active-quick-v1: 20 episodes, a few minutes
     trust: bool = False  # load model files (.zip of Stable-Baselines3, .pt), which may run arbitrary code
     name: str = ""  # of the row in tables; by default the name of the policy, of its file or its folder
-    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None  # of training; by default those of a run folder
+    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = (
+        None  # of training; by default those of a run folder
+    )
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # trainings that the policy was chosen from
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,7 @@ class ExportedConfig(Settings):
     )
     actions: Literal["velocity", "discrete", "goal"]
     deterministic: bool = True  # the largest of the outputs, else a draw from their softmax
-    reward: dict[str, Any] | str = {}  # as in `EnvConfig`; "": that of the environment
+    reward: dict[str, Any] | str = ""  # as in `EnvConfig`; "": that of the environment
 
     def fit(self) -> Fit:
         """The environment of these fields."""
@@ -133,7 +134,7 @@ def script_network(path: Path) -> Network:
     import torch
 
     try:
-        module = torch.jit.load(str(path), map_location="cpu").eval()  # type: ignore[no-untyped-call]
+        module = torch.jit.load(str(path), map_location="cpu").eval()
     except Exception as error:  # damaged bytes may raise anything
         raise ConfigError(f"policy: {path}: cannot be loaded as TorchScript: {error!r:.200}") from None
 
@@ -149,7 +150,7 @@ def script_network(path: Path) -> Network:
 def onnx_network(path: Path) -> Network:
     """The function of an ONNX file, from arrays to its first output; parts of an observation are inputs by name."""
     try:
-        import onnxruntime
+        onnxruntime = importlib.import_module("onnxruntime")
     except ModuleNotFoundError:
         raise ConfigError(f"policy: {path} needs onnxruntime: pip install onnxruntime") from None
     try:

@@ -136,7 +136,9 @@ def dict_settings(theirs: spaces.Dict, actions: str, name: str) -> dict[str, Any
             near = guess(part, ours.spaces)
             raise ConfigError(f"policy: {name} was trained on the part {part!r}; environments have {known}{near}")
         if part != "scan" and space.shape != ours[part].shape:
-            raise ConfigError(f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}")
+            raise ConfigError(
+                f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}"
+            )
     observation = asked | ({"uncertainty": True} if uncertainty else {})
     return with_known_ground(observation)
 

@@ -53,8 +53,10 @@ class StockModel:
 
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action of the algorithm; only MaskablePPO takes the mask."""
-        single = {name: np.asarray(values)[None] for name, values in inputs.items()} if isinstance(inputs, dict) else (
-            np.asarray(inputs)[None]
+        single = (
+            {name: np.asarray(values)[None] for name, values in inputs.items()}
+            if isinstance(inputs, dict)
+            else (np.asarray(inputs)[None])
         )
         batch = single if self.statistics is None else self.statistics.normalize_obs(single)
         masks = {"action_masks": np.asarray(mask)[None]} if self.takes_masks and mask is not None else {}
@@ -118,7 +120,7 @@ def statistics_of(path: Path) -> Any:
         return None
     try:
         with place.open("rb") as file:
-            found = pickle.load(file)
+            found = pickle.load(file)  # noqa: S301 (the caller trusts the model)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{place}: cannot be loaded: {error!r:.300}") from error
     if not isinstance(found, VecNormalize):

@@ -140,8 +140,7 @@ def overview(result: Figures) -> list[str]:
         lines.append([name_of(row), cell(figures[metric], ".3f", 1.0), difference, *shares])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rows = ["  ".join(f"{text:{width}}" for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    failed = [f"{len(result['failures'])} episodes failed"] if result["failures"] else []
-    return [where_of(result), "", *rows, *failed]
+    return [where_of(result), "", *rows, *(f"failed: {failure}" for failure in result["failures"])]
 
 
 def cell(figure: Figures, form: str, factor: float) -> str:

@@ -38,7 +38,7 @@ def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
 class FlatDriver:
     """A stranger's class: flat observations and discrete actions."""
 
-    actions, settings = "discrete", {"observation": "flat"}  # noqa: RUF012
+    actions, settings = "discrete", {"observation": "flat"}
 
     def reset(self, seed: int = 0) -> None:
         """Nothing to do."""
@@ -74,7 +74,9 @@ def test_a_class_becomes_a_row_beside_the_references(toy: str, tmp_path: Path, c
     assert "nearest (reference)" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["gain", "maskable_ppo", "a|b", "a\nb", "a\x1bb", "**a**", "[a](b)", "<b>", " ", "a" * 90])
+@pytest.mark.parametrize(
+    "name", ["gain", "maskable_ppo", "a|b", "a\nb", "a\x1bb", "**a**", "[a](b)", "<b>", " ", "a" * 90]
+)
 def test_a_name_that_forges_a_row_is_refused(name: str, toy: str, tmp_path: Path, capsys: Captured) -> None:
     line = ["submit", "nearest", "--suite", toy, "--name", name, "--out", str(tmp_path / "mine.json")]
     assert cli.main(line) == 2
@@ -95,7 +97,13 @@ def test_a_file_that_forges_a_row_is_refused(
     change: dict[str, Any], message: str, toy: str, tmp_path: Path, capsys: Captured
 ) -> None:
     row = {"task": "easy", "policy": "mine", "estimator": "slam", "figures": FIGURES, "episodes": []}
-    content = {"format": "mecp_env/suite", "version": 1, "suite": toy, "hash": SUITES[toy].frozen, "results": [row | change]}
+    content = {
+        "format": "mecp_env/suite",
+        "version": 1,
+        "suite": toy,
+        "hash": SUITES[toy].frozen,
+        "results": [row | change],
+    }
     path = tmp_path / "forged.json"
     path.write_text(json.dumps(signed(content if change else content | {"hours": "9 | 9"})))
     assert cli.main(["leaderboard", str(path)]) == 2
@@ -104,7 +112,12 @@ def test_a_file_that_forges_a_row_is_refused(
 
 def test_no_name_adds_a_line_or_a_column() -> None:
     row = {"task": "t|\n|x", "policy": "p | 0.1 |\n| gain (reference)", "estimator": "slam", "figures": FIGURES}
-    lines = leaderboard({"f|\n": {"results": [row]}, "g": {"results": [row | {"figures": {**FIGURES, METRICS[0]: {"value": 1.0, "low": 1.0, "high": 1.0}}}]}}).split("\n")
+    lines = leaderboard(
+        {
+            "f|\n": {"results": [row]},
+            "g": {"results": [row | {"figures": {**FIGURES, METRICS[0]: {"value": 1.0, "low": 1.0, "high": 1.0}}}]},
+        }
+    ).split("\n")
     assert [line.count("|") for line in lines] == [3, 3, 3, 3]
     assert not any("(reference)" in line for line in lines)
     assert safe_name("runs/my-run_1: v2") == check_name("runs/my-run_1: v2")

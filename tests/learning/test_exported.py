@@ -58,7 +58,9 @@ def script(folder: Path, module: Any, **fields: Any) -> str:
         (Poses(), {"actions": "velocity"}, 1.0),  # cut to its bound
     ],
 )
-def test_a_script_is_scored_on_what_its_json_names(module: Any, fields: dict[str, Any], last: Any, tmp_path: Path) -> None:
+def test_a_script_is_scored_on_what_its_json_names(
+    module: Any, fields: dict[str, Any], last: Any, tmp_path: Path
+) -> None:
     path = script(tmp_path, module, **fields)
     policy: Policy = make_policy(path, trust=True)
     env = gymnasium.make("mecp_env/Rooms-v0", difficulty="easy", **options_of(policy))
@@ -68,7 +70,9 @@ def test_a_script_is_scored_on_what_its_json_names(module: Any, fields: dict[str
 
 
 def test_a_drawn_action_follows_from_the_seed(tmp_path: Path) -> None:
-    policy = make_policy(script(tmp_path, Flat(5), observation="flat", actions="discrete", deterministic=False), trust=True)
+    policy = make_policy(
+        script(tmp_path, Flat(5), observation="flat", actions="discrete", deterministic=False), trust=True
+    )
     drawn = []
     for seed in (1, 1, 2):
         policy.reset(seed)
@@ -81,7 +85,7 @@ def test_a_script_needs_trust_its_json_and_the_right_outputs(tmp_path: Path) -> 
     path = script(tmp_path, Flat(7), observation="flat", actions="discrete")
     with pytest.raises(ConfigError, match="use --trust"):
         make_policy(path)
-    with pytest.raises(ConfigError, match="returned 7 numbers .*, expected 5 numbers"):
+    with pytest.raises(ConfigError, match=r"returned 7 numbers .*, expected 5 numbers"):
         make_policy(path, trust=True).act(np.zeros(104, np.float32))  # type: ignore[arg-type]
     before = policy_checksum(path)
     for text, message in (

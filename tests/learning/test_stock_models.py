@@ -50,7 +50,9 @@ def model_of(case: tuple[str, str, str], path: Path, env_id: str = "mecp_env/Roo
     return saved(algorithm, env, path, NETS[form])
 
 
-@pytest.mark.parametrize("case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.slow) for case in ALL])
+@pytest.mark.parametrize(
+    "case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.slow) for case in ALL]
+)
 def test_a_model_of_every_format_and_action_space_is_scored(case: tuple[str, str, str], tmp_path: Path) -> None:
     model = model_of(case, tmp_path / "model.zip")
     policy = load(model, trust=True)
@@ -93,10 +95,12 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
     policy.model.algorithm.predict = lambda batch, *args, **kwargs: (seen.append(batch), ([0], None))[1]  # type: ignore[union-attr]
     observation = make().reset(seed=0)[0]
     assert policy.act(observation) == 0
-    np.testing.assert_allclose(seen[0][0], np.clip((observation - 5.0) / np.sqrt(1.0 + env.epsilon), -2.0, 2.0), rtol=1e-4)
+    np.testing.assert_allclose(
+        seen[0][0], np.clip((observation - 5.0) / np.sqrt(1.0 + env.epsilon), -2.0, 2.0), rtol=1e-4
+    )
     assert plain.model.statistics is None  # type: ignore[union-attr]
     (tmp_path / "model_vecnormalize.pkl").write_bytes(b"no pickle")
-    with pytest.raises(WeightError, match="model_vecnormalize.pkl: cannot be loaded"):
+    with pytest.raises(WeightError, match=r"model_vecnormalize\.pkl: cannot be loaded"):
         load(model, trust=True)
 
 
@@ -115,17 +119,27 @@ def test_other_algorithms_of_stable_baselines_are_told_apart(algorithm: str, act
 @pytest.mark.parametrize(
     ("observations", "actions", "message"),
     [
-        (spaces.Box(-1, 1, (90,)), spaces.Discrete(32), r"\(90,\).*the nearest is observation=.*'flat'.*'uncertainty': False"),
+        (
+            spaces.Box(-1, 1, (90,)),
+            spaces.Discrete(32),
+            r"\(90,\).*the nearest is observation=.*'flat'.*'uncertainty': False",
+        ),
         (spaces.Box(0, 255, (12, 64, 64), np.uint8), spaces.Discrete(5), r"\(12, 64, 64\).*nearest is .*'image'"),
         (spaces.Discrete(4), spaces.Discrete(5), r"Discrete\(4\), which no environment has"),
         (spaces.Box(-1, 1, (104,)), spaces.Discrete(6), r"Discrete\(6\).*nearest is actions='discrete'"),
         (spaces.Box(-1, 1, (104,)), spaces.Discrete(30), r"Discrete\(30\).*nearest is actions='goal'"),
         (spaces.Box(-1, 1, (104,)), spaces.Box(-2, 2, (3,)), r"Box\(-2.*nearest is actions='velocity'"),
         (spaces.Dict(pos=spaces.Box(-1, 1, (4,))), spaces.Discrete(5), "part 'pos'.*did you mean 'pose'"),
-        (spaces.Dict(goals=spaces.Box(-1, 1, (8, 9))), spaces.Discrete(5), r"goals \(8, 9\), environments have \(32, 9\)"),
+        (
+            spaces.Dict(goals=spaces.Box(-1, 1, (8, 9))),
+            spaces.Discrete(5),
+            r"goals \(8, 9\), environments have \(32, 9\)",
+        ),
     ],
 )
-def test_spaces_of_no_environment_name_both_sides_and_the_nearest(observations: Any, actions: Any, message: str) -> None:
+def test_spaces_of_no_environment_name_both_sides_and_the_nearest(
+    observations: Any, actions: Any, message: str
+) -> None:
     with pytest.raises(ConfigError, match=f"policy: mine was trained .*{message}"):
         fit(observations, actions, "mine")
 

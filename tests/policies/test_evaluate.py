@@ -70,7 +70,10 @@ def evaluation_of(*policies: str, **options: Any) -> Evaluation:
 
 def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> EpisodeResult:
     """An episode of which only the area under the curve matters."""
-    log, final = StepLog(lambda: np.zeros(6)), dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0)
+    log, final = (
+        StepLog(lambda: np.zeros(6)),
+        dict.fromkeys(("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"), 1.0),
+    )
     log.curve.add(0.0, 0, auc)
     log.correct.add(0.0, 0, auc)
     log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
