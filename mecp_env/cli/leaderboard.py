@@ -41,14 +41,22 @@ class Leaderboard(Command):
         if self.metric not in METRICS:
             raise ConfigError(f"metric: {self.metric!r:.80}, expected one of {', '.join(METRICS)}")
         found = {str(path): read_submission(path) for path in self.files}
-        suites = sorted({content["suite"] for content in found.values()} | ({self.suite} if self.suite else set()))
-        if len(suites) > 1:
-            raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
-        suite = suites[0] if suites else QUICK
-        if suite not in SUITES:
-            raise ConfigError(f"suite: {suite!r:.80}, expected one of {', '.join(SUITES)}{guess(suite, SUITES)}")
+        suite = self._suite([content["suite"] for content in found.values()])
         rows = reference_rows(suite, SUITES[suite].frozen) if self.references else []
         if not found and not rows:
             raise ConfigError(f"files: expected at least one result; the package has no reference rows of {suite}")
         echo(f"{suite}, {self.metric}", "", *leaderboard(found, self.metric, rows).split("\n"))
         return 0
+
+    def _suite(self, named: Sequence[str]) -> str:
+        """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
+        from mecp_env.policies.suites import SUITES
+
+        suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
+        if len(suites) > 1:
+            raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
+        if suites[0] not in SUITES:
+            raise ConfigError(
+                f"suite: {suites[0]!r:.80}, expected one of {', '.join(SUITES)}{guess(suites[0], SUITES)}"
+            )
+        return suites[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import check_writable
+from mecp_env.cli.leaderboard import QUICK
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
 
@@ -47,12 +49,8 @@ class Submit(WithModules):
         from mecp_env.policies.registry import training_hours
         from mecp_env.policies.suites import Training, submission
 
-        if self.quick and "--suite" in {word.partition("=")[0] for word in line}:
-            raise ConfigError(f"--suite {self.suite}: --quick selects active-quick-v1; leave out one of the two")
-        suite, name = "active-quick-v1" if self.quick else self.suite, self._name()
-        path = check_writable(self.out or Path("runs") / f"{name.replace('/', '-').replace(':', '-')}-{suite}.json")
-        if path.suffix != ".json":
-            raise ConfigError(f"out: {path}: expected the name of a file that ends in .json")
+        suite, name = self._suite(line), self._name()
+        path = self._path(f"{name}-{suite}")
         options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
         done = Evaluate((self.policy,), suite=suite, out=path.with_suffix(""), **options).suite_rows()  # type: ignore[arg-type]
         if isinstance(done, int):
@@ -61,6 +59,19 @@ class Submit(WithModules):
         training = Training(training_hours(self.policy) if self.hours is None else self.hours, self.seeds)
         write_submission(submission(suite, named, f"mecp-env submit {shlex.join(line)}", training), path)
         return 0
+
+    def _suite(self, line: Sequence[str]) -> str:
+        """The name of the suite. Raises `ConfigError` for two of them."""
+        if self.quick and "--suite" in {word.partition("=")[0] for word in line}:
+            raise ConfigError(f"--suite {self.suite}: --quick selects {QUICK}; leave out one of the two")
+        return QUICK if self.quick else self.suite
+
+    def _path(self, name: str) -> Path:
+        """Where the result is written, by default by its name. Raises `ConfigError`."""
+        path = check_writable(self.out or Path("runs") / f"{re.sub('[/:]', '-', name)}.json")
+        if path.suffix != ".json":
+            raise ConfigError(f"out: {path}: expected the name of a file that ends in .json")
+        return path
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""

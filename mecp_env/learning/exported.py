@@ -16,7 +16,7 @@ from mecp_env.core.array_types import Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, describe
 from mecp_env.learning.fits import Fit, choices_of, with_known_ground
-from mecp_env.learning.model_policy import ModelPolicy
+from mecp_env.learning.model_policy import ModelPolicy, batched
 
 MOST_BYTES, MOST_JSON_BYTES = 500_000_000, 100_000  # of a network, and of the file beside it
 Network = Callable[[Any], Any]  # from an observation, or its parts by name, each with a first axis of 1, to the output
@@ -52,15 +52,8 @@ class ExportedModel:
 
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action. Raises `ConfigError` for an output of another size, or one that is not finite."""
-        batch = (
-            {name: np.asarray(values)[None] for name, values in inputs.items()}
-            if isinstance(inputs, dict)
-            else np.asarray(inputs)[None]
-        )
-        output, count = np.asarray(self.network(batch)).ravel(), choices_of(self.config.actions)
-        if not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
-            expected = f"{count} numbers, or the number of the action" if count else "2 numbers"
-            raise ConfigError(f"policy: {self.name} returned {output.size} numbers ({output[:3]}), expected {expected}")
+        output, count = np.asarray(self.network(batched(inputs))).ravel(), choices_of(self.config.actions)
+        check_output(output, count, self.name)
         if not count:
             return output
         return output[0] if output.size == 1 else self._chosen(output.astype(np.float64), mask)
@@ -72,6 +65,13 @@ class ExportedModel:
             return int(logits.argmax())
         weights = np.exp(logits - logits.max())
         return int(self.random.choice(len(weights), p=weights / weights.sum()))
+
+
+def check_output(output: Any, count: int, name: str) -> None:
+    """Raise `ConfigError` for an output (n,) that is no choice among `count` actions; with 0, that is no velocities."""
+    if not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
+        expected = f"{count} numbers, or the number of the action" if count else "2 numbers"
+        raise ConfigError(f"policy: {name} returned {output.size} numbers ({output[:3]}), expected {expected}")
 
 
 def load_script(path: Path, trust: bool = False) -> ModelPolicy:
@@ -89,7 +89,10 @@ def load_script(path: Path, trust: bool = False) -> ModelPolicy:
 
 
 def load_onnx(path: str | Path, trust: bool = False) -> ModelPolicy:
-    """The network in an ONNX file, which is data and needs no `trust`. Raises `ConfigError`, also without onnxruntime."""
+    """The network in an ONNX file, which is data and needs no `trust`.
+
+    Raises `ConfigError`, also without onnxruntime.
+    """
     check_file(Path(path))
     return exported_policy(Path(path), onnx_network(Path(path)))
 

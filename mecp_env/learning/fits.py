@@ -128,19 +128,20 @@ def dict_settings(theirs: spaces.Dict, actions: str, name: str) -> dict[str, Any
     goals = parts["goals"].shape if "goals" in parts else None
     uncertainty = TRUST in parts or (goals is not None and goals[-1:] > (COLUMNS,))
     asked = {part: True for part in ON_REQUEST if part in parts}
-    ours = space_of(actions, uncertainty=uncertainty, **asked)
-    assert isinstance(ours, spaces.Dict)
     for part, space in parts.items():
-        if part not in ours.spaces:
-            known = ", ".join(space_of(actions, uncertainty=True, map=True, scan=True).spaces)  # type: ignore[attr-defined]
-            near = guess(part, ours.spaces)
-            raise ConfigError(f"policy: {name} was trained on the part {part!r}; environments have {known}{near}")
-        if part != "scan" and space.shape != ours[part].shape:
-            raise ConfigError(
-                f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}"
-            )
-    observation = asked | ({"uncertainty": True} if uncertainty else {})
-    return with_known_ground(observation)
+        check_part(part, space, space_of(actions, uncertainty=uncertainty, **asked), name)
+    return with_known_ground(asked | ({"uncertainty": True} if uncertainty else {}))
+
+
+def check_part(part: str, space: Space, ours: Any, name: str) -> None:
+    """Raise `ConfigError` for a part that an environment does not have, or with another shape (but for a scan)."""
+    if part not in ours.spaces:
+        raise ConfigError(
+            f"policy: {name} was trained on the part {part!r}; environments have {', '.join(ours.spaces)}, "
+            f"on request {', '.join((*ON_REQUEST, TRUST))}{guess(part, ours.spaces)}"
+        )
+    if part != "scan" and space.shape != ours[part].shape:
+        raise ConfigError(f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}")
 
 
 def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:

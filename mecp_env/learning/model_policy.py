@@ -63,6 +63,13 @@ class ModelPolicy:
         return np.moveaxis(observation, 0, -1) if self.fit.channels_last else observation
 
 
+def batched(inputs: Any) -> Any:
+    """An observation, or each of its parts, with a first axis of length 1."""
+    if isinstance(inputs, dict):
+        return {name: np.asarray(values)[None] for name, values in inputs.items()}
+    return np.asarray(inputs)[None]
+
+
 def own_goals(observation: Any, mask: Any, uncertainty: bool, name: str) -> tuple[Any, Bools, Bools]:
     """The tables as a policy saw them in its training, (32,) the rows it may choose, and all rows that are allowed.
 

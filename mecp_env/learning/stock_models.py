@@ -17,7 +17,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.learning import files
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.fits import fit
-from mecp_env.learning.model_policy import ModelPolicy
+from mecp_env.learning.model_policy import ModelPolicy, batched
 
 MOST_UNPACKED = 1_000_000_000  # bytes of a model file of Stable-Baselines3
 CLASSES = {  # module of the policy or of the buffer that a file names -> "module:class" of the algorithm
@@ -53,11 +53,7 @@ class StockModel:
 
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action of the algorithm; only MaskablePPO takes the mask."""
-        single = (
-            {name: np.asarray(values)[None] for name, values in inputs.items()}
-            if isinstance(inputs, dict)
-            else (np.asarray(inputs)[None])
-        )
+        single = batched(inputs)
         batch = single if self.statistics is None else self.statistics.normalize_obs(single)
         masks = {"action_masks": np.asarray(mask)[None]} if self.takes_masks and mask is not None else {}
         actions, self.memory = self.algorithm.predict(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -12,13 +12,14 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import Figures
 from mecp_env.core.provenance import checksum, commit
 from mecp_env.core.settings import guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.leaderboard import TRAINING
+from mecp_env.policies.leaderboard import leaderboard as leaderboard
 from mecp_env.policies.policy import Policy
-from mecp_env.policies.references import SUFFIX, check_name, safe_name
+from mecp_env.policies.references import check_name
 from mecp_env.policies.rollout import make_rooms
 from mecp_env.policies.setting import Setting
 
@@ -26,7 +27,6 @@ FORMAT, VERSION = "mecp_env/suite", 1
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
 METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
-LESS_IS_BETTER = ("lost",)
 ESTIMATORS = ("slam", "known", "truth")
 
 
@@ -173,7 +173,7 @@ def read_submission(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: its checksum is {found}, that of its content {own}; it was changed by hand")
     check_results(path, content.get("results"), SUITES[name])
     try:
-        TypeAdapter(Training).validate_python({key: content.get(key) for key in ("hours", "seeds")})
+        TypeAdapter(Training).validate_python({key: content.get(key) for key in TRAINING})
     except ValueError as error:
         raise ConfigError(f"{path}: hours, seeds: {' '.join(str(error).split()):.160}") from None
     return dict(content)
@@ -193,98 +193,17 @@ def check_results(path: Path, results: Any, suite: Suite) -> None:
         found = TypeAdapter(list[Result]).validate_python(results)
     except ValueError as error:  # of pydantic, too
         raise ConfigError(f"{path}: results: {' '.join(str(error).split()):.160}") from None
-    tasks = [setting.task or setting.difficulty for setting in suite.settings]
     for row in found:
-        check_name(row.policy, f"{path}: results: policy")
-        if row.task not in tasks or row.estimator not in ESTIMATORS:
-            raise ConfigError(
-                f"{path}: results: {row.task!r:.80}, {row.estimator!r:.80}; expected one of {', '.join(tasks)}, and an "
-                f"estimator of {', '.join(ESTIMATORS)}"
-            )
+        check_row(path, row, suite)
     missing = [(row, metric) for row in found for metric in METRICS if metric not in row.figures]
     for row, metric in missing[:1]:
         raise ConfigError(f"{path}: results: {row.policy} in {row.task} has no {metric}")
 
 
-Line = dict[str, Any]  # task -> its figure, and the hours and seeds where they are known
-TRAINING = ("hours", "seeds")
-
-
-def leaderboard(
-    submissions: Mapping[str, Mapping[str, Any]],
-    metric: str = "correct_over_steps",
-    references: Sequence[Mapping[str, Any]] = (),
-) -> str:
-    """A table with a line per policy and estimator and a column per task, the best first.
-
-    `submissions` are results by the names of their files, which tell policies of one name and different results apart.
-    `references` are rows that the package contains; a line of a file that repeats one is left out. Hours and seeds have
-    columns where any line has them. No name can add a line or a column.
-    """
-    sign = 1.0 if metric in LESS_IS_BETTER else -1.0
-    known = {(*key, ""): line for key, line in lines_of(references, metric).items()}
-    lines = [(label(name, estimator) + SUFFIX, line) for (name, estimator, _), line in known.items()]
-    lines += named_lines(submissions, metric, [(key[:2], figures_in(line)) for key, line in known.items()])
-    lines.sort(key=lambda item: sign * sum(figure["value"] for figure in figures_in(item[1]).values()))
-    tasks = list(dict.fromkeys(task for _, line in lines for task in figures_in(line)))
-    about = [name for name in TRAINING if any(name in line for _, line in lines)]
-    heads = [*map(safe_name, tasks), *about]
-    rows = [
-        f"| {name} | {' | '.join([*(cell(line.get(task)) for task in tasks), *(known_of(line, key) for key in about)])} |"
-        for name, line in lines
-    ]
-    return "\n".join([f"| | {' | '.join(heads)} |", f"|{'---|' * (len(heads) + 1)}", *rows])
-
-
-def named_lines(
-    submissions: Mapping[str, Mapping[str, Any]], metric: str, known: Sequence[tuple[tuple[str, str], Line]] = ()
-) -> list[tuple[str, Line]]:
-    """The lines of all files with their labels; equal ones of the same policy, and those that are known, once."""
-    found: dict[tuple[str, str], dict[str, Line]] = {}  # policy and estimator -> file -> figures
-    for source, content in submissions.items():
-        about = {name: content[name] for name in TRAINING if content.get(name) is not None}
-        for key, line in lines_of(content["results"], metric).items():
-            told, others = found.setdefault(key, {}), [line for name, line in known if name == key]
-            if line not in map(figures_in, told.values()) and not any(same_figures(line, other) for other in others):
-                told[source] = line | about
-    references = {key for key, _ in known}
-    files = [(key, source, line) for key, some in found.items() for source, line in some.items()]
-    return [
-        (label(*key, source if len(found[key]) > 1 or key in references else ""), line) for key, source, line in files
-    ]
-
-
-def lines_of(results: Iterable[Mapping[str, Any]], metric: str) -> dict[tuple[str, str], Line]:
-    """The figures of each policy and estimator of a file, by task, with what is known of the training."""
-    lines: dict[tuple[str, str], Line] = {}
-    for row in results:
-        about = {name: row[name] for name in TRAINING if name in row}
-        lines.setdefault((row["policy"], row["estimator"]), {}).update({row["task"]: row["figures"][metric]} | about)
-    return lines
-
-
-def figures_in(line: Line) -> Line:
-    """The figures by task alone."""
-    return {task: figure for task, figure in line.items() if task not in TRAINING}
-
-
-def same_figures(line: Line, other: Line) -> bool:
-    """True for the same tasks with the same figures, as far as a table shows them."""
-    ours, theirs = ({task: cell(figure) for task, figure in figures_in(some).items()} for some in (line, other))
-    return ours == theirs
-
-
-def label(policy: str, estimator: str, source: str = "") -> str:
-    """The name of a line: the policy, the estimator where it has some ground truth, the file where it matters."""
-    parts = [policy, *([] if estimator == "slam" else [estimator]), *([source] if source else [])]
-    return ", ".join(map(safe_name, parts))
-
-
-def known_of(line: Line, name: str) -> str:
-    """The hours or seeds of a line; a dash where they are not known."""
-    return f"{line[name]:g}" if name in line else "-"
-
-
-def cell(figure: Figures | None) -> str:
-    """`value [low, high]`; a dash without one."""
-    return "-" if figure is None else f"{figure['value']:.3f} [{figure['low']:.3f}, {figure['high']:.3f}]"
+def check_row(path: Path, row: Result, suite: Suite) -> None:
+    """Raise `ConfigError` for a policy whose name would forge rows, another task, and an unknown estimator."""
+    check_name(row.policy, f"{path}: results: policy")
+    tasks = [setting.task or setting.difficulty for setting in suite.settings]
+    for given, known in ((row.task, tasks), (row.estimator, ESTIMATORS)):
+        if given not in known:
+            raise ConfigError(f"{path}: results: {given!r:.80}, expected one of {', '.join(known)}")

@@ -88,8 +88,8 @@ def test_a_name_that_forges_a_row_is_refused(name: str, toy: str, tmp_path: Path
     ("change", "message"),
     [
         ({"policy": "x | 0.1 |\n| gain | 0.999 |"}, "results: policy: "),
-        ({"task": "easy |"}, "expected one of easy, "),
-        ({"estimator": "slam | 1 |"}, "estimator of slam, known, truth"),
+        ({"task": "easy |"}, "expected one of easy"),
+        ({"estimator": "slam | 1 |"}, "expected one of slam, known, truth"),
         ({}, "hours, seeds: "),
     ],
 )

@@ -387,7 +387,7 @@ def test_ctrl_c_keeps_what_is_finished(
     assert result["interrupted"]
     assert result["buildings"] == 2  # the third was finished by one policy only
     said = capsys.readouterr()
-    assert "| nearest | 0.500" in said.out
+    assert "\nnearest  " in said.out
     assert "mecp-env: 4 of 18 episodes" in said.err
     assert "interrupted; the same command continues" in said.err
 
@@ -475,7 +475,7 @@ def test_the_page_has_a_line_per_row_with_intervals() -> None:
     evaluation = evaluation_of("nearest", "x")
     evaluation.results = [toy("nearest", 0, 0.5), toy("x", 0, 0.6, "truth")]
     text = page(evaluation.figures(evaluation.rows(), ""))
-    assert "| nearest | 0.500 [0.500, 0.500] |" in text
+    assert "| nearest | 0.500 [-] |" in text
     assert "| x, pose known | 0.600" in text
     assert "1 buildings of the validation split of `easy`" in text
 
@@ -487,7 +487,7 @@ def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
     evaluation.results = [toy("a\x1b[31mb", 0, 0.5)]
     Evaluate(("a\x1b[31mb",), out=tmp_path / "out")._write(evaluation, "")
     said = capsys.readouterr().out
-    assert "| a?[31mb | 0.500" in said
+    assert "\na?[31mb  " in said
     assert "\x1b" not in said
 
 
