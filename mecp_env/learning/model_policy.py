@@ -55,12 +55,18 @@ class ModelPolicy:
     def check_space(self, space: Any) -> None:
         """Raise `ConfigError` for the observation space of an environment without the parts of the model."""
         if self.parts is not None:
-            check_parts(self.parts, {part: box.shape for part, box in space.spaces.items()}, self.name)
+            here = {part: np.zeros(box.shape, np.float32) for part, box in space.spaces.items()}
+            fitting(self._known(here), self.parts, self.name)
 
     def _inputs(self, observation: Any) -> Any:
         if self.fit.format == "dict":
-            return observation if self.parts is None else fitting(observation, self.parts, self.name)
+            seen = self._known(observation)
+            return seen if self.parts is None else fitting(seen, self.parts, self.name)
         return np.moveaxis(observation, 0, -1) if self.fit.channels_last else observation
+
+    def _known(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The tables without what a task adds to those that the model was trained on."""
+        return observation if self.fit.uncertainty else without_known_ground(observation)
 
 
 def batched(inputs: Any) -> Any:
@@ -84,11 +90,7 @@ def own_goals(observation: Any, mask: Any, uncertainty: bool, name: str) -> tupl
 
 def fitting(observation: dict[str, Any], theirs: Mapping[str, tuple[int, ...]], name: str) -> dict[str, Any]:
     """The parts of an observation with those shapes. Raises `ConfigError` where they do not fit."""
-    check_parts(theirs, {part: np.shape(values) for part, values in observation.items()}, name)
-    return {part: observation[part] for part in theirs}
-
-
-def check_parts(theirs: Mapping[str, Any], here: Mapping[str, Any], name: str) -> None:
-    """Raise `ConfigError` where a part of a model's observation is missing here, or has another shape."""
+    here = {part: np.shape(values) for part, values in observation.items()}
     if any(here.get(part) != shape for part, shape in theirs.items()):
-        raise ConfigError(f"policy: {name} was trained on {dict(theirs)}, the observation has {dict(here)}")
+        raise ConfigError(f"policy: {name} was trained on {dict(theirs)}, the observation has {here}")
+    return {part: observation[part] for part in theirs}

@@ -72,6 +72,12 @@ def test_the_columns_of_a_flat_model_decide_what_a_task_shows_it(uncertainty: bo
     assert run_episode(EpisodeTask(model, 0, HALLS, trust=True)).figures["decisions"] > 0
 
 
+def test_tables_of_rooms_are_what_a_model_of_velocities_sees_in_a_task(tmp_path: Path) -> None:
+    """A task adds columns of goals and `localisation`, which the model does not know."""
+    model = model_of(("PPO", "dict", "velocity"), tmp_path / "model.zip")
+    assert run_episode(EpisodeTask(model, 0, HALLS, trust=True)).figures["decisions"] == HALLS.max_steps
+
+
 def test_the_order_of_flat_goals_is_that_of_the_training(tmp_path: Path) -> None:
     """Below goal actions the rows of a flat observation are in the order of the goals, not nearest first."""
     policy = load(model_of(("PPO", "flat", "goal"), tmp_path / "model.zip"), trust=True)
