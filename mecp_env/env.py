@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
-from mecp_env.config import EnvConfig, plain_value
+from mecp_env.config import EnvConfig, ObservationConfig, plain_value
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.messages import Odometry, Scan
@@ -342,6 +342,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             **dict(zip(self._reward_keys, terms.values(), strict=True)),
         }
 
+    def observer_of(self, seen: ObservationConfig, actions: str) -> Observer | Flat | Image:
+        """What computes observations with those fields, for a policy with those actions (see `observed_by`)."""
+        laser = self.config.laser
+        if seen.format == "flat":
+            return Flat(actions, seen.uncertainty, RowTimes.of(self._planning))
+        if seen.format == "image":
+            return Image()
+        return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
+
     def observed_by(self, observer: Observer | Flat | Image) -> Observation:
         """The current observation as another observer computes it, in fresh arrays."""
         return self._seen_by(observer, self._started())[0]
@@ -393,12 +402,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._episode
 
     def _new_observer(self) -> Observer | Flat | Image:
-        seen, laser = self.config.observation, self.config.laser
-        if seen.format == "flat":
-            return Flat(self.config.actions, seen.uncertainty, RowTimes.of(self._planning))
-        if seen.format == "image":
-            return Image()
-        return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
+        return self.observer_of(self.config.observation, self.config.actions)
 
     def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
