@@ -142,6 +142,7 @@ def train(args: Args, seed: int, folder: Path) -> None:
         model.learn(10**9, callback=Curve(args, file))
     venv.close()
     model.save(folder / "model.zip")
+    (folder / "model.json").write_text('{"deterministic": false}\n')  # `evaluate` draws actions, as in training
 
 
 def lines(args: Args) -> dict[str, float]:

@@ -10,11 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from pydantic import ValidationError
 from sb3_contrib import MaskablePPO
 
 from mecp_env.core.array_types import Bools
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import Settings, describe
 from mecp_env.learning import files
+from mecp_env.learning.exported import read_fields
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.fits import fit
 from mecp_env.learning.model_policy import ModelPolicy, batched
@@ -38,18 +42,26 @@ ANY = "stable_baselines3:PPO"
 STATISTICS = ("{stem}_vecnormalize.pkl", "vecnormalize.pkl")  # of `VecNormalize`, beside the file
 
 
-class StockModel:
-    """Takes the most probable action; keeps the memory of recurrent networks; normalises as in training."""
+class StockConfig(Settings):
+    """The JSON file that may be beside a model file (docs/submissions.md)."""
 
-    def __init__(self, algorithm: Any, statistics: Any = None) -> None:
-        self.algorithm, self.statistics = algorithm, statistics
+    deterministic: bool = True  # the most probable action, else a draw as in training
+
+
+class StockModel:
+    """Acts as an algorithm does; keeps the memory of recurrent networks; normalises as in training."""
+
+    def __init__(self, algorithm: Any, statistics: Any = None, deterministic: bool = True) -> None:
+        self.algorithm, self.statistics, self.deterministic = algorithm, statistics, deterministic
         self.takes_masks = isinstance(algorithm, MaskablePPO)
         self.reset(0)
 
     def reset(self, seed: int) -> None:
-        """Start an episode; nothing here is random."""
+        """Start an episode; all draws in it follow from `seed`."""
         self.memory: Any = None
         self.episode_start = np.ones(1, np.bool_)
+        if not self.deterministic:
+            torch.manual_seed(seed)
 
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action of the algorithm; only MaskablePPO takes the mask."""
@@ -57,7 +69,7 @@ class StockModel:
         batch = single if self.statistics is None else self.statistics.normalize_obs(single)
         masks = {"action_masks": np.asarray(mask)[None]} if self.takes_masks and mask is not None else {}
         actions, self.memory = self.algorithm.predict(
-            batch, self.memory, self.episode_start, deterministic=True, **masks
+            batch, self.memory, self.episode_start, deterministic=self.deterministic, **masks
         )
         self.episode_start = np.zeros(1, np.bool_)
         return actions[0]
@@ -84,7 +96,19 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     seen = algorithm.observation_space
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
     found = fit(seen, algorithm.action_space, str(path))
-    return ModelPolicy(StockModel(algorithm, statistics_of(path)), found, str(path), parts)
+    model = StockModel(algorithm, statistics_of(path), config_of(path).deterministic)
+    return ModelPolicy(model, found, str(path), parts)
+
+
+def config_of(path: Path) -> StockConfig:
+    """What the JSON file beside a model file says; the defaults without one. Raises `ConfigError`."""
+    beside = path.with_suffix(".json")
+    if not beside.is_file():
+        return StockConfig()
+    try:
+        return StockConfig.model_validate(read_fields(beside))
+    except ValidationError as error:
+        raise ConfigError(f"{beside}: {describe(error, 'fields', StockConfig)}") from None
 
 
 def class_of(path: Path) -> str:

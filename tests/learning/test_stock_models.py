@@ -156,3 +156,24 @@ def test_images_with_channels_last_and_parts_of_a_dict_fit() -> None:
     parts = space_of("discrete", map=True)
     some = fit(spaces.Dict({name: parts[name] for name in ("pose", "map")}), spaces.Discrete(5), "mine")  # type: ignore[index]
     assert some.settings == {"observation": {"map": True}}
+
+
+def test_a_model_draws_its_actions_where_the_file_beside_it_says_so(tmp_path: Path) -> None:
+    env = gymnasium.make("mecp_env/First-v0")
+    observation, _ = env.reset(seed=0)
+    path = Path(model_of(("PPO", "flat", "discrete"), tmp_path / "model.zip"))
+    assert len(set(choices(path, observation))) == 1
+    path.with_suffix(".json").write_text('{"deterministic": false}')
+    drawn = choices(path, observation)
+    assert len(set(drawn)) > 2
+    assert drawn == choices(path, observation)  # from the seed of the episode
+    path.with_suffix(".json").write_text('{"determinstic": false}')
+    with pytest.raises(ConfigError, match="did you mean 'deterministic'"):
+        load(path, trust=True)
+
+
+def choices(path: Path, observation: Any) -> list[int]:
+    """What a model does in the same place, many times."""
+    policy = load(path, trust=True)
+    policy.reset(3)
+    return [int(policy.act(observation)) for _ in range(30)]
