@@ -135,9 +135,11 @@ def explore(env: gym.Env[Any, Any], model: Any, building: int) -> list[float]:
 def train(args: Args, seed: int, folder: Path) -> None:
     """Train a seed; write model and curve."""
     folder.mkdir(parents=True, exist_ok=True)
-    venv = VecNormalize(VecMonitor(sb3_batch.make(args.env, args.environments, **args.options)), norm_obs=False)
-    algorithm, steps = (MaskablePPO, 64) if args.algorithm == "maskable_ppo" else (PPO, 256)
-    model = algorithm("MlpPolicy", venv, n_steps=steps, batch_size=256, ent_coef=0.01, seed=seed, device="cpu")
+    settings = SETTINGS[args.algorithm]
+    venv = VecMonitor(sb3_batch.make(args.env, args.environments, **args.options))
+    venv = VecNormalize(venv, norm_obs=False, gamma=settings["gamma"])
+    algorithm = MaskablePPO if args.algorithm == "maskable_ppo" else PPO
+    model = algorithm("MlpPolicy", venv, seed=seed, device="cpu", **settings)
     with (folder / "progress.csv").open("w", newline="") as file:
         model.learn(10**9, callback=Curve(args, file))
     venv.close()
