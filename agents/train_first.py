@@ -49,6 +49,13 @@ LABELS = {
     "coverage_over_steps": "coverage, mean over the step limit, %",
     "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
 }
+SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
+    "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
+    "maskable_ppo": {
+        **{"learning_rate": 1e-3, "n_steps": 16, "batch_size": 64, "n_epochs": 6},
+        **{"gamma": 0.9, "gae_lambda": 0.9, "clip_range": 0.3},
+    },
+}
 LINES = {
     "nearest": "nearest goal, scripted",
     "next_best_view": "next best view, scripted",
