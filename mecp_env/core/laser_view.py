@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -41,6 +42,8 @@ class LaserNoise(LaserView):
     range_sigma_share: float = Field(0.0, ge=0.0, le=0.5)  # this share of it, whichever is larger
     bearing_sigma_deg: float = Field(0.3, ge=0.0, le=5.0)
     grazing_deg: float = Field(90.0, gt=45.0, le=90.0)  # incidence (from the normal) beyond which nothing returns
+    no_return: Literal["free", "unknown"] = "free"
+    """What a beam without a return says: nothing is within the range, or (a weak laser) a wall may be there unseen."""
     dark_dropout: float = Field(0.0, ge=0.0, lt=1.0)  # share of the beams that does not return from a dark surface
 
     @property

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import GridConfig
+from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.messages import MergedScan, Segments
 
+NEAR_M = 0.3  # even a weak laser sees what is as near
 MOVED, CAME, WENT = (1 << bit for bit in range(3))  # what can happen to landmarks
 
 
@@ -24,6 +26,14 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
     lines = (segments.points, segments.line, segments.first, segments.last, segments.roll)
     outline, strips = _free_and_walls(beams, lines, config.record)
     return outline, strips
+
+
+def seen_floor(scan: MergedScan, sensor: SensorModel) -> MergedScan:
+    """The scan as it clears floor: a beam of a weak laser that does not return clears `NEAR_M` of it only."""
+    if sensor.no_return == "free":
+        return scan
+    empty = ~scan.hit & (scan.ranges >= scan.max_range_m)
+    return replace(scan, ranges=np.where(empty, np.minimum(scan.ranges, NEAR_M), scan.ranges))
 
 
 @compiled
