@@ -20,7 +20,7 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
 
 if TYPE_CHECKING:
-    from mecp_env.evaluation.log_run import LogDrive
+    from mecp_env.evaluation.log_run import LogDrive, LogRun, LogRunConfig
     from mecp_env.logs import Log
     from mecp_env.slam import SlamPipeline
     from mecp_env.slam.map_file import MapStart
@@ -84,14 +84,12 @@ class Slam(WithModules):
         from mecp_env.cli.map_option import check_map
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.core import warm_up
-        from mecp_env.evaluation.log_faults import fault_of
         from mecp_env.evaluation.log_run import LogDrive, LogRunConfig
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in FILES], [str(path) for path in (self.log, self.from_map) if path])
         check_map(self.save_map, str(self.log), "slam")
         log = self._read()
-        echo(*(f"note: {note}" for note in log.notes))
         pipeline = self._pipeline(log, line)
         keys = "odometry", "seed", "rest_m", "rest_deg"
         options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
@@ -110,6 +108,12 @@ class Slam(WithModules):
         run = drive.result()
         print_result(files.keep(folder, run, self._recipe(run.pipeline.config, options)), folder)
         self._save(run.pipeline)
+        return self._ended(run, options)
+
+    def _ended(self, run: LogRun, options: LogRunConfig) -> int:
+        """The exit code, with the reason where the result is of no use."""
+        from mecp_env.evaluation.log_faults import fault_of
+
         fault = fault_of(run, options)
         if fault is not None:
             print_error(f"{self.log}: {fault}")
@@ -129,10 +133,10 @@ class Slam(WithModules):
         return drive.log
 
     def _read(self) -> Log:
-        """The log, by the options for its format. Raises `LogError`."""
+        """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
         from mecp_env.logs import ReadOptions, read_log
 
-        return read_log(
+        log = read_log(
             self.log,
             ReadOptions(
                 scan_topic=self.scan_topic or None,
@@ -146,6 +150,8 @@ class Slam(WithModules):
                 field_of_view_deg=self.field_of_view_deg,
             ),
         )
+        echo(*(f"note: {note}" for note in log.notes))
+        return log
 
     def _pipeline(self, log: Log, line: Sequence[str]) -> SlamPipeline:
         """A new estimator for the log's laser, or one in a saved map. Raises `ConfigError` and `MapError`."""

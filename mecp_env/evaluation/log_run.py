@@ -88,7 +88,8 @@ class LogRun:
             "ms_per_scan_median": 1e3 * float(np.median(self.step_s)),
             "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
         }
-        return found | self._against_reference() | self._relations() | {"counts": dict(self.counts), "notes": list(self.notes)}
+        said = {"counts": dict(self.counts), "notes": list(self.notes)}
+        return found | self._against_reference() | self._relations() | said
 
     @property
     def dropped(self) -> int:

@@ -58,7 +58,10 @@ def assemble(
     return Log(
         *(recording.name, t[kept], ranges, readings.bearings, readings.limit_m, mount),
         *(None if T_odom is None else _bridged(t[kept], T_odom[kept], counts), None if T_ref is None else T_ref[kept]),
-        *(recording.relations, +counts, tuple(recording.notes), found),
+        relations=recording.relations,
+        counts=+counts,
+        notes=tuple(recording.notes),
+        found=found,
     )
 
 

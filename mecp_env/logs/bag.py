@@ -14,7 +14,7 @@ import numpy as np
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
 from mecp_env.logs.carmen import MOST_BEAMS
-from mecp_env.logs.frames import Frames, ZeroQuaternion, planar, transform
+from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, planar, transform
 from mecp_env.logs.recording import POSE_BYTES, Budget, Geometry, Recording, Sweep
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
@@ -53,6 +53,11 @@ class BagLog:
                 raise LogError(f"scans of more than {MOST_LASERS} frames: {', '.join(self.lasers)}")
             self.lasers.append(frame)
         return self.lasers.index(frame)
+
+    def mounts(self, lasers: Sequence[int], robot: str) -> dict[int, Transform]:
+        """The poses in the frame of the robot of those lasers that have one."""
+        found = {laser: self.frames.mount(self.lasers[laser], robot) for laser in lasers}
+        return {laser: T for laser, T in found.items() if T is not None}
 
     def odometry(self, message: Any, received: float) -> None:
         """A pose of the robot by its wheels."""
@@ -193,26 +198,26 @@ def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
 
 
 def _mount(log: BagLog) -> None:
-    """The mounting poses, where the bag has them; a laser that hangs upside down turns the other way.
-
-    Raises `LogError` where there are several lasers, of which one has none.
-    """
+    """The mounting poses, where the bag has them. Raises `LogError` where one of several lasers has none."""
     recording, robot = log.recording, log.frames.robot(log.robot_frame)
     used = sorted({sweep.laser for sweep in recording.sweeps})
-    mounts = {laser: log.frames.mount(log.lasers[laser], robot) for laser in used}
-    upside_down = {laser for laser, T in mounts.items() if T is not None and T[2, 2] < 0.0}
-    if upside_down:
-        mirrored = [s.mirrored() if s.laser in upside_down else s for s in recording.sweeps]
-        recording.counts["scans of a laser upside down, mirrored"] = sum(s.laser in upside_down for s in mirrored)
-        recording.sweeps = mirrored
-    if len(used) == 1 and mounts[used[0]] is not None:
-        recording.T_robot_laser = planar(mounts[used[0]])
+    known = log.mounts(used, robot)
+    _turn_over(recording, {laser for laser, T in known.items() if T[2, 2] < 0.0})
     if len(used) > 1:
-        recording.mounts = [np.zeros(3) if T is None else planar(T) for T in map(mounts.get, range(len(log.lasers)))]
-        _check_mounts(log, [log.lasers[laser] for laser in used if mounts[laser] is None], robot)
+        _check_mounts(log, [log.lasers[laser] for laser in used if laser not in known], robot)
+        recording.mounts = [planar(known.get(laser, np.eye(4))) for laser in range(len(log.lasers))]
+    elif known:
+        recording.T_robot_laser = planar(known[used[0]])
+
+
+def _turn_over(recording: Recording, upside_down: set[int]) -> None:
+    """A laser that hangs upside down turns the other way."""
+    recording.counts["scans of a laser upside down, mirrored"] += sum(s.laser in upside_down for s in recording.sweeps)
+    recording.sweeps = [s.mirrored() if s.laser in upside_down else s for s in recording.sweeps]
 
 
 def _check_mounts(log: BagLog, lost: list[str], robot: str) -> None:
+    """Raise `LogError` where lasers have no mounting pose."""
     if lost:
         there = f"frames: {log.frames.listed()}"
         raise LogError(

@@ -30,7 +30,7 @@ from mecp_env.core.settings import guess
 from mecp_env.logs.recording import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, Recording, Sweep, Track
 
 MOST_BYTES = 2**30
-PACKED, LONGEST_LINE = ".gz", 2**20
+PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 MOST_BEAMS = 20_000
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
@@ -58,6 +58,8 @@ class CarmenLog:
         """Take in one line, or count it as damaged."""
         try:
             self.take(words)
+        except LogError:
+            raise
         except (ValueError, IndexError):
             if not self.counts["damaged lines"]:
                 self.notes.append(f"line {self.line} is the first that is damaged: {' '.join(words[:4]):.60} ...")
@@ -151,7 +153,8 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
     log = CarmenLog(field_of_view_deg, budget=Budget.of(len(data)))
-    for log.line, log.cut, words in _lines(data, path.suffix == PACKED, log.counts):
+    for number, is_cut, words in _lines(data, path.suffix == PACKED, log.counts):
+        log.line, log.cut = number, is_cut
         log.read(words)
     kind = _message(log, message)
     counts = +log.counts
@@ -164,34 +167,42 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
 
 def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
     """The number, whether it has no end, and the words of each line that is neither empty nor a comment."""
-    for number, line in enumerate(_unpacked(data, counts) if packed else _raw_lines(io.BytesIO(data)), start=1):
-        words = line.decode("latin-1").split()
-        if words and not words[0].startswith("#"):
-            yield number, not line.endswith(b"\n"), words
+    number, rest = 0, b""
+    for piece in _unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
+        *lines, rest = (rest + piece).split(b"\n")
+        for number, line in enumerate(lines, start=number + 1):  # noqa: B020
+            if line and (words := _words(line)):
+                yield number, False, words
+        rest = rest[:LONGEST_LINE]
+    if words := _words(rest):
+        yield number + 1, True, words
+
+
+def _words(line: bytes) -> list[str]:
+    """None for a comment."""
+    words = line.decode("latin-1").split()
+    return [] if words and words[0].startswith("#") else words
+
+
+def _pieces(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    while piece := file.read(PIECE):
+        yield piece
 
 
 def _unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
-    """The lines of a packed file; of one that is cut short, what there is. Raises `LogError`."""
+    """The pieces of a packed file; of one that is cut short, what there is. Raises `LogError`."""
     left = most = BASE_BYTES + FACTOR * len(data)
     try:
         with gzip.open(io.BytesIO(data)) as file:
-            for line in _raw_lines(file):
-                left -= len(line)
+            for piece in _pieces(file):
+                left -= len(piece)
                 if left < 0:
                     raise LogError(f"it has more than {most} bytes unpacked, too much for its size; unpack it first")
-                yield line
+                yield piece
     except (OSError, EOFError, zlib.error) as error:
         if left == most:
             raise LogError(f"no {PACKED} file, or damaged ({error!s:.80})") from None
         counts["packed file cut short or damaged"] += 1
-
-
-def _raw_lines(file: IO[bytes]) -> Iterator[bytes]:
-    """The lines of a file, the longest without their ends."""
-    while line := file.readline(LONGEST_LINE):
-        yield line
-        while len(line) == LONGEST_LINE and not line.endswith(b"\n"):
-            line = file.readline(LONGEST_LINE)
 
 
 def _message(log: CarmenLog, asked: str | None) -> str:

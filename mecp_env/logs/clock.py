@@ -27,18 +27,21 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
     Raises `LogError` without any sweep.
     """
     carried = all(sweep.T_odom_robot is not None for sweep in recording.sweeps)
-    poses = np.empty(0) if carried else np.array(recording.odometry.t, np.float64)
-    useful = all(map(are_useful, (*map(_stamps, _by_laser(recording)), poses)))
+    useful = _all_useful(recording, carried)
     if clock == "received" or not useful:
         recording.notes.append(RECEIVED if clock == "received" else UNUSABLE)
-        recording.counts["scans without a useful stamp, in the order of the file"] += (
-            0 if useful else len(recording.sweeps)
-        )
         _take_order(recording)
+    recording.counts["scans without a useful stamp, in the order of the file"] += (not useful) * len(recording.sweeps)
     found = [sweep for sweeps in _by_laser(recording) for sweep in _sorted_out(sweeps, carried, recording.counts)]
     if not found:
         raise LogError(f"no scan that can be used ({listed(recording)})")
     recording.sweeps = found
+
+
+def _all_useful(recording: Recording, carried: bool) -> bool:
+    """True where the stamps of all lasers are of use, and those of the poses that sweeps do not carry."""
+    poses = [] if carried else [np.array(recording.odometry.t, np.float64)]
+    return all(map(are_useful, (*map(_stamps, _by_laser(recording)), *poses)))
 
 
 def _by_laser(recording: Recording) -> list[list[Sweep]]:

@@ -40,7 +40,7 @@ class Frames:
         if _is_odometry(parent) and not _is_odometry(child):
             self._follow((parent, child), stamp, T_parent_child, order)
         elif _is_odometry(child) and _is_robot(parent):
-            self._follow((child, parent), stamp, np.linalg.inv(T_parent_child), order)
+            self._follow((child, parent), stamp, np.asarray(np.linalg.inv(T_parent_child), np.float64), order)
 
     def _follow(self, edge: Edge, stamp: float, T_odom_robot: Transform, order: float) -> None:
         self.budget.take(POSE_BYTES)

@@ -29,7 +29,7 @@ def laser_fault(log: Log) -> str | None:
         return None
     rows = _moving(log.T_odom_robot)
     odometry = between(log.T_odom_robot[rows[:-1]], log.T_odom_robot[rows[1:]])
-    path = composed(registered_path(log, rows), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
+    path = composed(registered_path(log, rows.tolist()), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
     scans = between(path[:-1], path[1:])  # of the laser, in its frame
     mirrored = _are_opposite(odometry[:, 2], scans[:, 2])
     yaw = _yaw(odometry, scans, -log.T_robot_laser[2], mirrored)

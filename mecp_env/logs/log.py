@@ -84,7 +84,7 @@ class Log(Sequence[LogRecord]):
         return min(360.0, widest + 1e-9)
 
     def sensor(self) -> dict[str, Any]:
-        """The geometry of the laser, and what its beams without a return mean, as fields of the estimator's sensor model."""
+        """Geometry of the laser and meaning of its beams without a return: fields of the estimator's sensor model."""
         x, y, heading = self.T_robot_laser.tolist()
         mount = {"x_m": x, "y_m": y, "heading_deg": math.degrees(heading)}
         meaning = no_return_of(self.ranges, self.step_rad, self.max_range_m)

@@ -20,7 +20,10 @@ from mecp_env.logs.recording import Recording, Track
 from mecp_env.logs.tables import TABLES, read_table
 
 CARMEN = (".log", ".clf", ".carmen")
-FORMATS = f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .csv, .dat (BreezySLAM), .bag, .db3, .mcap or the folder of a ROS 2 bag"
+FORMATS = (
+    f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .csv, .dat (BreezySLAM), .bag, .db3, .mcap "
+    "or the folder of a ROS 2 bag"
+)
 
 
 class ReadOptions(Settings):

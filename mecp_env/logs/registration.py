@@ -6,6 +6,7 @@ Point-to-line ICP (Censi, An ICP variant using a point-to-line metric, 2008) aga
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -41,9 +42,9 @@ def registered(log: Log) -> Log:
     return replace(log, T_odom_robot=registered_path(log))
 
 
-def registered_path(log: Log, rows: Array | None = None) -> Array:
+def registered_path(log: Log, rows: Sequence[int] | None = None) -> Array:
     """(n,3) m, rad: the poses of the scans (those of `rows`), in the frame of the first."""
-    chosen = range(len(log)) if rows is None else rows.tolist()
+    chosen: Sequence[int] = range(len(log)) if rows is None else rows
     path = np.zeros((len(chosen), 3))
     if not len(chosen):
         return path
@@ -120,6 +121,7 @@ def _gauss_newton(key: Surface, scan: Surface, pose: Array, reach: float) -> tup
     moved = _moved(scan.points, pose)
     distance, partner = key.tree.query(moved, distance_upper_bound=reach)
     found = np.flatnonzero(np.isfinite(distance))
+    partner = np.asarray(partner)
     fit = np.zeros(len(moved), np.bool_)
     if len(found) < 3:
         return np.zeros(3), fit

@@ -105,7 +105,7 @@ def _rows(data: bytes) -> Iterator[tuple[int, list[str]]]:
 def _numbers(words: list[str]) -> Array | None:
     """(k,) the numbers of a row, nan for an empty word; None where one is no number."""
     try:
-        return np.array([word.strip() or "nan" for word in words], np.float64)
+        return np.fromiter((float(word.strip() or "nan") for word in words), np.float64, len(words))
     except ValueError:
         return None
 
@@ -118,18 +118,14 @@ def _damaged(recording: Recording, number: int, words: list[str]) -> None:
 
 def _columns(names: list[str], view_deg: float | None) -> Columns:
     """Where a table with these names has what. Raises `LogError`."""
-    stamp = next((names.index(name) for name in STAMPS if name in names), None)
-    found = [next((names.index(name) for name in known if name in names), None) for known in POSES]
-    pose = tuple(place for place in found if place is not None)
-    others = [place for place in range(len(names)) if place != stamp and place not in pose]
-    beams = len(others)
-    if (not pose and stamp is None) or len(pose) not in (0, 3):
+    stamp, *places = (next((names.index(name) for name in known if name in names), None) for known in (STAMPS, *POSES))
+    pose = tuple(place for place in places if place is not None)
+    first = 1 + max((place for place in (stamp, *pose) if place is not None), default=-1)
+    if len(pose) not in (0, len(POSES)) or first != len(pose) + (stamp is not None) or not first:
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
-    if not 2 <= beams <= MOST_BEAMS or others[-1] - others[0] != beams - 1 or others[-1] != len(names) - 1:
-        raise LogError(
-            f"first row has {beams} columns of readings, 2 to {MOST_BEAMS} side by side at its end expected; {EXPECTED}"
-        )
-    return Columns(stamp, pose, others[0], _geometry([names[place] for place in others], view_deg))
+    if not 2 <= len(names) - first <= MOST_BEAMS:
+        raise LogError(f"first row has {len(names) - first} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    return Columns(stamp, pose, first, _geometry(names[first:], view_deg))
 
 
 def _geometry(names: list[str], view_deg: float | None) -> Geometry:

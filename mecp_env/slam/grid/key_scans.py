@@ -12,7 +12,6 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.messages import MergedScan, Segments
 
-NEAR_M = 0.3  # even a weak laser sees what is as near
 MOVED, CAME, WENT = (1 << bit for bit in range(3))  # what can happen to landmarks
 
 
@@ -29,11 +28,12 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
 
 
 def seen_floor(scan: MergedScan, sensor: SensorModel) -> MergedScan:
-    """The scan as it clears floor: a beam of a weak laser that does not return clears `NEAR_M` of it only."""
-    if sensor.no_return == "free":
+    """The scan as it clears floor: beams of a weak laser that do not return clear only what it sees for sure."""
+    most = sensor.free_without_return_m
+    if most >= scan.max_range_m:
         return scan
     empty = ~scan.hit & (scan.ranges >= scan.max_range_m)
-    return replace(scan, ranges=np.where(empty, np.minimum(scan.ranges, NEAR_M), scan.ranges))
+    return replace(scan, ranges=np.where(empty, most, scan.ranges))
 
 
 @compiled
