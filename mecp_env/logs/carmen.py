@@ -103,12 +103,13 @@ class CarmenLog:
             return math.nan
 
     def sweep(self, kind: str, t: float, ranges: Array, geometry: Geometry, poses: Sequence[Array] = ()) -> None:
-        """Keep a sweep; the poses are those of laser and robot."""
+        """Keep a sweep; the poses are those of laser and robot. One without has the place of the odometry before it."""
         if len(ranges) < 2:
             raise ValueError
         self.budget.take(SWEEP_BYTES + 2 * ranges.nbytes)
         laser, robot = poses or (None, None)
-        self.sweeps[kind].append(Sweep(t, ranges, geometry, robot, laser, order=float(self.line)))
+        order = float(self.line) if poses or not self.odometry.order else self.odometry.order[-1]
+        self.sweeps[kind].append(Sweep(t, ranges, geometry, robot, laser, order=order))
 
     def flaser(self, words: list[str]) -> None:
         """A sweep with the poses of laser and robot."""

@@ -90,7 +90,8 @@ def _driven(before: Array | None, wheels: list[Array]) -> Array:
     left, right = wheels[-1] - wheels[0]
     distance, turn = 0.5 * (left + right), (right - left) / AXLE_M
     towards = before[2] + 0.5 * turn
-    return before + np.array([distance * math.cos(towards), distance * math.sin(towards), turn])
+    after: Array = before + np.array([distance * math.cos(towards), distance * math.sin(towards), turn])
+    return after
 
 
 def _rows(data: bytes) -> Iterator[tuple[int, list[str]]]:
