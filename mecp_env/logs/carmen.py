@@ -33,6 +33,7 @@ MOST_BYTES = 2**30
 PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 MOST_BEAMS = 20_000
+MOST_LINES = 10**6  # and one more for each byte of the file
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
 MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
 WIDE_DEG = {541: 270.0, 1081: 270.0, 682: 239.77, 683: 240.0}  # an FLASER line has no angles: these are no SICK LMS
@@ -155,6 +156,8 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     data = read_bytes(path, MOST_BYTES)
     log = CarmenLog(field_of_view_deg, budget=Budget.of(len(data)))
     for number, is_cut, words in _lines(data, path.suffix == PACKED, log.counts):
+        if number > MOST_LINES + len(data):
+            raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
         log.line, log.cut = number, is_cut
         log.read(words)
     kind = _message(log, message)
@@ -171,10 +174,10 @@ def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[in
     number, rest = 0, b""
     for piece in _unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
         *lines, rest = (rest + piece).split(b"\n")
-        for number, line in enumerate(lines, start=number + 1):  # noqa: B020
+        for place, line in enumerate(lines, start=number + 1) if any(lines) else ():
             if line and (words := _words(line)):
-                yield number, False, words
-        rest = rest[:LONGEST_LINE]
+                yield place, False, words
+        number, rest = number + len(lines), rest[:LONGEST_LINE]
     if words := _words(rest):
         yield number + 1, True, words
 

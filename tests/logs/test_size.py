@@ -30,6 +30,12 @@ def empty_lines(path: Path) -> None:
             file.write(b"\n" * 10**6)
 
 
+def short_lines(path: Path) -> None:
+    with gzip.open(path, "wb", compresslevel=9) as file:
+        for _ in range(20):
+            file.write(b"x\n" * 10**6)
+
+
 def zeros(path: Path) -> None:
     np.savez_compressed(path, t=np.arange(4000.0), ranges=np.zeros((4000, 2000), np.uint8), angles=np.arange(2000.0))
 
@@ -44,7 +50,13 @@ def huge_shape(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("a.log.gz", packed_lines), ("a.log.gz", empty_lines), ("a.npz", zeros), ("a.npz", huge_shape)],
+    [
+        ("a.log.gz", packed_lines),
+        ("a.log.gz", empty_lines),
+        ("a.log.gz", short_lines),
+        ("a.npz", zeros),
+        ("a.npz", huge_shape),
+    ],
 )
 def test_bombs(tmp_path: Path, name: str, write) -> None:
     write(tmp_path / name)
