@@ -9,8 +9,8 @@ import numpy as np
 from mecp_env.core.array_types import Array
 
 NEAR_SHARE = 0.8  # of the range: gaps between nearer hits are mostly walls, those between farther ones open space
-LOST_SHARE = 0.15  # of all beams, in such gaps, and
-NARROW_SHARE = 0.02  # as a share of the hits, in gaps narrower than
+LOST_SHARE = 0.13  # of all beams, in such gaps, and
+NARROW_SHARE = 0.01  # as a share of the hits, in gaps narrower than
 NARROW_M = 1.0  # this between their two hits: from both on, the laser is weak
 SWEEPS = 300  # that are looked at, spread over the log
 
