@@ -13,6 +13,7 @@ import numpy as np
 
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
+from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, planar, transform
 from mecp_env.logs.recording import POSE_BYTES, Budget, Geometry, Recording, Sweep
@@ -99,6 +100,7 @@ def read_bag(
     except ImportError:
         raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
     recording = Recording(path.name, budget=Budget.of(_size(path)))
+    check_chunks(path, recording.budget.most)
     log, kinds = BagLog(recording, Frames(recording.budget)), dict[str, str]()
     try:
         with reader.AnyReader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:

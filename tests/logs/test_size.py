@@ -48,6 +48,22 @@ def huge_shape(path: Path) -> None:
             archive.writestr(f"{name}.npy", head.getvalue())
 
 
+@pytest.mark.parametrize("packing", ["bz2", "lz4"])
+def test_packed_chunks(tmp_path: Path, packing: str) -> None:
+    rosbag1 = pytest.importorskip("rosbags.rosbag1")
+    sound, large = tmp_path / "a.bag", tmp_path / "b.bag"
+    for path, size in ((sound, 1000), (large, 80_000_000)):
+        writer = rosbag1.Writer(path)
+        writer.set_compression(rosbag1.Writer.CompressionFormat[packing.upper()])
+        with writer:
+            end = writer.add_connection("/x", "std_msgs/msg/Int8", msgdef="int8 data", md5sum="0" * 32)
+            writer.write(end, 1, bytes(size))
+    with pytest.raises(LogError, match="chunk unpacks"):
+        read_log(large)
+    with pytest.raises(LogError, match="no laser"):
+        read_log(sound)
+
+
 @pytest.mark.parametrize(
     ("name", "write"),
     [
