@@ -23,8 +23,8 @@ REACH_M, LEAST_REACH_M = 0.6, 0.12  # of a point from its partner in the first r
 INLIER_M = 0.08  # of a point from the line of its partner
 GOOD_SHARE, POOR_SHARE = 0.8, 0.5  # of the points that are inliers: no other start is tried; a new key scan is needed
 KEY_M, KEY_RAD = 0.4, 0.4  # from the key scan; farther, the scan becomes the next one
-SURFACE = 4.0  # times the spacing of the beams at a range, within which neighbours are one surface
-POINTS = 240  # of a scan that are registered, at most
+SURFACE = 2.5  # times the spacing of the beams at a range, within which neighbours are one surface
+POINTS = 400  # of a scan that are registered, at most
 TURNS_RAD = np.radians((0.0, 10.0, -10.0, 20.0, -20.0, 30.0, -30.0, 45.0, -45.0))  # starts beside the prediction
 
 
