@@ -56,7 +56,9 @@ def test_packed_chunks(tmp_path: Path, packing: str) -> None:
         writer = rosbag1.Writer(path)
         writer.set_compression(rosbag1.Writer.CompressionFormat[packing.upper()])
         with writer:
-            end = writer.add_connection("/x", "std_msgs/msg/Int8", msgdef="int8 data", md5sum="27ffa0c9c4b8fb8492252bcad9e5c57b")
+            end = writer.add_connection(
+                "/x", "std_msgs/msg/Int8", msgdef="int8 data", md5sum="27ffa0c9c4b8fb8492252bcad9e5c57b"
+            )
             writer.write(end, 1, bytes(size))
     with pytest.raises(LogError, match="chunk unpacks"):
         read_log(large)
