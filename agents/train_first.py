@@ -52,8 +52,14 @@ LABELS = {
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
     "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
     "maskable_ppo": {
-        **{"learning_rate": 1e-3, "n_steps": 16, "batch_size": 64, "n_epochs": 6},
-        **{"gamma": 0.9, "gae_lambda": 0.9, "clip_range": 0.3},
+        "learning_rate": 3e-3,
+        "n_steps": 8,
+        "batch_size": 64,
+        "n_epochs": 4,
+        "gamma": 0.8,
+        "gae_lambda": 0.9,
+        "clip_range": 0.3,
+        "policy_kwargs": {"net_arch": [64]},
     },
 }
 LINES = {

@@ -161,5 +161,7 @@ def print_result(metrics: Mapping[str, Any], folder: Path) -> None:
     console.print(table)
     for what, count in metrics["counts"].items():
         console.print(f"counted: {count} {what}", markup=False)
+    for note in metrics["notes"]:
+        console.print(f"note: {sanitised(note)}", markup=False)
     there = [name for name in FILES if (folder / name).exists()]
     console.print(f"{', '.join(there)} in {sanitised(str(folder))}/", markup=False)

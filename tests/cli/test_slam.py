@@ -128,8 +128,6 @@ def test_a_truncated_log_is_mapped_as_far_as_it_goes(tmp_path: Path, capsys: Sai
 @pytest.mark.parametrize(
     ("name", "more", "said"),
     [
-        ("a.npz", {"odo": None}, "the log has none (it has a reference path"),
-        ("a.npz", {"odo": None, "ref": None}, "the log has none"),
         ("a.npz", {"ranges": None}, "no ranges in the archive"),
         ("none.npz", None, "no such file"),
         (".", None, "no ROS 2 bag"),
@@ -145,6 +143,51 @@ def test_what_cannot_be_mapped_is_one_line(
     assert said in error
     assert error.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: whole[name] for name in whole if name != "odo"})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
+    assert "odometry none" in capsys.readouterr().out
+    assert metrics_of(tmp_path / "a")["ate_m"] < 0.1
+    assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--odometry", "none"]) == 0
+    assert metrics_of(tmp_path / "b")["ate_m"] == metrics_of(tmp_path / "a")["ate_m"]
+
+
+def test_a_mirrored_laser_is_named_and_mended(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: -whole[name] if name == "angles" else whole[name] for name in whole})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
+    assert "try --mirror" in capsys.readouterr().out
+    assert any("--mirror" in note for note in metrics_of(tmp_path / "a")["notes"])
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "b"), "--mirror"]) == 0
+    assert "try --mirror" not in capsys.readouterr().out
+    assert metrics_of(tmp_path / "b")["ate_m"] < 0.05
+
+
+def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: 0.0 * whole[name] if name == "odo" else whole[name] for name in whole})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    assert "--odometry none" in capsys.readouterr().err
+    assert metrics_of(tmp_path / "a")["scans"] == 1
+
+
+def test_a_run_that_is_lost_to_its_end_fails(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        ranges = whole["ranges"].copy()
+        ranges[len(ranges) // 2 :] = 0.4 + 0.1 * np.random.default_rng(0).random(ranges[len(ranges) // 2 :].shape)
+        np.savez(tmp_path / "a.npz", **({name: whole[name] for name in whole} | {"ranges": ranges}))
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    assert "--noise.scale" in capsys.readouterr().err
+
+
+def test_two_topics_reach_the_reader(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
+    line = ["slam", str(bag), "--out", str(tmp_path / "b"), "--scan-topic", "/front", "--scan-topic", "/rear"]
+    assert cli.main(line) == 0
 
 
 def test_options_that_contradict_each_other(log: Path, kept: Path, tmp_path: Path, capsys: Said) -> None:
