@@ -1,10 +1,10 @@
 """Restore: states of episodes and maps at random moments come back to the bit, and go on alike.
 
-Each run is a random id, start, crowd, clutter, observation, filter, associator, action and reward, driven for a random
-number of steps of random actions: sometimes past the end of the episode, and sometimes while the pose is searched for.
+Each run is a random id, start, crowd, clutter, laser, odometry, observation, estimator, filter and associator, driven
+for a random number of steps of random actions: sometimes past the end of the episode, and sometimes while the pose is searched for.
 Then its state is read into a second environment and its map into a second pipeline. The state and the map must be
-those that were kept, and 3 more steps (or a `reset` after the end) must give the same observations. Maps of
-recorded logs are kept and read at their ends by `tests/slam`. Every failure is listed with what makes it again.
+those that were kept, and 3 more steps (or a `reset` after the end) must give the same results and the same state after
+them. Every failure is listed with what makes it again.
 """
 
 from __future__ import annotations
@@ -16,22 +16,27 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-import mecp_env  # noqa: F401  (registers the environments)
+import mecp_env
 from benchmarks.common import Figures, Gate, Options, in_parallel, table
-from mecp_env.core.snapshot import encode
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamPipeline
 from mecp_env.slam.config import METHODS
+from mecp_env.world.layout import LIBRARY
 
 RUNS, QUICK = 1000, 10
 MORE = 3  # steps after a state
+PLAN = LIBRARY / "furnished.json"
 FILE = FileKind("mecp_env state of the benchmark", 1, "0")
 GATES = (Gate("all/failed", "bound", 0.0),)
 
-IDS = ("Rooms-v0", "PaperMap-v0", "ActiveCheapRobot-v0", "ActiveHalls-v0", "Layout-v0")
+LAYOUTS = ("two_rooms", "paper", "office")
 CHOICES: dict[str, tuple[Any, ...]] = {
     "actions": ("goal", "velocity"),
     "crowd": ({}, {"people": 4}),
+    "clutter": ({}, {"movable_boxes": 3, "closed_doors": 1}),
+    "laser": ({}, {"preset": "urg04lx"}, {"preset": "lms200"}),
+    "odometry": ({}, {"preset": "turtlebot"}, {"preset": "skid_steer"}),
+    "observation": ({}, {"format": "flat"}, {"format": "image"}, {"uncertainty": True}),
     "start": ("layout", "random"),
     "estimator": ("slam", "slam", "known", "truth"),
 }
@@ -47,13 +52,13 @@ def run(options: Options) -> Figures:
 
 def setting_of(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
     """A random id with its keywords."""
-    name = str(rng.choice(IDS))
+    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
     fields = {key: values[int(rng.integers(len(values)))] for key, values in CHOICES.items()}
-    slam = {"filter": {"kind": str(rng.choice(FILTERS))}, "association": {"method": str(rng.choice(list(METHODS)))}}
-    fields |= {"slam": slam, "max_steps": int(rng.integers(5, 120))}
-    if name == "Layout-v0":
-        fields["layout"] = str(rng.choice(["two_rooms", "paper", "office"]))
-    return f"mecp_env/{name}", fields
+    slam = {"filter": {"kind": str(rng.choice(FILTERS))}, "association": {"method": str(rng.choice(METHODS.ours[:-1]))}}
+    fields |= {"slam": slam, "max_steps": int(rng.integers(5, 300))}
+    if name.endswith("Layout-v0"):
+        fields["layout"] = str(rng.choice(LAYOUTS))
+    return name, fields | ({"plan": str(PLAN)} if name.endswith("FloorPlan-v0") else {})
 
 
 def failure_of(unit: tuple[int]) -> str:
@@ -61,10 +66,10 @@ def failure_of(unit: tuple[int]) -> str:
     (number,) = unit
     rng = np.random.default_rng([39, number])
     name, fields = setting_of(rng)
-    steps, lost = int(rng.integers(0, 60)), bool(rng.random() < 0.2)
+    steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
     try:
-        env = gym.make(name, disable_env_checker=True, **fields).unwrapped
-        fault = fault_of(env, gym.make(name, disable_env_checker=True, **fields).unwrapped, rng, steps, lost)
+        env, other = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
+        fault = fault_of(env, other, rng, steps, lost)
     except Exception as error:  # any error is a finding
         fault = f"{type(error).__name__}: {error}"
     return f"{number}: {name} {fields} after {steps} steps{', lost' * lost}: {fault}" if fault else ""
@@ -73,16 +78,18 @@ def failure_of(unit: tuple[int]) -> str:
 def fault_of(env: Any, other: Any, rng: np.random.Generator, steps: int, lost: bool) -> str:
     """What differs between an environment after so many steps and another one that continues it."""
     env.reset(seed=int(rng.integers(2**31)))
+    other.reset(seed=0)
+    own, others = env.unwrapped, other.unwrapped
     going = drive(env, rng, steps)
     if lost and going:
-        env._started().pipeline.lose_pose()
+        own._started().pipeline.lose_pose()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "state.zip"
-        save_snapshot(path, FILE, env.get_state())
-        other.set_state(load_snapshot(path, FILE))
-        if not same(other.get_state(), env.get_state()):
+        save_snapshot(path, FILE, own.get_state())
+        others.set_state(load_snapshot(path, FILE))
+        if not same(others.get_state(), own.get_state()):
             return "another state"
-        return map_fault(env, Path(folder) / "map.zip") or after_fault(env, other, rng, going)
+        return map_fault(own, Path(folder) / "map.zip") or after_fault(env, other, rng, going)
 
 
 def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
@@ -96,9 +103,9 @@ def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
 
 def action_of(env: Any, rng: np.random.Generator) -> Any:
     """A goal that may be chosen, or a velocity."""
-    if env.config.actions != "goal":
+    if env.unwrapped.config.actions != "goal":
         return rng.uniform([0.0, -1.0], [1.0, 1.0]).astype(np.float32)
-    goals = np.flatnonzero(env.action_masks())
+    goals = np.flatnonzero(env.get_wrapper_attr("action_masks")())
     return int(rng.choice(goals)) if len(goals) else 0
 
 
@@ -123,7 +130,7 @@ def after_fault(env: Any, other: Any, rng: np.random.Generator, going: bool) -> 
             return "another step"
         if results[0][2] or results[0][3]:
             break
-    return "" if same(encode(env.get_state()["seed"]), encode(other.get_state()["seed"])) else "another seed"
+    return "" if same(env.unwrapped.get_state(), other.unwrapped.get_state()) else "another state after it"
 
 
 def same(first: Any, second: Any) -> bool:

@@ -38,14 +38,24 @@ class FileKind(NamedTuple):
 
 def save_snapshot(path: Path, kind: FileKind, data: Any) -> None:
     """Write plain data of `snapshot.encode`, atomically. Raises `OSError`."""
-    arrays, buffer = io.BytesIO(), io.BytesIO()
+    arrays = io.BytesIO()
     content = kind._asdict() | {"state": _without_arrays(data, arrays)}
+    text = json.dumps(content).encode()
+    packed = _packed(text, arrays.getvalue(), zipfile.ZIP_DEFLATED)
+    if arrays.tell() > most_of(ARRAY_BYTES, len(packed)):  # a large empty grid: it would be refused
+        packed = _packed(text, arrays.getvalue(), zipfile.ZIP_STORED)
+    write_atomic(path, packed)
+
+
+def _packed(text: bytes, arrays: bytes, method: int) -> bytes:
+    """The zip of the two parts."""
+    buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        for name, part in ((STRUCTURE, json.dumps(content).encode()), (ARRAYS, arrays.getvalue())):
+        for name, part in ((STRUCTURE, text), (ARRAYS, arrays)):
             member = zipfile.ZipInfo(name, UNDATED)
             member.external_attr = 0o644 << 16  # rights of the file when it is unpacked
-            archive.writestr(member, part, zipfile.ZIP_STORED if len(part) > ARRAY_BYTES[0] else zipfile.ZIP_DEFLATED)
-    write_atomic(path, buffer.getvalue())
+            archive.writestr(member, part, method)
+    return buffer.getvalue()
 
 
 def load_snapshot(path: Path, kind: FileKind) -> Any:
@@ -66,15 +76,15 @@ def _unpacked(data: bytes, kind: FileKind) -> Any:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         if STRUCTURE not in archive.namelist():
             raise StateError(f"no {kind.format}: it holds {archive.namelist()[:4]!r:.80}")
-        text = _member(archive, STRUCTURE, least_of(TEXT_BYTES, len(data)))
-        check_parts(text, least_of(PARTS, len(data)))
+        text = _member(archive, STRUCTURE, most_of(TEXT_BYTES, len(data)))
+        check_parts(text, most_of(PARTS, len(data)))
         content = json.loads(text)
         check_header(content, kind)
-        arrays = _Arrays(_member(archive, ARRAYS, least_of(ARRAY_BYTES, len(data))))
+        arrays = _Arrays(_member(archive, ARRAYS, most_of(ARRAY_BYTES, len(data))))
         return arrays.put_into(content["state"])
 
 
-def least_of(limit: tuple[int, float], size: int) -> int:
+def most_of(limit: tuple[int, float], size: int) -> int:
     """How much may be made of a file of `size` bytes."""
     return min(int(limit[0] + limit[1] * size), MOST_BYTES)
 

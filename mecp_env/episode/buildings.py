@@ -151,7 +151,7 @@ def _made(key: str, given: Any) -> Source:
 
 
 def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
-    if split not in SPLITS:
+    if not isinstance(split, str) or split not in SPLITS:
         raise ConfigError(unknown_split(split))
     return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
 
