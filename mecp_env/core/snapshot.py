@@ -2,8 +2,8 @@
 
 What comes out holds None, bools, ints, floats, strings, arrays, lists and dicts with string keys only. An object stands
 as a dict with the one key "@KIND", one of `KINDS`; arrays and objects that are reached twice stay one. A class must be
-defined in a module of `mecp_env` that states come from, or be one that this process has admitted: what such a module only
-imports, such as a connection that closes a file when it goes, is not made.
+defined in a module of `mecp_env` that states come from, or be one that this process has admitted: what such a module
+only imports, such as a connection that closes a file when it goes, is not made.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ KINDS: Mapping[str, Callable[[Decoder, Any], Any]] = {
 
 
 def real_array(value: Any) -> np.ndarray[Any, Any]:
-    """`value`, an array of numbers, texts or rows. Raises `StateError` for anything else, such as an array of objects."""
+    """`value`, an array of numbers, texts or rows. Raises `StateError` for anything else, as an array of objects."""
     if type(value) is not np.ndarray or value.dtype.hasobject:
         raise StateError(f"state: expected an array of plain values, given {type(value).__name__}")
     return value
