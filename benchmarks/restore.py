@@ -1,7 +1,8 @@
 """Restore: states of episodes and maps at random moments come back to the bit, and go on alike.
 
 Each run is a random id, start, crowd, clutter, laser, odometry, observation, estimator, filter and associator, driven
-for a random number of steps of random actions: sometimes past the end of the episode, and sometimes while the pose is searched for.
+for a random number of steps of random actions: sometimes past the end of the episode, and sometimes while the pose is
+searched for.
 Then its state is read into a second environment and its map into a second pipeline. The state and the map must be
 those that were kept, and 3 more steps (or a `reset` after the end) must give the same results and the same state after
 them. Every failure is listed with what makes it again.

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED
+from mecp_env.cli.exit_codes import INTERRUPTED, exit_code
 from mecp_env.cli.fields import Fields, configuration
 from mecp_env.cli.with_option import WithModules
 
@@ -70,4 +70,4 @@ class Demo(WithModules):
         run.save_map = lambda: saved.append(save_map(run.env, self.save_map))
         print_result(run.keep(folder, watch), folder)
         run.env.close()
-        return INTERRUPTED if run.ended == "interrupted" else 0 if all(saved) else FAILED
+        return exit_code({"interrupted": INTERRUPTED}.get(run.ended, 0), all(saved))

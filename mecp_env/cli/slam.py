@@ -12,7 +12,7 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import Seed, check_folder
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED
+from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, exit_code
 from mecp_env.cli.fields import named_fields
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
@@ -100,7 +100,7 @@ class Slam(WithModules):
         saved = save_map(run.pipeline, self.save_map)
         print_result(files.keep(folder, run, self._recipe(run.pipeline.config, options)), folder)
         code = {"interrupted": INTERRUPTED, "complete": 0, "diverged": 0}.get(run.ended, FAILED)
-        return code or (0 if saved else FAILED)
+        return exit_code(code, saved)
 
     def _read(self) -> Log:
         """The log, by the options for its format. Raises `LogError`."""

@@ -38,7 +38,7 @@ def read_bytes(path: Path, most: int) -> bytes:
         if size > most:
             raise LayoutError(f"the file has {size} bytes, at most {most}")
         with path.open("rb") as file:
-            return file.read(most)
+            return file.read(size)  # no more is set aside
     except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
         raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
 

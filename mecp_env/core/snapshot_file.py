@@ -95,8 +95,8 @@ def _member(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise StateError(f"{name}: packed by method {member.compress_type}, expected deflate or none")
     with archive.open(member) as file:  # reading a given number of bytes unpacks no more than these
-        found = file.read(most + 1) if member.file_size <= most else b""
-    if len(found) > most or len(found) != member.file_size:
+        found = file.read(member.file_size + 1) if member.file_size <= most else b""
+    if len(found) != member.file_size or len(found) > most:
         raise StateError(f"{name}: it has {member.file_size} bytes unpacked, at most {most} in a file of this size")
     return found
 

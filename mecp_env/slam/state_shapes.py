@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from mecp_env.core.snapshot import StateError
-from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes
+from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes, check_declared
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import FEATURE, NO_ID, FeatureState
-
-MOST_ROOMS = 32768  # the layer of rooms has 16 bits
 
 SHAPES: Shapes = {
     "Belief": {
@@ -113,12 +111,15 @@ def check_polygons(store: Any, where: str) -> None:
 
 
 def check_grid(grid: Any, resolution_m: float, where: str) -> None:
-    """Raise `StateError` unless cells are of the configured size, painted polygons have a place per vertex, completed
-    rooms can be, and painted doors, where known, are near."""
+    """Raise `StateError` unless cells are of the configured size, completed rooms can be, and layers are consistent."""
     if {grid.canvas.resolution_m, grid.canvas.grid.resolution_m} != {resolution_m}:
         raise StateError(f"{where}.canvas.resolution_m: {grid.canvas.resolution_m!r}, configured {resolution_m}")
-    if not all(0 <= room < MOST_ROOMS for room in (*grid.completed, *grid.filled)):
-        raise StateError(f"{where}.completed: expected rooms from 0 to below {MOST_ROOMS}")
+    check_declared(np.array(grid.completed + grid.filled), "n in 0:32768", {}, f"{where}.completed")
+    check_layers(grid, where)
+
+
+def check_layers(grid: Any, where: str) -> None:
+    """Raise `StateError` unless painted polygons have a place per vertex, and painted doors, where known, are near."""
     if any(np.shape(painted.ring) != (len(ids), 2) for ids, painted in grid.polygons.painted.items()):
         raise StateError(f"{where}.polygons.painted: a ring of another number of vertices")
     if any(len(polygon.ids) < 3 for polygon in grid.polygons.waiting):

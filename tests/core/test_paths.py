@@ -38,6 +38,6 @@ def test_a_folder_is_looked_at_once(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="run.gif") as caught, naming(tmp_path / "run.gif"):
+    with pytest.raises(OSError, match=r"run\.gif") as caught, naming(tmp_path / "run.gif"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert caught.value.filename == str(tmp_path / "run.gif")

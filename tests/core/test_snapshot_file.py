@@ -219,6 +219,6 @@ def test_only_our_classes_and_kinds_are_made(data: Any) -> None:
 def test_a_key_that_python_would_hash_for_ever_is_refused() -> None:
     nested: Any = {"@tuple": [1]}
     for number in range(60):
-        nested = {"@tuple": [nested, {"@same": 60 - number}]}
+        nested = {"@tuple": [nested, {"@same": 61 - number}]}
     with pytest.raises(StateError, match="a key of more than"):
         decode({"@dict": [[nested, 1]]})
