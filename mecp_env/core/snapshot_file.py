@@ -24,7 +24,7 @@ from mecp_env.core.snapshot import StateError
 STRUCTURE, ARRAYS = "state.json", "arrays.bin"
 MOST_BYTES = 4 * 2**30  # of a file, unpacked too: the covariance of 10,000 landmarks
 # What is made of a file, for any file and per byte of it. Maps have arrays of 2 bytes per byte, and 1 part in 60 bytes.
-ARRAY_BYTES, TEXT_BYTES, PARTS = (32 * 2**20, 8), (8 * 2**20, 2), (400_000, 0.1)
+ARRAY_BYTES, TEXT_BYTES, PARTS = (24 * 2**20, 5), (8 * 2**20, 2), (300_000, 0.08)
 UNDATED = (1980, 1, 1, 0, 0, 0)  # equal states give equal files
 
 
