@@ -19,8 +19,8 @@ from mecp_env.core.paths import write_atomic
 VERSION = 1
 AGAIN = "run the command that made it again"
 MARK = re.compile(r"\{\{(\w+)\}\}")
-# What is made of a page, for any page and per byte of it; pages have about 10 bytes and 2 values per byte.
-JSON_BYTES, VALUES = (2**24, 12), (500_000, 0.7)
+# What is made of a page, for any page and per byte of it; pages have up to 4.7 bytes and 1.3 values per byte.
+JSON_BYTES, VALUES = (2**24, 8), (300_000, 1.6)
 PACKED = re.compile(r'<script id="run" type="text/plain" data-version="(\d+)">([A-Za-z0-9+/=\s]*)</script>')
 
 
