@@ -11,7 +11,7 @@ import tyro
 
 from mecp_env.cli.base import Seed, Steps, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
-from mecp_env.cli.exit_codes import echo
+from mecp_env.cli.exit_codes import echo, exit_code
 from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
@@ -82,10 +82,10 @@ class Explore(WithModules):
                 echo(drive_line(goals, int(action), info))
         echo("", end_line(terminated, info), "")
         echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
-        save_map(env.unwrapped, self.save_map)
+        saved = save_map(env.unwrapped, self.save_map)
         env.close()
         end_rerun(recording, self.rerun)
-        return 0
+        return exit_code(0, saved)
 
     def _building(self) -> tuple[dict[str, Any], dict[str, int] | None]:
         """The id of the environment with the building that it makes, and the options of its reset.

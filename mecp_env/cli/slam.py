@@ -12,7 +12,7 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import Seed, check_folder
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
+from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
 from mecp_env.cli.fields import named_fields
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
@@ -81,7 +81,7 @@ class Slam(WithModules):
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources
         from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_result
-        from mecp_env.cli.map_option import check_map
+        from mecp_env.cli.map_option import check_map, save_map
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.core import warm_up
         from mecp_env.evaluation.log_run import LogDrive, LogRunConfig
@@ -106,9 +106,9 @@ class Slam(WithModules):
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED
         run = drive.result()
+        saved = save_map(run.pipeline, self.save_map)
         print_result(files.keep(folder, run, self._recipe(run.pipeline.config, options)), folder)
-        self._save(run.pipeline)
-        return self._ended(run, options)
+        return exit_code(self._ended(run, options), saved)
 
     def _ended(self, run: LogRun, options: LogRunConfig) -> int:
         """The exit code, with the reason where the result is of no use."""
@@ -186,8 +186,3 @@ class Slam(WithModules):
         """What another run needs to give the same."""
         start = {"from_map": str(self.from_map), "start": self.start} if self.from_map is not None else {}
         return {"log": str(self.log), **start, "run": options.model_dump(), "config": config.model_dump()}
-
-    def _save(self, pipeline: SlamPipeline) -> None:
-        if self.save_map is not None:
-            pipeline.save_map(self.save_map)
-            echo(f"map: {self.save_map}")

@@ -173,7 +173,7 @@ def _made(key: str, given: Any) -> Source:
 
 
 def _generated(difficulty: Any = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
-    if split not in SPLITS:
+    if not isinstance(split, str) or split not in SPLITS:
         raise ConfigError(unknown_split(split))
     chosen = (difficulty,) if isinstance(difficulty, str) else difficulty
     if not isinstance(chosen, list | tuple) or not chosen:

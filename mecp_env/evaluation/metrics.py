@@ -48,7 +48,7 @@ class AssociationLog:
         self.votes = np.zeros((64, self.true_corners), np.int32)
         self.features = np.tile(np.array([-1, NEVER]), (64, 1))
         self.counts = np.zeros(4, np.int64)
-        self.rows = np.empty((1024, 4), np.int64)
+        self.rows = np.zeros((1024, 4), np.int64)
 
     def record(self, output: SlamOutput, truth: Ints) -> None:
         """Add a scan whose corners have the true identities `truth` (n,)."""
@@ -91,7 +91,7 @@ class AssociationLog:
         """The next rows (count,4) at the end of the log, still to be written."""
         first, self.used = self.used, self.used + count
         if self.used > len(self.rows):
-            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+            self.rows = np.concatenate([self.rows, np.zeros_like(self.rows)])
         return self.rows[first : self.used]
 
 

@@ -14,7 +14,7 @@ from mecp_env.cli import log_files
 from mecp_env.cli import main as cli
 from mecp_env.evaluation.log_run import LogDrive
 from mecp_env.floorplans import load_plan
-from mecp_env.slam.map_file import SlamMap
+from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
@@ -218,6 +218,32 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
+
+
+@pytest.mark.parametrize("error", [MapError("map: damaged"), OSError(28, "No space left on device")])
+def test_a_map_that_cannot_be_saved_loses_nothing_else(
+    error: Exception, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    def save_map(self: SlamPipeline, path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
+    assert {path.name for path in out.iterdir()} == FILES
+    assert f"{saved} was not written" in capsys.readouterr().err
+
+
+def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
+    def save(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(log_files, "save", save)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 2
+    assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {path.name for path in out.iterdir()}
+    assert saved.exists()
+    assert f"{out / 'map.png'}: No space left" in capsys.readouterr().err
 
 
 def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:
