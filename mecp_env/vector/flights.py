@@ -7,7 +7,8 @@ from typing import Any
 
 from gymnasium.error import AlreadyPendingCallError, NoAsyncCallError
 
-from mecp_env.core.processes import Failure, WorkerPool
+from mecp_env.core.processes import Failure
+from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.vector.worker import Info
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import itertools
 import multiprocessing
 import weakref
@@ -18,7 +19,8 @@ from gymnasium.vector.utils import batch_space
 
 from mecp_env.core import warm_up
 from mecp_env.core.cores import cores
-from mecp_env.core.processes import WorkerDied, WorkerPool, start_method
+from mecp_env.core.processes import WorkerDied, start_method
+from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.vector.checks import check_workers
 from mecp_env.vector.flights import Flights
 from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
@@ -42,12 +44,14 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         method = start_method(context)
         fields = self._describe(makers[0]())
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
+        local = workers is None and (len(self._slices) == 1 or not self.masked)
         memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
         self._buffers = lay_out(fields, memory)
         self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
         self._pending: str | None = None
-        share_functions(method)
-        self._pool = WorkerPool(self._targets(makers, fields, memory), method)
+        if len(self._slices) > local:
+            share_functions(method)
+        self._pool = WorkerPool(self._targets(makers, fields, memory), method, local)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
         self.closed = False
@@ -89,13 +93,13 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 
     @property
     def pids(self) -> list[int]:
-        """Of the workers."""
+        """Of the worker processes, which may be none."""
         return self._pool.pids
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Copies of the generators of the environments."""
-        return self.get_attr("np_random")
+        return copy.deepcopy(self.get_attr("np_random"))
 
     @property
     def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
