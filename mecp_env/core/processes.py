@@ -116,7 +116,7 @@ class Worker:
 
     def ready(self, seconds: float) -> bool:
         """Whether there is an answer; waits for one so long."""
-        return self.pipe.poll(seconds)
+        return bool(self.pipe.poll(seconds))
 
     def answer(self) -> Any:
         """What the method returned, or a `Failure`; waits for it. Raises `WorkerDied`."""

@@ -6,9 +6,9 @@ import contextlib
 import multiprocessing
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import wait
-from typing import Any
+from typing import Any, NoReturn
 
 from mecp_env.core.local_worker import LocalWorker
 from mecp_env.core.processes import GONE, Failure, Worker, WorkerDied
@@ -20,7 +20,7 @@ STOP_S = 5.0  # how long workers have to stop by themselves
 class WorkerPool:
     """Workers that each hold a target, by the name of the worker. `ask` all of them, then `gather` their answers.
 
-    A target has the methods `open`, which is called first, and `close`. With `local`, the first target needs no process:
+    A target has the methods `open`, which is called first, and `close`. With `local`, the first needs no process:
     this one does its work while it waits for the others.
     """
 
@@ -47,15 +47,19 @@ class WorkerPool:
 
     def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         """Let each worker call the method `name` of its target with its arguments. Raises `WorkerDied`."""
-        with self._closed_by_death():
+        try:
             for worker, own in zip(self._all, arguments, strict=True):
                 worker.ask(name, *own)
+        except WorkerDied as error:
+            self._end(error)
 
     def gather(self) -> list[Any]:
         """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
-        with self._closed_by_death():
+        try:
             while len(self._answers) < len(self._all):
                 self._answers.append(self._answer(len(self._answers)))
+        except WorkerDied as error:
+            self._end(error)
         answers, self._answers = self._answers, []
         for answer in answers:
             if isinstance(answer, Failure):
@@ -65,16 +69,20 @@ class WorkerPool:
 
     def post(self, number: int, name: str, *arguments: Any) -> None:
         """Let one worker call the method `name` after what it was asked before; `arrived` has its answers."""
-        with self._closed_by_death():
+        try:
             self._all[number].ask(name, *arguments)
+        except WorkerDied as error:
+            self._end(error)
 
     def arrived(self) -> list[Any]:
         """The next answer of each worker that has one; waits for at least one. Raises `WorkerDied`."""
-        with self._closed_by_death():
+        try:
             own = [answer for worker in self._local if (answer := worker.answer()) is not None]
             while not (ready := wait([worker.pipe for worker in self._workers], 0.0 if own else LOOK_S)) and not own:
                 self._look()
             return own + [worker.answer() for worker in self._workers if worker.pipe in ready]
+        except WorkerDied as error:
+            self._end(error)
 
     def close(self) -> None:
         """Stop the workers: ask, then insist. Another process than the one that started them does nothing."""
@@ -106,13 +114,9 @@ class WorkerPool:
             if not worker.process.is_alive():
                 worker.report_death()
 
-    @contextlib.contextmanager
-    def _closed_by_death(self) -> Iterator[None]:
-        """When a worker dies, stop the others, too."""
-        try:
-            yield
-        except WorkerDied as error:
-            for worker in self._workers:
-                worker.process.terminate()
-            self.close()
-            raise WorkerDied(f"{error}; the others are stopped") from None
+    def _end(self, error: WorkerDied) -> NoReturn:
+        """After the death of a worker, stop the others, too."""
+        for worker in self._workers:
+            worker.process.terminate()
+        self.close()
+        raise WorkerDied(f"{error}; the others are stopped") from None

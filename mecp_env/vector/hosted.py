@@ -1,4 +1,4 @@
-"""Environments in worker processes: how they are started, asked for anything but steps, and closed."""
+"""Environments in this and in worker processes: how they are started, asked for anything but steps, and closed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RESERVED = ("reset", "step", "close")  # not for `call`
 
 
 class HostedEnvs(VectorEnv[Any, Any, Any]):
-    """`N` environments in `workers` processes and the shared buffers of their results."""
+    """`N` environments in their slices and the shared buffers of their results."""
 
     closed = True  # until there are workers: Gymnasium below 1.4 closes what a failed construction leaves
 
@@ -44,7 +44,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         method = start_method(context)
         fields = self._describe(makers[0]())
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
-        local = workers is None and (len(self._slices) == 1 or not self.masked)
+        local = workers is None and (not self.masked or self.num_envs == 1)  # a drive would delay what `recv` returns
         memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
         self._buffers = lay_out(fields, memory)
         self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
@@ -157,16 +157,20 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 
     def _begin(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         self._pending = name
-        with self._closed_by(WorkerDied):
+        try:
             self._pool.ask(name, arguments)
+        except WorkerDied:
+            self.close()
+            raise
 
     def _answers(self) -> list[Any]:
-        with self._closed_by(WorkerDied):
-            try:
-                answers = self._pool.gather()
-            except Exception:
-                self._pending = None
-                raise
+        try:
+            answers = self._pool.gather()
+        except Exception as error:
+            self._pending = None
+            if isinstance(error, WorkerDied):
+                self.close()
+            raise
         self._pending = None
         return answers
 
