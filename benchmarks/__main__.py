@@ -80,6 +80,7 @@ NAMES = (
     "worlds",
     "real",
     "vector",
+    "vector_step",
     "soak",
     "scale",
     "learning",
