@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.error import NoAsyncCallError, ResetNeeded
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from mecp_env.core.processes import Failure, WorkerDied
@@ -30,7 +30,7 @@ Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 GroupStep = tuple[Any, NDArray[np.float64], Bools, Bools, list[Info]]
 
 
-class BatchEnv(HostedEnvs):
+class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct base of that name
     """`N` environments on all cores, or in `workers` processes, bit for bit what each would do alone.
 
     Without `workers`, this process steps the first slice of the environments while worker processes step the others; a

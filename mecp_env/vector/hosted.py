@@ -56,6 +56,11 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         self._close_pool = weakref.finalize(self, self._pool.close)
         self.closed = False
 
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What happens when an episode ends, as the vector classes of Gymnasium name it."""
+        return self._mode
+
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """For each environment what its method `name` returns, or its attribute of that name."""
         if name in RESERVED:
