@@ -82,6 +82,7 @@ NAMES = (
     "real",
     "vector",
     "restore",
+    "vector_step",
     "soak",
     "scale",
     "learning",

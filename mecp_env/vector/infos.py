@@ -39,13 +39,15 @@ def _first_rows(infos: Info, count: int) -> Info:
 
 
 def _of_records(records: NDArray[Any], listed: NDArray[np.bool_]) -> Info:
+    """The numbers of the listed environments; where these are all, one mask is that of every key."""
     if not listed.any():
         return {}
-    if not listed.all():
+    complete = bool(listed.all())
+    if not complete:
         records[~listed] = 0
     infos: Info = {}
     for name, field, mask in _columns(records.dtype):
-        infos[name], infos[mask] = records[field], listed.copy()
+        infos[name], infos[mask] = records[field], listed if complete else listed.copy()
     return infos
 
 

@@ -225,6 +225,15 @@ def test_without_autoreset_what_is_over_waits_for_its_reset() -> None:
     venv.close()
 
 
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_the_mode_and_the_base_class_are_found_where_other_libraries_look(mode: AutoresetMode) -> None:
+    """TorchRL reads `autoreset_mode`; skrl looks at the direct bases; Gymnasium's wrappers read the metadata."""
+    venv = make_small(1, workers=None, autoreset_mode=mode)
+    assert venv.autoreset_mode == venv.metadata["autoreset_mode"] == mode
+    assert gymnasium.vector.VectorEnv in type(venv).__bases__
+    venv.close()
+
+
 def test_steps_and_waits_come_in_pairs_and_in_order() -> None:
     venv = make_small()
     with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
