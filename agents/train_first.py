@@ -49,17 +49,15 @@ LABELS = {
     "coverage_over_steps": "coverage, mean over the step limit, %",
     "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
 }
+RATES = {"ppo": 5e-4, "maskable_ppo": 1.5e-3}
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
     "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
     "maskable_ppo": {
-        "learning_rate": 3e-3,
-        "n_steps": 8,
+        "n_steps": 16,
         "batch_size": 64,
-        "n_epochs": 4,
-        "gamma": 0.8,
+        "n_epochs": 6,
+        "gamma": 0.9,
         "gae_lambda": 0.9,
-        "clip_range": 0.3,
-        "policy_kwargs": {"net_arch": [64]},
     },
 }
 LINES = {
@@ -108,6 +106,12 @@ class Curve(BaseCallback):
         """Trained until now."""
         return (time.monotonic() - self.begun - self.aside) / 60.0
 
+    @property
+    def left(self) -> float:
+        """Share of the training that is left."""
+        done = self.steps / self.args.steps if self.args.steps else self.minutes / self.args.minutes
+        return max(0.0, 1.0 - done)
+
     def _on_training_start(self) -> None:
         self.writer.writerow(COLUMNS)
         self._evaluate()
@@ -116,7 +120,7 @@ class Curve(BaseCallback):
         self.steps += sum(info.get("periods", 1) for info in self.locals["infos"])  # a goal takes many control steps
         if self.steps >= self.due:
             self._evaluate()
-        return self.steps < self.args.steps if self.args.steps else self.minutes < self.args.minutes
+        return self.left > 0.0
 
     def _on_training_end(self) -> None:
         self._evaluate()
@@ -146,16 +150,19 @@ def explore(env: gym.Env[Any, Any], model: Any, building: int) -> list[float]:
 
 
 def train(args: Args, seed: int, folder: Path) -> None:
-    """Train a seed; write model and curve."""
+    """Train a seed; write model and curve. The learning rate falls to 0."""
     folder.mkdir(parents=True, exist_ok=True)
-    settings = SETTINGS[args.algorithm]
+    settings, rate = SETTINGS[args.algorithm], RATES[args.algorithm]
     venv = VecMonitor(sb3_batch.make(args.env, args.environments, **args.options))
     venv = VecNormalize(venv, norm_obs=False, gamma=settings["gamma"])
     algorithm = MaskablePPO if args.algorithm == "maskable_ppo" else PPO
-    model = algorithm("MlpPolicy", venv, seed=seed, device="cpu", **settings)
     with (folder / "progress.csv").open("w", newline="") as file:
-        model.learn(10**9, callback=Curve(args, file))
+        curve = Curve(args, file)
+        model = algorithm("MlpPolicy", venv, lambda _: rate * curve.left, seed=seed, device="cpu", **settings)
+        model.learn(10**9, callback=curve)
     venv.close()
+    model.learning_rate = rate  # a function of this script cannot be loaded elsewhere
+    model.lr_schedule = None
     model.save(folder / "model.zip")
     (folder / "model.json").write_text('{"deterministic": false}\n')  # `evaluate` draws actions, as in training
 
