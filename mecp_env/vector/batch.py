@@ -22,7 +22,7 @@ from mecp_env.vector.checks import (
 )
 from mecp_env.vector.hosted import HostedEnvs
 from mecp_env.vector.infos import batched_infos, single_infos
-from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT
+from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, copied
 from mecp_env.vector.worker import Info, Infos, Makers
 
 Bools = NDArray[np.bool_]
@@ -76,7 +76,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         self._stale = self._stale | chosen
         infos = self._ask("reset", [(seeds[s.start : s.stop], rest, chosen[s.start : s.stop]) for s in self._slices])
         self._fresh, self._stale = self._fresh & ~chosen, self._stale & ~chosen
-        return self._observations(), self._batched(infos, self._records.copy(), chosen)
+        return self._observations(), self._batched(infos, copied(self._records), chosen)
 
     def step(self, actions: Any) -> Step:
         """One step in every environment: observations, rewards (N,), terminated (N,), truncated (N,), infos."""
@@ -97,7 +97,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
             raise NoAsyncCallError("step_wait() without step_async()", "step")
         self._stale = ~self._fresh  # should an environment raise
         infos = self._answers()
-        records = self._records.copy()
+        records = copied(self._records)
         reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
         self._stale = self._must_reset(terminated | truncated)
         return self._observations(), reward, terminated, truncated, self._batched(infos, records, ~self._fresh)

@@ -19,6 +19,7 @@ from mecp_env.vector import BatchEnv, hosted
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import LAYOUT, N, make_by, make_small
 from tests.vector.test_async import histories
+from tests.vector.test_batch import set_state
 from tests.vector.test_trajectories import KINDS, equal, take, take_in_one_process
 
 STILL = np.zeros((N, 2), np.float32)
@@ -132,7 +133,10 @@ def test_calls_reach_the_environments_and_generators_are_copies(own: int) -> Non
     assert venv.get_attr("mark") == (1, 2, 3)
     drawn = [generator.integers(2**40) for generator in venv.np_random]
     assert [generator.integers(2**40) for generator in venv.np_random] == drawn
-    assert [summary["periods"] for summary in venv.call("summary")] == [0] * N
+    states = venv.call("get_state")
+    row = venv.step(STILL + 0.5)
+    venv.each(set_state, [(state,) for state in states])
+    assert equal(venv.step(STILL + 0.5), row)
     venv.close()
 
 
