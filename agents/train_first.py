@@ -49,15 +49,17 @@ LABELS = {
     "coverage_over_steps": "coverage, mean over the step limit, %",
     "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
 }
-RATES = {"ppo": 5e-4, "maskable_ppo": 1.5e-3}
+RATES = {"ppo": 5e-4, "maskable_ppo": 3e-3}
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
     "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
     "maskable_ppo": {
-        "n_steps": 16,
+        "n_steps": 8,
         "batch_size": 64,
-        "n_epochs": 6,
-        "gamma": 0.9,
+        "n_epochs": 4,
+        "gamma": 0.8,
         "gae_lambda": 0.9,
+        "clip_range": 0.3,
+        "policy_kwargs": {"net_arch": [64]},
     },
 }
 LINES = {
