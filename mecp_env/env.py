@@ -449,6 +449,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Search for goals now; rooms without goals become complete in the grid."""
         episode = self._started()
         episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
+        if self.config.observation.format == "flat":  # a network sees row k at the same place: let it mean the same
+            episode.goals = RowTimes.of(self._planning).nearest_first(episode.goals)
         painter, graph = episode.pipeline.grid, episode.slam_output.graph
         painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
         if not len(episode.goals):

@@ -295,3 +295,18 @@ def test_an_unknown_keyword_is_a_type_error_as_python_words_it() -> None:
             gymnasium.make(name, frameskip=1, **NEEDED.get(name, {}))
         assert isinstance(caught.value, KeywordError)
         assert isinstance(caught.value, ConfigError)
+
+
+@pytest.mark.parametrize("name", ["mecp_env/Rooms-v0", "mecp_env/ActiveHalls-v0"])
+def test_rows_that_explore_are_nearest_in_time_first(name: str) -> None:
+    env = gymnasium.make(name, observation="flat", actions="goal")
+    columns = np.array(mecp_env.flat_names(env))
+    near, kind = (np.flatnonzero(np.char.endswith(columns, ending)) for ending in ("_near", "_kind"))
+    _, info = env.reset(seed=4)
+    for _ in range(6):
+        observation, _, terminated, truncated, info = env.step(0)
+        if terminated or truncated:
+            break
+        explores = (info["action_mask"] > 0) & (observation[kind] < 4.5 / 7.0)
+        assert np.flatnonzero(explores).tolist() == list(range(explores.sum()))
+        assert (np.diff(observation[near][explores]) <= 1e-6).all()
