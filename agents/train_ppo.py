@@ -51,10 +51,9 @@ class Args:
 
 
 def make_env(args: Args, split: str) -> gym.Env[Any, Any]:
-    """An environment with velocity commands; larger penalties would teach a beginner to stand still."""
-    reward = {"completion": 1.0, "contact": -0.01, "time": -0.001}
+    """An environment with velocity commands."""
     where = {"difficulty": args.difficulty, "split": split, "start": "random", "max_steps": args.max_steps}
-    env = gym.make("mecp_env/Rooms-v0", **where, reward=reward)
+    env = gym.make("mecp_env/Rooms-v0", **where)
     return DownsampledObservation(env, goals=False)
 
 

@@ -57,6 +57,8 @@ IN_UNITS = (
     "map_size",
     "noise",
     "real",
+    "restore",
+    "returns",
     "soak",
     "scale",
     "structures",
@@ -79,12 +81,16 @@ NAMES = (
     "worlds",
     "real",
     "vector",
+    "restore",
+    "vector_step",
     "soak",
     "scale",
     "learning",
     "replay",
     "stock_ppo",
+    "formats",
     "uncertainty",
+    "returns",
     "consistency",
     "victoria_park",
     "figures",
@@ -98,7 +104,7 @@ HERE_ONLY = (
     "scale",
     "soak",
 )  # times and memory of this machine; maps beside results
-OVER_POLICIES = ("uncertainty",)  # --task, --policies, --buildings
+OVER_POLICIES = ("uncertainty", "returns")  # --task, --policies, --buildings
 RECORD = "record"  # makes what others replay, and has no figures
 WITH_RECORDS = (
     "association",

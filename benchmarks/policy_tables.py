@@ -23,7 +23,6 @@ from mecp_env.policies.report_table import (
     Column,
     cell,
     labelled,
-    returns_table,
     seeds_table,
     table,
 )
@@ -45,7 +44,6 @@ ACTING: tuple[Column, ...] = (
     ("coverage, %", "coverage", ".1f", 100.0),
     ("lost, %", "lost", ".0f", 100.0),
     ("pose error, cm", "pose_error_mean_m", ".0f", 100.0),
-    ("return", "reward", ".1f", 1.0),
 )
 AGAINST: tuple[Column, ...] = (
     ("correct coverage over steps", HEADLINE_METRIC, "+.3f", 1.0),
@@ -116,11 +114,11 @@ def of_task(result: Figures) -> str:
 
 
 def learned_tables() -> dict[str, str]:
-    """The places of learned policies: each run, the seeds taken together, and the returns of lost episodes."""
+    """The places of learned policies: each run, and the seeds taken together."""
     if not LEARNED_RESULT.exists():
         return {}
     learned = json.loads(LEARNED_RESULT.read_text())
-    return {"learned": of_task(learned), "seeds": seeds_table(learned, AGAINST), "returns": returns_table(learned)}
+    return {"learned": of_task(learned), "seeds": seeds_table(learned, AGAINST)}
 
 
 def plan_tables() -> dict[str, str]:

@@ -51,8 +51,9 @@ def make(name: str, **keywords: Any) -> gymnasium.Env[Any, Any]:
 def page(name: str) -> str:
     """The page of an id."""
     env, switches = make(name), ObservationConfig.model_fields.items()
-    everything = {switch: True for switch, field in switches if field.annotation is bool}
+    everything = {"format": "dict"} | {switch: True for switch, field in switches if field.annotation is bool}
     config: EnvConfig = env.get_wrapper_attr("config")
+    uncertain = {"format": "dict", "uncertainty": config.observation.uncertainty}
     plan = ', plan="home.json"' if short(name) in GIVEN else ""
     return "\n\n".join(
         [
@@ -64,8 +65,9 @@ def page(name: str) -> str:
             doc_section("Action Space"),
             f'Without `actions`, this environment has `actions="{config.actions}"`: `{env.action_space}`.',
             "## Observation Space",
-            'A `Dict`. Values beyond their bounds are clipped; `info["saturated"]` counts them.',
-            *observation_tables(make(name, observation=everything).observation_space, env.observation_space),
+            f'Without `observation`, this environment has `observation="{config.observation.format}"`.',
+            'The format "dict" is a `Dict`. Values beyond their bounds are clipped; `info["saturated"]` counts them.',
+            *observation_tables(*(make(name, observation=seen).observation_space for seen in (everything, uncertain))),
             "### Other formats",
             "[observations.md](../observations.md) describes their columns and channels.",
             format_table(name),
@@ -176,7 +178,7 @@ def leaves(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 def film(name: str) -> Film:
     """The first drives of the explorer `nearest`."""
-    env, shots = make(name, actions="goal", render_mode="rgb_array"), Film(most_frames=60)
+    env, shots = make(name, actions="goal", observation="dict", render_mode="rgb_array"), Film(most_frames=60)
     env.set_wrapper_attr("callback", lambda step: shots.offer(step[4]["period"], env.render))
     explore(env)
     return shots

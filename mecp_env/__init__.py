@@ -6,11 +6,15 @@ loaded by the first `gymnasium.make`.
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 from gymnasium.envs.registration import register, registry
 
 __version__ = "0.1.0"
 
 ENVIRONMENTS = {  # id -> entry point
+    "mecp_env/First-v0": "mecp_env.registration:make_first",
     "mecp_env/PaperMap-v0": "mecp_env.registration:make_paper_map",
     "mecp_env/Layout-v0": "mecp_env.registration:make",
     "mecp_env/Rooms-v0": "mecp_env.registration:make_rooms",
@@ -27,6 +31,17 @@ def register_environments() -> None:
         if name not in registry:
             batch = entry_point.replace("registration", "vector")
             register(id=name, entry_point=entry_point, vector_entry_point=batch)
+
+
+def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool = False) -> tuple[str, ...]:
+    """The name of each number of an observation of the format "flat", in its order (docs/observations.md).
+
+    Of an environment that was made with `observation="flat"`, or of one with these `actions` ("velocity", "discrete",
+    "goal") and `uncertainty`. Raises `ConfigError` for another environment, and for unknown actions.
+    """
+    layout = import_module("mecp_env.episode.flat_layout")  # by name, as an entry point: loaded when it is called
+    names: tuple[str, ...] = layout.flat_names(env, actions=actions, uncertainty=uncertainty)
+    return names
 
 
 register_environments()

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -21,9 +21,27 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 
 REWARDS = Names(  # `register_reward` adds others
+    *("coverage", "correct_coverage", "contact_share", "lost_share", "shaping"),
     *("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence", "lost"),
     *("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality"),
 )
+
+
+METRIC_PRESETS = ("coverage", "correct_coverage")  # their return is the metric of that name
+_NO_METRIC = {"coverage": 0.0, "contact_share": 0.0, "lost_share": 0.0, "contact": -0.1, "time": -0.005}
+REWARD_PRESETS: dict[str, dict[str, float]] = {
+    "coverage": {"coverage": 1.0, "correct_coverage": 0.0},
+    "correct_coverage": {"coverage": 0.0, "correct_coverage": 1.0},
+    "terms": {
+        **_NO_METRIC,
+        "area": 0.1,
+        "pose_information": 0.05,
+        "landmark_information": 0.05,
+        "completion": 10.0,
+        "divergence": -20.0,  # more than the time of a whole episode
+    },
+    "active_terms": {**_NO_METRIC, "expected_area": 0.1, "divergence": -20.0, "lost": -5.0},
+}
 
 
 def registered(name: str) -> str:
@@ -45,7 +63,7 @@ class ObservationConfig(Settings):
     `observation="flat"` stands for `observation={"format": "flat"}`.
     """
 
-    format: Literal["dict", "flat", "image"] = "dict"  # tables and grids; float32 (104,); uint8 (3,64,64)
+    format: Literal["dict", "flat", "image"] = "dict"  # tables and grids; float32 (n,); uint8 (3,64,64)
     map: bool = False  # a coarse grid, 64 x 64 cells of 0.8 m
     scan: bool = False  # the ranges of the merged beams
     uncertainty: bool = False  # `localisation`, and columns of `goals`: predicted sigmas and gain of information
@@ -58,23 +76,40 @@ class ObservationConfig(Settings):
         return self
 
 
+WORDS = {"observation": "format", "reward": "preset"}  # section -> the field that a word in its place stands for
+
+
 def as_section(name: str, value: Any) -> Any:
     """The fields that a word stands for, as "flat" for an observation of that format; any other value as it is."""
-    return {"format": value} if name == "observation" and isinstance(value, str) else value
+    return {WORDS[name]: value} if name in WORDS and isinstance(value, str) else value
 
 
-class RewardConfig(Settings):
-    """Weight of each reward term, with the unit of the term next to it (see docs/rewards.md)."""
+class RewardConfig(PresetSettings):
+    """Weight of each reward term, with the unit of the term next to it (see docs/rewards.md).
 
-    source: Literal["belief", "truth"] = "belief"  # the source of the area
+    `reward="coverage"` stands for `reward={"preset": "coverage"}`. Under "coverage" and "correct_coverage" the sum of
+    an episode's rewards is the metric of that name; "terms" and "active_terms" are sums of weighted terms. Weights
+    without a preset stand for "terms".
+    """
+
+    PRESETS: ClassVar = REWARD_PRESETS
+    FREE: ClassVar = frozenset({"preset", "source", "area_sigma_m", "contact_share", "lost_share", "shaping", "custom"})
+
+    preset: Literal["coverage", "correct_coverage", "terms", "active_terms"] = "coverage"
+    source: Literal["belief", "truth"] = "belief"  # of the area, coverage and correct coverage
     area_sigma_m: float = Field(0.3, gt=0.0)  # the estimated area counts while a wall is drawn at least this well
-    area: float = 0.1  # per m^2 newly mapped
-    pose_information: float = 0.05  # per nat: increase of -0.5 log det of the pose covariance
-    landmark_information: float = 0.05  # per nat: increase of -0.5 log det of a landmark covariance, mean over all
-    contact: float = -0.1  # per step in which the robot touched something
-    time: float = -0.005  # per step
-    completion: float = 10.0  # per 100 m^2 of map, once, when the episode terminates
-    divergence: float = -20.0  # once, when the filter diverges: more than the time of a whole episode
+    coverage: float = 1.0  # per mean coverage over the step limit
+    correct_coverage: float = 0.0  # per mean (expected) correct coverage over the step limit
+    contact_share: float = -0.1  # per share of the step limit in which the robot touched something
+    lost_share: float = -0.1  # per share of the step limit in which the pose is off, by ground truth
+    shaping: float = 0.0  # potential-based shaping: nearness of a goal; sums to 0 over an episode
+    area: float = 0.0  # per m^2 newly mapped
+    pose_information: float = 0.0  # per nat: increase of -0.5 log det of the pose covariance
+    landmark_information: float = 0.0  # per nat: increase of -0.5 log det of a landmark covariance, mean over all
+    contact: float = 0.0  # per step in which the robot touched something
+    time: float = 0.0  # per step
+    completion: float = 0.0  # per 100 m^2 of map, once, when the episode terminates
+    divergence: float = 0.0  # once, when the filter diverges
     lost: float = 0.0  # once, when an episode ends while the robot is lost, by ground truth: 1 + misplaced / 20 m^2
     expected_area: float = 0.0  # per m^2 of expected correct area
     entropy: float = 0.0  # per nat m^2 that the grid loses
@@ -82,6 +117,24 @@ class RewardConfig(Settings):
     a_optimality: float = 0.0
     t_optimality: float = 0.0
     custom: dict[Annotated[str, AfterValidator(registered)], float] = Field({})  # weights of `register_reward` names
+
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """`given`, with the preset that weights without one stand for."""
+        weights = "preset" not in given and any(name in REWARDS.ours and name not in cls.FREE for name in given)
+        return {"preset": "terms", **given} if weights else given
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        """Refuse weights with which the return would not be the metric that the preset names."""
+        preset = self.PRESETS[self.preset]
+        for name in sorted(self.model_fields_set - self.FREE) if self.preset in METRIC_PRESETS else ():
+            if getattr(self, name) != preset.get(name, 0.0):
+                raise ValueError(
+                    f"{name}: {getattr(self, name):g} contradicts the preset {self.preset!r}, whose return is that "
+                    "metric; the preset 'terms' takes any weights"
+                )
+        return self
 
 
 class EndConfig(Settings):
@@ -128,7 +181,7 @@ class EnvConfig(Settings):
     planning: PlanningConfig = PlanningConfig()
     goal_steps: int = Field(10, ge=1, le=1000)  # goals are looked for at most this often (1: every step)
     observation: Annotated[ObservationConfig, BeforeValidator(partial(as_section, "observation"))] = ObservationConfig()
-    reward: RewardConfig = RewardConfig()
+    reward: Annotated[RewardConfig, BeforeValidator(partial(as_section, "reward"))] = RewardConfig()
     end: EndConfig = EndConfig()
 
     @classmethod

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
-from mecp_env.config import EnvConfig, plain_value
+from mecp_env.config import EnvConfig, ObservationConfig, plain_value
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.messages import Odometry, Scan
@@ -31,10 +31,10 @@ from mecp_env.episode.episode import (
     nearest_goal,
 )
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.episode.observations import Observer
+from mecp_env.episode.observations import Observer, Seen
 from mecp_env.episode.oracle import ORACLES
-from mecp_env.episode.potentials import RewardInputs
-from mecp_env.episode.rewards import apply_weights, events, measured_terms, remember, weights_of
+from mecp_env.episode.potentials import NO_GOALS, RewardInputs
+from mecp_env.episode.rewards import Happened, apply_weights, events, measured_terms, new_memory, weights_of
 from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
@@ -42,6 +42,7 @@ from mecp_env.evaluation.metrics import EpisodeMetrics, figures
 from mecp_env.planning.goal_list import LENGTHS
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
+from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.world.odometry import measure
@@ -70,31 +71,34 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
       maximum turn rate (1.75 rad/s, counter-clockwise).
     - `actions="discrete"`: `Discrete(5)`: stop, forward, back, left, right (turns at half of the maximum rate).
     - `actions="goal"`: `Discrete(32)`, a row of the observation's `goals`; the wrapper `GoalActions` drives there.
-      `action_masks()` returns the valid rows; a masked row is one step of waiting.
+      `info["action_mask"]` (32,) int8 is 1 in the valid rows; another row is a drive to the nearest goal that explores.
 
     An action outside the space raises `ActionError` and leaves the environment unchanged.
 
     ## Observation Space
 
-    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `pose` (4,), `pose_cov` (6,),
-    `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and `scan` (B,), and
-    with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns of `goals`.
-    Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]` counts both.
-    `observation="flat"` is one `Box(-1, 1, (104,), float32)` instead (see `Flat`), `observation="image"` one
-    `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
+    A `Dict` of float32 arrays with fixed shapes (see `Observer` for the columns): `budget` (1,), `pose` (4,),
+    `pose_cov` (6,), `landmarks` (128,8), `goals` (32,9), `grid` (8,96,96) uint8; on request `map` (8,64,64) uint8 and
+    `scan` (B,), and with `uncertainty`, which the tasks of active SLAM have, `localisation` (3,) and three more columns
+    of `goals`. Values beyond their bounds are clipped, and rows beyond the table are omitted; `info["saturated"]`
+    counts both.
+    `observation="flat"` is one `Box(-1, 1, (n,), float32)` instead, n = 181, or 325 with goal actions (see `Flat`;
+    `mecp_env.flat_names` names the columns), `observation="image"` one `Box(0, 255, (3, 64, 64), uint8)` (see `Image`).
 
     ## Rewards
 
-    The sum of named terms, each with a weight in `config.reward` and an entry in `info` (`reward_area`, ...): newly
-    mapped area (m^2), pose and landmark information (nat), contact, time, completion (100 m^2 of map), divergence. They
-    are measured on the estimate; `reward={"source": "truth"}` measures the area on ground truth. docs/rewards.md
-    contains the formulas.
+    The sum of an episode is the mean over the step limit of the mapped share of the floor, in [0, 1], less small
+    penalties for contacts and a lost pose; in the tasks of active SLAM, of its expected correct share. `reward="terms"`
+    is a sum of weighted terms instead, `reward={"source": "truth"}` measures on ground truth; every term has an entry
+    in `info` (`reward_coverage`, ...). docs/rewards.md contains the formulas.
 
     ## Starting State
 
     The first start pose of the layout, at rest, with three scans taken. `start="random"` draws a pose in free space,
-    `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode, and
-    `reset(options={"building": 12})` selects the generated building. Any other option raises `ConfigError`.
+    `start=[x, y, heading]` fixes one. `reset(options={"start": ...})` overrides it for one episode,
+    `reset(options={"building": 12})` selects the generated building, and `reset(options={"difficulty": "hard"})` its
+    difficulty, for curricula; a list as `difficulty` of `gymnasium.make` draws one at every reset. Any other option
+    raises `ConfigError`.
 
     ## Episode End
 
@@ -142,9 +146,9 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._start = self._true_world.check_start(self.config.start)
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
+        self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._observer = self._new_observer()
         self.observation_space: spaces.Space[Any] = self._observer.space
-        self._slam, self._planning = self.config.estimator_config, self.config.planning_config
         self._oracle = ORACLES[self.config.estimator]
         self._weights = weights_of(self.config.reward)
         self._reward_keys = tuple(f"reward_{name}" for name in self._weights)
@@ -160,15 +164,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The first observation of a new episode, and its info.
 
         `options` may contain `start`: "layout", "random", or a pose x, y (m), heading (rad) in the world frame; for
-        generated buildings also `building`, an index in the split instead of a random one. Raises `ConfigError` for any
-        other option, a seed that is not an integer of at least 0, a pose that is not free, or a building out of range,
-        and then changes nothing.
+        generated buildings also `building`, an index in the split instead of a random one, and `difficulty`, that of
+        this episode. Raises `ConfigError` for any other option, a seed that is not an integer of at least 0, a pose
+        that is not free, or a building out of range, and then changes nothing.
         """
         given, seed = parse_options(options), check_seed(seed)
-        building = self._true_world.check_building(given.get("building"))
+        buildings = self._true_world.choose_buildings(given.get("building"), given.get("difficulty"))
         start = self._true_world.check_start(given.get("start", self._start))
         super().reset(seed=seed)
-        self._true_world.begin(building, start, self.np_random)
+        self._true_world.begin(buildings, start, self.np_random)
         self._observer = self._new_observer()
         self._begin()
         self._terms = dict.fromkeys(self._weights, 0.0)
@@ -338,6 +342,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             **dict(zip(self._reward_keys, terms.values(), strict=True)),
         }
 
+    def observer_of(self, seen: ObservationConfig, actions: str) -> Observer | Flat | Image:
+        """What computes observations with those fields, for a policy with those actions (see `observed_by`)."""
+        laser = self.config.laser
+        if seen.format == "flat":
+            return Flat(actions, seen.uncertainty, RowTimes.of(self._planning))
+        if seen.format == "image":
+            return Image()
+        return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
+
     def observed_by(self, observer: Observer | Flat | Image) -> Observation:
         """The current observation as another observer computes it, in fresh arrays."""
         return self._seen_by(observer, self._started())[0]
@@ -349,7 +362,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification from `gymnasium.make`; its keywords are plain data."""
+        """The specification from `gymnasium.make`; its keywords are plain data.
+
+        `max_episode_steps` is `config.max_steps`, in control steps, unless `gymnasium.make` was given another one, with
+        which Gymnasium's `TimeLimit` cuts after so many calls of `step`.
+        """
         return self._spec
 
     @spec.setter
@@ -357,6 +374,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._spec = copy.copy(spec)
         if self._spec is not None:
             self._spec.kwargs = plain_value(self._spec.kwargs)
+            self._spec.max_episode_steps = self._spec.max_episode_steps or self.config.max_steps
 
     def __getstate__(self) -> dict[str, Any]:
         """For pickle and deepcopy: the constructor arguments and the state of the running episode."""
@@ -384,18 +402,14 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         return self._episode
 
     def _new_observer(self) -> Observer | Flat | Image:
-        seen, laser = self.config.observation, self.config.laser
-        if seen.format == "flat":
-            return Flat(seen.uncertainty, nearest_first=self.config.actions != "goal")
-        if seen.format == "image":
-            return Image()
-        return Observer(seen.map, laser.beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
+        return self.observer_of(self.config.observation, self.config.actions)
 
     def _begin(self) -> EpisodeState:
         """A new episode at the simulation's pose, with its scans at rest."""
         pose = self._true_world.T_world_robot
         pipeline = self._oracle.make_pipeline(self._slam)
-        metrics = EpisodeMetrics.begin(self._true_world.truth, pose, self._true_world.obstacles())
+        world = self._true_world
+        metrics = EpisodeMetrics.begin(world.truth, pose, world.obstacles(), self.config.max_steps)
         for _ in range(SCANS_AT_REST):
             self._oracle.inform(pipeline, self._true_world, metrics)
             output = pipeline.start(self._look(pose))
@@ -404,7 +418,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._episode = episode = EpisodeState(pipeline, output, metrics)
         self._follow(episode, pose)
         self.refresh_goals()
-        remember(episode.memory, self._reward_inputs(episode), self.config.reward)
+        episode.memory = new_memory(self._reward_inputs(episode), self.config.reward)
         return episode
 
     def _estimate(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> SlamOutput:
@@ -435,6 +449,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Search for goals now; rooms without goals become complete in the grid."""
         episode = self._started()
         episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
+        if self.config.observation.format == "flat":  # a network sees row k at the same place: let it mean the same
+            episode.goals = RowTimes.of(self._planning).nearest_first(episode.goals)
         painter, graph = episode.pipeline.grid, episode.slam_output.graph
         painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
         if not len(episode.goals):
@@ -447,7 +463,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:
         """Compare the estimate with ground truth."""
         episode.contact = motion.contact
-        episode.metrics.move(motion.increments, motion.contact)
+        episode.metrics.move(self._true_world.truth, motion.increments, motion.contact)
         episode.metrics.look(self._true_world.truth, T_world_robot, episode.slam_output, self._true_world.obstacles())
         self._follow(episode, T_world_robot)
 
@@ -486,20 +502,32 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """The terms of this step's reward, weighted."""
         measured = measured_terms(episode.memory, self._reward_inputs(episode), self.config.reward)
         output = episode.slam_output
-        lost = episode.over and episode.metrics.lost.is_lost(output.diverged)
-        lost_m2 = episode.metrics.misplaced_m2(self._true_world.truth) if lost else None
-        happened = events(episode.memory, episode.contact, terminated, output.diverged, lost_m2)
-        return apply_weights(self._weights, measured | happened)
+        metrics, truth = episode.metrics, self._true_world.truth
+        lost = episode.over and metrics.lost.is_lost(output.diverged)
+        lost_m2 = metrics.misplaced_m2(truth) if lost else None
+        off = metrics.lost.off_steps > 0
+        happened = Happened(episode.contact, off, terminated, output.diverged, lost_m2, self.config.max_steps)
+        return apply_weights(self._weights, measured | events(episode.memory, happened))
 
     def _reward_inputs(self, episode: EpisodeState) -> RewardInputs:
         """The inputs of the measured reward terms."""
-        output = episode.slam_output
-        true_area = episode.metrics.seen_cells * CELL_M**2 if self.config.reward.source == "truth" else None
-        return RewardInputs(output.belief, output.grid, output.diverged, true_area)
+        output, metrics, truth = episode.slam_output, episode.metrics, self._true_world.truth
+        by_truth = self.config.reward.source == "truth"
+        return RewardInputs(
+            output.belief,
+            output.grid,
+            output.diverged,
+            true_area_m2=metrics.seen_cells * CELL_M**2 if by_truth else None,
+            true_shares=(metrics.coverage(truth), metrics.quality.correct_coverage) if by_truth else None,
+            free_area_m2=truth.free_cells * CELL_M**2,
+            budget=1.0 - metrics.steps / self.config.max_steps,
+            p_goals=NO_GOALS if episode.over else episode.goals.p_map,
+        )
 
     def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:
-        seen = episode.slam_output, episode.pipeline.map.features, episode.rows, episode.path_map
-        return observer.observe(*seen, episode.recognised)
+        budget = 1.0 - episode.metrics.steps / self.config.max_steps
+        features, rows, path = episode.pipeline.map.features, episode.rows, episode.path_map
+        return observer.observe(Seen(episode.slam_output, features, rows, path, episode.recognised, budget))
 
     def _paint(self) -> Bytes:
         from mecp_env.render.screen import Screen  # pygame is loaded only for rendering

@@ -13,7 +13,7 @@ from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv
 from mecp_env.episode.buildings import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
-from mecp_env.episode.tasks import TASKS
+from mecp_env.episode.tasks import FIRST, TASKS
 from mecp_env.wrappers import GoalActions
 
 PAPER_LAYOUT = "paper"
@@ -50,9 +50,19 @@ def make_rooms(
     return _make_from(GENERATE, buildings, config, render_mode, rest)
 
 
+def make_first(config: Any = None, render_mode: str | None = None, **keywords: Any) -> gymnasium.Env[Any, Any]:
+    """`First-v0`: small buildings, five motions, one vector to observe, 500 steps; as `make_rooms`."""
+    return make_rooms(None, render_mode, **over(FIRST, config, keywords))
+
+
 def make_task(name: str, config: Any, render_mode: str | None, keywords: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     """A task of active SLAM: as `make_rooms`, with the fields of the task below those given."""
-    return make_rooms(config, render_mode, **merge(TASKS[name], {key: plain_value(v) for key, v in keywords.items()}))
+    return make_rooms(None, render_mode, **over(TASKS[name], config, keywords))
+
+
+def over(fields: dict[str, Any], config: Any, keywords: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a task, overridden by a configuration, and both by keywords."""
+    return merge(merge(fields, plain(config)), {name: plain_value(value) for name, value in keywords.items()})
 
 
 def make_floor_plan(
@@ -99,6 +109,7 @@ def make_active_cheap_robot(
 
 
 MAKERS: tuple[Any, ...] = (
+    make_first,
     *(make, make_paper_map, make_rooms, make_floor_plan),
     *(make_active_halls, make_active_corridors, make_active_cheap_robot),
 )

@@ -19,6 +19,7 @@ from mecp_env.episode.actions import check_choice, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.goal_list import WAIT, Outcome
 from mecp_env.planning.navigator import Navigator, Target
+from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.view import SceneView, summary
 
@@ -38,10 +39,13 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
 
     A drive ends when the goal is reached or has nothing more to show, when it is refused (no path, stuck, too long), or
     with the episode. The rewards of its steps are summed. `info["event"]` is "reached", "refused", "ended" (with the
-    episode) or "masked" (an empty row: one step of waiting), and `info["periods"]` is the number of steps, at least
-    one. A drive after which no goal is left is followed by one step of waiting, in which the episode ends (unless
-    nothing was mapped yet; with pedestrians or a blind side it ends after several such steps, and a robot with a blind
-    side turns meanwhile).
+    episode) or "masked", and `info["periods"]` is the number of steps, at least one. A drive after which no goal is
+    left is followed by one step of waiting, in which the episode ends (unless nothing was mapped yet; with pedestrians
+    or a blind side it ends after several such steps, and a robot with a blind side turns meanwhile).
+
+    `info["action_mask"]` (32,) int8 is 1 in rows that contain a goal, as `action_space.sample(mask=...)` takes it. An
+    empty row is "masked": the robot drives to the goal that explores and is nearest in time instead (without one, to
+    open floor or a place; then it waits), so that no policy stands still for ever, whatever rows it selects.
 
     Where `planning.known_ground` offers waiting, its row takes `wait_steps` ("waited"), and a drive also ends when the
     robot no longer knows where it is ("unlocalised").
@@ -60,7 +64,8 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         own_step = type(self.base).step is not MecpEnv.step  # of a subclass
         self.everything = own_step or self.env is not self.base  # of each step is asked for: others may need it
         self.action_space = spaces.Discrete(GOALS)
-        self.navigator = Navigator(self.base.config.planning_config)
+        planning = self.base.config.planning_config
+        self.navigator, self.times = Navigator(planning), RowTimes.of(planning)
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]
@@ -76,21 +81,29 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """As of the environment below; `info` has the keys of a step."""
         observation, info = self.env.reset(seed=seed, options=options)
-        return observation, info | {"periods": 0}
+        return observation, info | {"periods": 0, "action_mask": self._mask_in_info()}
 
     def step(self, action: Any) -> Step:
         """Drive to the goal in row `action`; see the class. Raises `ActionError` for what is no row."""
         row = check_choice(action, GOALS)
-        if not self.action_masks()[row]:
-            return self._finish([self._wait()], "masked")
+        if row < len(self.base.goals):
+            return self._finish(*self._go(row))
+        best = self.times.best(self.base.goals, GOALS)
+        return self._finish([self._wait()] if best is None else self._go(best)[0], "masked")
+
+    def _go(self, row: int) -> tuple[list[Step], str]:
+        """The steps of the goal in `row`, and the event that they end with."""
         if self.base.goals.kind[row] == WAIT:
-            return self._finish(self.wait(), "waited")
+            return self.wait(), "waited"
         steps = self.drive(row)
         if steps and (steps[-1][2] or steps[-1][3]):
-            return self._finish(steps, "ended")
+            return steps, "ended"
         if not steps or not self.base.goals_left:
             steps.append(self._wait())
-        return self._finish(steps, EVENTS[self.navigator.outcome])
+        return steps, EVENTS[self.navigator.outcome]
+
+    def _mask_in_info(self) -> NDArray[np.int8]:
+        return self.action_masks().astype(np.int8)
 
     def drive(self, row: int) -> list[Step]:
         """The steps of a drive to the goal in `row`; what became of it is remembered unless the episode ended."""
@@ -148,9 +161,10 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     def _finish(self, steps: list[Step], event: str) -> Step:
         """One step out of those of a drive: the last one with all rewards, and goals as they are known now."""
         observation, _, terminated, truncated, info = steps[-1]
-        if observation is UNSEEN or (event in ("reached", "refused", "waited", "unlocalised") and not terminated):
+        if observation is UNSEEN or (event != "ended" and not terminated):
             observation, info = self.base.observation(), info | self.base.info()
-        info = info | {"event": event, "periods": len(steps), "goals": self.base.goals_left}
+        own = {"event": event, "periods": len(steps), "goals": self.base.goals_left}
+        info = info | own | {"action_mask": self._mask_in_info()}
         return observation, sum(step[1] for step in steps), terminated, truncated, info
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib
 import re
+import subprocess
 import sys
 import tomllib
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 ROOT = Path(__file__).parent.parent
 
@@ -46,6 +50,38 @@ def test_an_editable_install_exposes_the_package_only() -> None:
     hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
     assert hatch["dev-mode-exact"] is True
     assert hatch["targets"]["wheel"]["packages"] == ["mecp_env"]
+
+
+def lowest_versions() -> list[str]:
+    """What `.ci/lowest.py` prints: the versions that `.ci/run` installs in a second environment."""
+    done = subprocess.run([sys.executable, ROOT / ".ci/lowest.py"], capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_the_lowest_versions_are_the_floors_of_all_dependencies() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {(found := Requirement(line)).name: found.specifier for line in project["dependencies"]}
+    tools = {(found := Requirement(line)).name: found.specifier for line in project["optional-dependencies"]["dev"]}
+    lowest = {name: Version(version) for name, _, version in (line.partition("==") for line in lowest_versions())}
+    assert set(lowest) == {*wanted, "pytest", "pytest-xdist", "hypothesis"}
+    for name, version in lowest.items():
+        specifier = (tools | wanted)[name]
+        assert specifier.contains(version)
+        assert {Version(one.version) for one in specifier if one.operator == ">="} == {version}
+
+
+def test_installed_versions_are_allowed() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for requirement in map(Requirement, project["dependencies"]):
+        assert requirement.specifier.contains(metadata.version(requirement.name)), requirement
+
+
+def test_the_contract_tests_of_ci_exist() -> None:
+    named = re.search(r'^CONTRACT="(.+?)"$', (ROOT / ".ci/run").read_text(), re.MULTILINE | re.DOTALL)
+    assert named is not None
+    files = named[1].split()
+    assert "tests/env/test_contract.py" in files
+    assert [path for path in files if not (ROOT / path).is_file()] == []
 
 
 def test_every_extra_is_imported_somewhere() -> None:

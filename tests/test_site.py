@@ -27,12 +27,12 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize("name", mecp_env.ENVIRONMENTS)
 def test_every_id_has_a_page_with_spaces_rewards_arguments_and_versions(pages: Any, name: str) -> None:
     env, text = pages.make(name), pages.page(name)
-    for key in env.observation_space:
+    for key in pages.make(name, observation="dict").observation_space:
         assert f"\n### {key}\n" in text
     for title in ("Action Space", "Rewards", "Episode End", "Arguments", "Version History"):
         assert re.search(rf"\n## {title}\n+[^\n#]", text), title
     assert str(env.action_space) in text
-    assert re.search(r"\| `reward_time` \| -0.005 \| per step \|", text)
+    assert re.search(r"\| `reward_contact_share` \| -0.1 \| per share of the step limit", text)
     assert "/tests/" not in text
     assert str(ROOT) not in text
 
@@ -54,7 +54,7 @@ def test_fields_carry_their_comments(pages: Any) -> None:
     text = pages.configuration_page()
     assert "| `laser.sweeps` | `4` |" in text
     assert "| `odometry.distance_sigma_m` | `0.1` | per sqrt(m), per step, or per metre |" in text
-    assert "| `reward.area` | `0.1` | per m^2 newly mapped |" in text
+    assert "| `reward.coverage` | `1.0` | per mean coverage over the step limit |" in text
 
 
 def public(module: str) -> Iterator[tuple[str, Any]]:

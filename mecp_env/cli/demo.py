@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions
-from mecp_env.cli.exit_codes import INTERRUPTED
+from mecp_env.cli.exit_codes import INTERRUPTED, exit_code
 from mecp_env.cli.fields import Fields, configuration
 from mecp_env.cli.with_option import WithModules
 
@@ -66,7 +66,8 @@ class Demo(WithModules):
         end_rerun(recording, self.rerun)
         if not run.estimated:
             return INTERRUPTED
+        saved = list[bool]()
+        run.save_map = lambda: saved.append(save_map(run.env, self.save_map))
         print_result(run.keep(folder, watch), folder)
-        save_map(run.env, self.save_map)
         run.env.close()
-        return INTERRUPTED if run.ended == "interrupted" else 0
+        return exit_code({"interrupted": INTERRUPTED}.get(run.ended, 0), all(saved))

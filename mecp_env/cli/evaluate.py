@@ -31,6 +31,7 @@ from mecp_env.world.layout import shipped_layouts
 
 if TYPE_CHECKING:
     from mecp_env.core.intervals import Figures
+    from mecp_env.policies.comparison import Row
     from mecp_env.policies.evaluation import Evaluation
     from mecp_env.policies.rollout import EpisodeResult
     from mecp_env.policies.setting import Setting
@@ -75,7 +76,9 @@ class Evaluate(WithModules):
     split: str = "test"  # of the buildings: train, validation or test
     difficulty: str = "medium"  # easy, medium, hard or huge
     task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
-    suite: str = ""  # a frozen benchmark: active-v1 or coverage-v1; fixes task, split, episodes and limits
+    suite: str = (
+        ""  # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
+    )
     plans: Path | None = None  # a folder of real floor plans, or one; with --task, the robot is that of the task
     layout: str = ""  # one building: a shipped name (paper, office, ...), or the file of a plan
     # buildings, one episode in each; episode i starts by the seed i, with --plans in plan i mod the number of plans
@@ -88,7 +91,7 @@ class Evaluate(WithModules):
     known: bool = False  # and once more with known correspondences
     record: bool = False  # a film of all policies side by side, in the first building
     reference: str = "nearest"  # the policy to which the others are compared
-    trust: bool = False  # load model files of Stable-Baselines3 (.zip), which may run arbitrary code
+    trust: bool = False  # load model files (.zip of Stable-Baselines3, .pt), which may run arbitrary code
     max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
@@ -154,9 +157,25 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.core.paths import write_atomic
+        from mecp_env.policies.references import check_name
+        from mecp_env.policies.suites import submission
+
+        for name in self.policies:
+            check_name(name, "policies")
+        done = self.suite_rows()
+        if isinstance(done, int):
+            return done
+        if Shard.parse(self.shard).count > 1:
+            echo(f"the episodes of shard {self.shard} are in {self.out}; the command without --shard writes the result")
+            return 0
+        result = submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
+        write_submission(result, self.json or self.out / f"{self.suite}.json")
+        return 0
+
+    def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
+        """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
         from mecp_env.policies.evaluation import Evaluation
-        from mecp_env.policies.suites import find_suite, leaderboard, submission
+        from mecp_env.policies.suites import find_suite
 
         suite, shard, done = find_suite(self.suite), Shard.parse(self.shard), []
         for setting in suite.settings:
@@ -171,14 +190,7 @@ class Evaluate(WithModules):
                 print_error(f"{len(evaluation.failures)} episodes failed: no result; the same command repeats them")
                 return FAILED
             done.append((setting, evaluation.rows()))
-        if shard.count > 1:
-            echo(f"the episodes of shard {shard} are in {self.out}; the command without --shard writes the result")
-        else:
-            result = submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
-            path = self.json or self.out / f"{self.suite}.json"
-            write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
-            echo(*leaderboard({self.suite: result}).split("\n"), f"written to {path}")
-        return 0
+        return done
 
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
@@ -193,7 +205,7 @@ class Evaluate(WithModules):
             refuse_changes(self.policies, policies)
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
-        evaluation.check_buildings(policies[0])
+        evaluation.check_buildings(policies)
         if self.json is not None and check_writable(self.json, "--json").suffix != ".json":
             raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
 
@@ -217,9 +229,9 @@ class Evaluate(WithModules):
             check_word("task", self.task, TASKS)
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
-        """Write figures, page, episodes, curves and the film; print the page."""
+        """Write figures, page, episodes, curves and the film; print a short table."""
         from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report_table import page
+        from mecp_env.policies.report_table import overview, page
 
         rows = evaluation.rows()
         if not rows:
@@ -232,7 +244,7 @@ class Evaluate(WithModules):
         if self.json is not None:
             write_result(result, text, self.json, self.json.with_suffix(".md"))
         self._draw(result, evaluation)
-        echo(*text.split("\n"), f"written to {self.out}")
+        echo(*overview(result), "", f"all tables: {self.out / 'page.md'}; written to {self.out}")
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film; matplotlib and pygame are loaded only here."""
@@ -247,6 +259,17 @@ class Evaluate(WithModules):
 
             names = list(dict.fromkeys(self.policies))
             write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
+
+
+def write_submission(result: dict[str, Any], path: Path) -> None:
+    """Write the result of a suite, and print its table with the reference rows of the package."""
+    from mecp_env.core.paths import write_atomic
+    from mecp_env.policies.references import reference_rows
+    from mecp_env.policies.suites import leaderboard
+
+    write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
+    table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
+    echo(*table.split("\n"), f"written to {path}")
 
 
 def check_word(name: str, word: str, known: Mapping[str, object]) -> None:

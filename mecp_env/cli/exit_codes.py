@@ -35,6 +35,11 @@ def run_command(command: Callable[[], int]) -> int:
         return INTERRUPTED
 
 
+def exit_code(code: int, saved: bool) -> int:
+    """The exit code of a run that ended with `code`; 1 where the run is well but its map was not `saved`."""
+    return code or (0 if saved else FAILED)
+
+
 def echo(*lines: object) -> None:
     """Print lines that may contain names from untrusted files, without control characters."""
     for line in lines:

@@ -10,6 +10,7 @@ from typing import Any
 
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.core.array_types import Array, Bytes
+from mecp_env.core.paths import naming, write_atomic
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.trajectory import tum
@@ -45,6 +46,7 @@ class Run:
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     moments: list[Moment] = field(default_factory=list)  # what the curves show
     ended: str = "interrupted"
+    save_map: Callable[[], None] | None = None  # called by `keep` between the data and the pictures
 
     @property
     def steps(self) -> int:
@@ -82,23 +84,37 @@ class Run:
     def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
         """Write `FILES`, everything there is, into `folder`; returns the metrics."""
         folder.mkdir(parents=True, exist_ok=True)
-        view, metrics, config = self.env.view(), self.metrics(watch), self.env.config
-        save(map_figure(view), folder / "map.png")
-        save(curves_figure(self.title, config.robot.period_s, self.moments), folder / "curves.png")
+        metrics = self.metrics(watch)
+        self._keep_data(folder, metrics)
+        self._keep_pictures(folder, self.env.view())
+        return metrics
+
+    def _keep_data(self, folder: Path, metrics: dict[str, Any]) -> None:
+        """What cannot be made again from other files comes first, so that a full disk keeps it."""
+        recipe = {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
+        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
+            write_atomic(folder / name, (json.dumps(data, indent=2) + "\n").encode())
+        for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
+            times = [step * self.env.config.robot.period_s for step in range(len(poses))]
+            write_atomic(folder / name, tum(times, poses).encode())
+        if self.save_map is not None:
+            self.save_map()
+
+    def _keep_pictures(self, folder: Path, view: SceneView) -> None:
+        with naming(folder / "belief.pgm"):
+            save_map_server(view.slam_output.grid, folder / "belief")
+        with naming(folder / "belief.svg"):
+            save_svg(view.slam_output.grid, folder / "belief.svg")
+        with naming(folder / "map.png"):
+            save(map_figure(view), folder / "map.png")
+        with naming(folder / "curves.png"):
+            save(curves_figure(self.title, self.env.config.robot.period_s, self.moments), folder / "curves.png")
         self.film.frames.append(self.picture(view))  # the last step, whether its turn has come or not
-        self.film.save(folder / "run.gif")
+        with naming(folder / "run.gif"):
+            self.film.save(folder / "run.gif")
+        (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
         if self.recorder is not None:
             write_page(self.replay(), folder / "replay.html")
-        else:
-            (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
-        save_map_server(view.slam_output.grid, folder / "belief")
-        save_svg(view.slam_output.grid, folder / "belief.svg")
-        recipe = {"seed": self.seed, "policy": "breadth_first", "config": config.to_dict()}
-        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
-            (folder / name).write_text(json.dumps(data, indent=2) + "\n")
-        for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
-            (folder / name).write_text(tum([step * config.robot.period_s for step in range(len(poses))], poses))
-        return metrics
 
     def picture(self, view: SceneView) -> Bytes:
         """A frame of the film, whose size fits the building."""

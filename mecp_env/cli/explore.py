@@ -11,7 +11,7 @@ import tyro
 
 from mecp_env.cli.base import Seed, Steps, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
-from mecp_env.cli.exit_codes import echo
+from mecp_env.cli.exit_codes import echo, exit_code
 from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
@@ -58,7 +58,7 @@ class Explore(WithModules):
 
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.policies.registry import make_policy
-        from mecp_env.policies.rollout import for_policy, masks, options_of
+        from mecp_env.policies.rollout import masks_of, options_of
         from mecp_env.wrappers import EveryStep, RecordReplay
 
         building, options = self._building()
@@ -67,24 +67,25 @@ class Explore(WithModules):
         given = {"max_steps": self.steps, "start": self.start}
         fields = {name: value for name, value in given.items() if value is not None} | options_of(policy)
         env = gym.make(**building, estimator=self.estimator, **fields)
-        env = for_policy(env, policy, lambda observation, info: None)
         recording = rerun_log(self.rerun, env.get_wrapper_attr("config").robot.period_s)
         env = env if recording is None else EveryStep(env, recording.look)
         env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
         observation, info = env.reset(seed=self.seed, options=options)
         policy.reset(self.seed)
+        masks = masks_of(env)
+        base: Any = env.unwrapped
         terminated = truncated = False
         while not (terminated or truncated):
-            action, before = policy.act(observation, masks(env)), observation
+            action, goals = policy.act(observation, masks()), base.goals
             observation, _, terminated, truncated, info = env.step(action)
             if policy.actions == "goal":
-                echo(drive_line(before, int(action), info))
+                echo(drive_line(goals, int(action), info))
         echo("", end_line(terminated, info), "")
         echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
-        save_map(env.unwrapped, self.save_map)
+        saved = save_map(env.unwrapped, self.save_map)
         env.close()
         end_rerun(recording, self.rerun)
-        return 0
+        return exit_code(0, saved)
 
     def _building(self) -> tuple[dict[str, Any], dict[str, int] | None]:
         """The id of the environment with the building that it makes, and the options of its reset.
@@ -105,12 +106,13 @@ class Explore(WithModules):
         return buildings | {"split": split}, {"building": int(number)}
 
 
-def drive_line(observation: dict[str, Any], row: int, info: Mapping[str, Any]) -> str:
-    """The result of a drive to a goal."""
-    from mecp_env.policies.policy import KIND, KINDS, PATH, ROOM
+def drive_line(goals: Any, row: int, info: Mapping[str, Any]) -> str:
+    """The result of a drive to a goal, of the environment's `Goals` when it was chosen."""
+    from mecp_env.policies.policy import KINDS
 
-    goal = observation["goals"][row]
-    where = f"{KINDS[int(goal[KIND])]} of room {goal[ROOM]:.0f}, {goal[PATH]:.1f} m away"
+    where = f"no goal in row {row}"
+    if row < len(goals):
+        where = f"{KINDS[goals.kind[row]]} of room {goals.room[row]}, {goals.path_m[row]:.1f} m away"
     result = f"{info['event']} after {info['periods']} steps"
     return f"{where:44s}{result:28s}{info['coverage']:7.1%} seen {info['metres']:7.1f} m driven"
 

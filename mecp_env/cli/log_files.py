@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mecp_env.core.array_types import Array
+from mecp_env.core.paths import naming, write_atomic
 from mecp_env.core.text import sanitised
 from mecp_env.core.trajectories import composed
 from mecp_env.evaluation.log_run import LogRun
@@ -68,21 +69,28 @@ class LogFiles:
         """Write `FILES` into `folder`; the metrics."""
         folder.mkdir(parents=True, exist_ok=True)
         metrics, reference = run.metrics(), _reference(run)
-        view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
-        save(map_figure(view), folder / "map.png")
-        self.film.frames.append(self._frame(run.output))
-        self.film.save(folder / "run.gif")
-        write_page(self.recorder.run(self.log.name, _caption(run.ended, metrics)), folder / "replay.html")
-        save_map_server(run.output.grid, folder / "belief")
-        save_svg(run.output.grid, folder / "belief.svg")
-        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
-            (folder / name).write_text(json.dumps(data, indent=2) + "\n")
-        (folder / "trajectory.tum").write_text(tum(run.t, run.T_map_robot))
+        for name, data in (("metrics.json", metrics), ("config.json", recipe)):  # data first: a full disk keeps it
+            write_atomic(folder / name, (json.dumps(data, indent=2) + "\n").encode())
+        write_atomic(folder / "trajectory.tum", tum(run.t, run.T_map_robot).encode())
         (folder / "truth.tum").unlink(missing_ok=True)
         if len(reference):
             known = np.isfinite(reference[:, 0])
-            (folder / "truth.tum").write_text(tum(run.t[run.scored][known], reference[known]))
+            write_atomic(folder / "truth.tum", tum(run.t[run.scored][known], reference[known]).encode())
+        view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
+        self._keep_pictures(folder, run, view, _caption(run.ended, metrics))
         return metrics
+
+    def _keep_pictures(self, folder: Path, run: LogRun, view: SceneView, caption: str) -> None:
+        with naming(folder / "belief.pgm"):
+            save_map_server(run.output.grid, folder / "belief")
+        with naming(folder / "belief.svg"):
+            save_svg(run.output.grid, folder / "belief.svg")
+        with naming(folder / "map.png"):
+            save(map_figure(view), folder / "map.png")
+        self.film.frames.append(self._frame(run.output))
+        with naming(folder / "run.gif"):
+            self.film.save(folder / "run.gif")
+        write_page(self.recorder.run(self.log.name, caption), folder / "replay.html")
 
 
 def _reference(run: LogRun) -> Array:
@@ -161,5 +169,7 @@ def print_result(metrics: Mapping[str, Any], folder: Path) -> None:
     console.print(table)
     for what, count in metrics["counts"].items():
         console.print(f"counted: {count} {what}", markup=False)
+    for note in metrics["notes"]:
+        console.print(f"note: {sanitised(note)}", markup=False)
     there = [name for name in FILES if (folder / name).exists()]
     console.print(f"{', '.join(there)} in {sanitised(str(folder))}/", markup=False)

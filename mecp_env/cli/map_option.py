@@ -7,8 +7,8 @@ from typing import Any
 
 from mecp_env.cli.base import check_writable
 from mecp_env.cli.buildings import spare_sources
-from mecp_env.cli.exit_codes import echo
-from mecp_env.core.errors import ConfigError
+from mecp_env.cli.exit_codes import echo, print_error
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.paths import exists
 
 
@@ -36,8 +36,20 @@ def replaceable(path: Path) -> None:
         raise ConfigError(f"--save-map: {error}; name another file") from None
 
 
-def save_map(env: Any, path: Path | None) -> None:
-    """Write the map of the estimator of a `MecpEnv`, if it is wanted, and print where it is."""
-    if path is not None:
-        env.save_map(path)
-        echo(f"map: {path}")
+def save_map(owner: Any, path: Path | None) -> bool:
+    """Write the map of a `MecpEnv` or `SlamPipeline`, if it is wanted, and print where it is.
+
+    False where it cannot be written: the reason is printed, and the run keeps everything else.
+    """
+    if path is None:
+        return True
+    try:
+        owner.save_map(path)
+    except MecpError as error:
+        print_error(f"--save-map: {path} was not written: {error}")
+        return False
+    except OSError as error:
+        print_error(f"--save-map: {path} was not written: {error.strerror}")
+        return False
+    echo(f"map: {path}")
+    return True

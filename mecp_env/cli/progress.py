@@ -15,6 +15,7 @@ from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.core.text import sanitised
 
 EVERY = 10  # steps between two updates
+LINE_STEPS = 200  # between two lines, where there is no terminal for a bar
 BAR_WIDTH = 6  # what is left of 80 columns
 
 
@@ -37,10 +38,13 @@ class ExplorationBar(Progress):
         self.watch, self.task = watch, self.add_task("preparing", total=1.0)
 
     def show(self, run: Run) -> None:
-        """Bring the bar up to date, every few steps."""
+        """Bring the bar up to date, every few steps; without a terminal, print a line now and then."""
         if run.steps % EVERY == 0:
             metrics = run.env.view().metrics
-            self.update(self.task, completed=metrics["coverage"], description=status(metrics, self.watch.steps_per_s))
+            said = status(metrics, self.watch.steps_per_s)
+            self.update(self.task, completed=metrics["coverage"], description=said)
+            if run.steps % LINE_STEPS == 0 and not self.console.is_terminal:
+                self.console.print(f"step {run.steps}: {said}", markup=False, highlight=False)
 
 
 ROWS = (

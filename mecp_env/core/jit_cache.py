@@ -19,6 +19,7 @@ import hashlib
 import logging
 import os
 import pickle
+import stat
 import sys
 import tempfile
 import time
@@ -67,12 +68,32 @@ def usable(directory: Path) -> bool:
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=directory).close()
-        ours = not hasattr(os, "getuid") or directory.stat().st_uid == os.getuid()
+        ours = is_private(directory)
     except OSError:
         ours = False
     if not ours:
         log.warning("mecp_env: no cache in %s: functions are compiled in every process", directory)
     return ours
+
+
+def is_private(directory: Path) -> bool:
+    """True when no other user but the administrator can put a file into `directory`, or another folder in its place.
+
+    Folders above it may be writable to all where only the owner of a file removes it, as in a temporary directory.
+    Raises `OSError`.
+    """
+    if not hasattr(os, "getuid"):
+        return True
+    place = directory.resolve()
+    return owned(place, shared=False) and all(owned(above, shared=True) for above in place.parents)
+
+
+def owned(folder: Path, shared: bool) -> bool:
+    """True when a folder is this user's or the administrator's and no other can change it; `shared`: except add."""
+    about = folder.stat()
+    own_group = about.st_gid == os.getgid() == os.getuid()  # the group of one user, whose number is that of the user
+    open_to = about.st_mode & (stat.S_IWOTH | (0 if own_group else stat.S_IWGRP))
+    return about.st_uid in (os.getuid(), 0) and (not open_to or (shared and bool(about.st_mode & stat.S_ISVTX)))
 
 
 _announced: list[str] = []  # what this process wrote, at most one line
@@ -144,7 +165,7 @@ class _EntryFile(IndexDataCacheFile):  # type: ignore[misc]
     def load(self, key: Any) -> Any:
         """What was saved under the key; None where there is nothing. Raises `UnpicklingError` for a damaged file."""
         try:
-            content = Path(self._path(key)).read_bytes()
+            content = own_bytes(Path(self._path(key)))
         except FileNotFoundError:
             return None
         digest, body = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
@@ -156,6 +177,15 @@ class _EntryFile(IndexDataCacheFile):  # type: ignore[misc]
     def _path(self, key: Any) -> str:
         words = hashlib.sha256(str(key).encode()).hexdigest()[:16]
         return str(Path(self._cache_path) / f"{self._source_stamp}-{words}.nbc")
+
+
+def own_bytes(path: Path) -> bytes:
+    """The content of a file of this user or the administrator. Raises `PermissionError` for that of another user."""
+    with path.open("rb") as file:
+        about = os.fstat(file.fileno())
+        if hasattr(os, "getuid") and about.st_uid not in (os.getuid(), 0):
+            raise PermissionError(f"{path} belongs to another user")
+        return file.read()
 
 
 class _LoadedLibrary(JITCodeLibrary):  # type: ignore[misc]

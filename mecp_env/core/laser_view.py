@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.settings import Settings
+
+SEEN_NEAR_M = 0.3  # even a weak laser sees what is as near
 
 
 class LaserView(Settings):
@@ -41,7 +44,14 @@ class LaserNoise(LaserView):
     range_sigma_share: float = Field(0.0, ge=0.0, le=0.5)  # this share of it, whichever is larger
     bearing_sigma_deg: float = Field(0.3, ge=0.0, le=5.0)
     grazing_deg: float = Field(90.0, gt=45.0, le=90.0)  # incidence (from the normal) beyond which nothing returns
+    no_return: Literal["free", "unknown"] = "free"
+    """What a beam without a return says: nothing is within the range, or (a weak laser) a wall may be there unseen."""
     dark_dropout: float = Field(0.0, ge=0.0, lt=1.0)  # share of the beams that does not return from a dark surface
+
+    @property
+    def free_without_return_m(self) -> float:
+        """How far the floor is free along a beam that does not return, within the range of the laser."""
+        return math.inf if self.no_return == "free" else SEEN_NEAR_M
 
     @property
     def bearing_sigma_rad(self) -> float:

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mecp_env.core.errors import LayoutError
+
+DAY_S = 86_400.0  # a write takes less, also on another machine, whose processes are not known here
 
 
 def exists(path: str | Path) -> bool:
@@ -30,9 +38,65 @@ def read_bytes(path: Path, most: int) -> bytes:
         if size > most:
             raise LayoutError(f"the file has {size} bytes, at most {most}")
         with path.open("rb") as file:
-            return file.read(most)
+            return file.read(size)  # no more is set aside
     except (OSError, ValueError) as error:  # unreadable; a NUL byte in the name
         raise error if isinstance(error, LayoutError) else LayoutError(f"cannot be read: {error}") from None
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an `OSError` name the file that is written, as where a library leaves it out when the disk is full."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+TEMPORARY = re.compile(r"\..+?\.(?:([0-9a-f]{8})-)?(\d+)\.tmp")  # the name while a file is written: machine, process
+_looked_at: set[tuple[int, Path]] = set()  # this process and the folders whose leftovers it has removed
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what killed processes left of files they were writing in `folder`; each process looks once.
+
+    A file of a process that runs, or of another machine that shares the folder and wrote within a day, stays.
+    """
+    key = os.getpid(), folder.absolute()
+    if key in _looked_at:
+        return
+    _looked_at.add(key)
+    for path in folder.glob(".*.tmp"):
+        found = TEMPORARY.fullmatch(path.name)
+        with suppress(OSError):  # another process was faster
+            if found and is_left(path, found[1], int(found[2])):
+                path.unlink()
+
+
+def machine() -> str:
+    """Eight digits that stand for this machine."""
+    return f"{zlib.crc32(platform.node().encode()):08x}"
+
+
+def is_left(path: Path, host: str | None, pid: int) -> bool:
+    """True when nobody writes a temporary file any more. Raises `OSError` when it is gone."""
+    if host == machine():
+        return not is_running(pid)
+    return time.time() - path.stat().st_mtime > DAY_S
+
+
+def is_running(pid: int) -> bool:
+    """True when a process of this number runs on this machine, or where that cannot be known."""
+    if os.name != "posix":
+        return True  # os.kill would end it
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
 
 
 def write_atomic(path: Path, data: bytes) -> None:
@@ -41,7 +105,8 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises `OSError` that names it, as when the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    remove_leftovers(path.parent)
+    temporary = path.with_name(f".{path.name}.{machine()}-{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as file:
             file.write(data)

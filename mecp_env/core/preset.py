@@ -23,8 +23,15 @@ class PresetSettings(Settings):
     def _filled(cls, given: Any, build: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(given, Mapping):
             return build(given)
+        given = cls.completed(given)
         name = given.get("preset", cls.model_fields["preset"].default)
         preset = cls.PRESETS.get(name, {}) if isinstance(name, str) else {}
+        preset = {"preset": name, **preset}
         section = build({**preset, **given})
         section.model_fields_set.difference_update(preset.keys() - given.keys())
         return section
+
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """`given`, with a preset that it stands for without naming it."""
+        return given

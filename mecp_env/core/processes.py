@@ -1,4 +1,4 @@
-"""Worker processes: one with a pipe, a pool of them, and the cause in words when one dies.
+"""A worker process with a pipe, and the cause in words when it dies.
 
 A worker starts with one thread per library, leaves Ctrl-C to the process that started it, and ends with it.
 """
@@ -16,17 +16,15 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
 from mecp_env.core.own_modules import import_modules, imported_modules
 
-LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
 PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
-STOP_S = 5.0  # how long workers have to stop by themselves
 KILL_S = 2.0  # how long they then have to react to a signal
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 GONE = (EOFError, BrokenPipeError, ConnectionResetError)
@@ -111,8 +109,14 @@ class Worker:
         """Let it call the method `name` of its target. Raises `WorkerDied`."""
         try:
             self.pipe.send((name, arguments))
-        except GONE:
+        except GONE as error:
+            # The frames view a BytesIO: collected in a cycle, such a view ends Python 3.12.1 with SIGSEGV.
+            traceback.clear_frames(error.__traceback__)
             self.report_death()
+
+    def ready(self, seconds: float) -> bool:
+        """Whether there is an answer; waits for one so long."""
+        return bool(self.pipe.poll(seconds))
 
     def answer(self) -> Any:
         """What the method returned, or a `Failure`; waits for it. Raises `WorkerDied`."""
@@ -138,97 +142,6 @@ class Worker:
                 self.process.join(KILL_S)
         self.pipe.close()
         self.process.close()
-
-
-class WorkerPool:
-    """Workers that each hold a target, by the name of the worker. `ask` all of them, then `gather` their answers.
-
-    A target has the methods `open`, which is called first, and `close`.
-    """
-
-    def __init__(self, targets: Mapping[str, Any], method: str) -> None:
-        if multiprocessing.current_process().daemon:
-            raise RuntimeError('a worker process may start no others; vectorization_mode="sync" needs none')
-        self._owner = os.getpid()
-        self._workers: list[Worker] = []
-        self._answers: list[Any] = []  # to this question, so far: Ctrl-C may end a wait
-        try:
-            for name, target in targets.items():
-                self._workers.append(Worker(target, name, method, [worker.pipe for worker in self._workers]))
-            self.ask("open", [()] * len(targets))
-            self.gather()
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def pids(self) -> list[int]:
-        """Of the processes."""
-        return [worker.process.pid for worker in self._workers]
-
-    def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
-        """Let each worker call the method `name` of its target with its arguments. Raises `WorkerDied`."""
-        with self._closed_by_death():
-            for worker, own in zip(self._workers, arguments, strict=True):
-                worker.ask(name, *own)
-
-    def gather(self) -> list[Any]:
-        """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
-        with self._closed_by_death():
-            while len(self._answers) < len(self._workers):
-                self._answers.append(self._answer(len(self._answers)))
-        answers, self._answers = self._answers, []
-        for answer in answers:
-            if isinstance(answer, Failure):
-                answer.error.add_note(answer.note)
-                raise answer.error
-        return answers
-
-    def post(self, number: int, name: str, *arguments: Any) -> None:
-        """Let one worker call the method `name` after what it was asked before; `arrived` has its answers."""
-        with self._closed_by_death():
-            self._workers[number].ask(name, *arguments)
-
-    def arrived(self) -> list[Any]:
-        """The next answer of each worker that has one; waits for at least one. Raises `WorkerDied`."""
-        with self._closed_by_death():
-            while not (ready := wait([worker.pipe for worker in self._workers], LOOK_S)):
-                self._look()
-            return [worker.answer() for worker in self._workers if worker.pipe in ready]
-
-    def close(self) -> None:
-        """Stop the workers: ask, then insist. Another process than the one that started them does nothing."""
-        if os.getpid() != self._owner:
-            return
-        for worker in self._workers:
-            with contextlib.suppress(*GONE, OSError):
-                worker.pipe.send(("close", ()))
-        deadline = time.monotonic() + STOP_S
-        for worker in self._workers:
-            worker.stop(deadline)
-        self._workers = []
-
-    def _answer(self, number: int) -> Any:
-        while not self._workers[number].pipe.poll(LOOK_S):
-            self._look()
-        return self._workers[number].answer()
-
-    def _look(self) -> None:
-        """Raise `WorkerDied` if a worker is no longer alive."""
-        for worker in self._workers:
-            if not worker.process.is_alive():
-                worker.report_death()
-
-    @contextlib.contextmanager
-    def _closed_by_death(self) -> Iterator[None]:
-        """When a worker dies, stop the others, too."""
-        try:
-            yield
-        except WorkerDied as error:
-            for worker in self._workers:
-                worker.process.terminate()
-            self.close()
-            raise WorkerDied(f"{error}; the others are stopped") from None
 
 
 def _serve(pipe: Connection, others: Sequence[Connection], modules: Sequence[str], target: Any) -> None:

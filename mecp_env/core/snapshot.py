@@ -1,17 +1,17 @@
 """Plain data from living objects and back, bit for bit: no pickle, so that a stored state runs no code when it is read.
 
 What comes out holds None, bools, ints, floats, strings, arrays, lists and dicts with string keys only. An object stands
-as a dict with the one key "@KIND"; arrays and objects that are reached twice stay one. Classes are looked up inside
-`mecp_env` only, and among those that this process has admitted.
+as a dict with the one key "@KIND", one of `KINDS`; arrays and objects that are reached twice stay one. A class must be
+defined in a module of `mecp_env` that states come from, or be one that this process has admitted: what such a module
+only imports, such as a connection that closes a file when it goes, is not made.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
-from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ from mecp_env.core.errors import MecpError
 from mecp_env.core.settings import Settings
 
 PACKAGE = "mecp_env"
+PARTS = ("core", "episode", "evaluation", "planning", "slam", "world")  # of the package, whose objects a state holds
+MOST_IN_KEY = 10_000  # values in a key or a member of a set, each counted as often as it is reached
 PLAIN = (type(None), bool, int, float, str)
 ADMITTED: dict[str, type] = {}  # classes from elsewhere, by name
 
@@ -72,6 +74,7 @@ class Decoder:
 
     def __init__(self) -> None:
         self._made: list[Any] = []
+        self._sizes: dict[int, int] = {}  # id of a tuple, frozenset or object -> values in it, as often as reached
 
     def decode(self, data: Any) -> Any:
         """The value that `data` stands for. Raises `StateError` when it is damaged."""
@@ -80,13 +83,23 @@ class Decoder:
         if not isinstance(data, dict) or len(data) != 1:
             raise StateError(f"state: expected plain data with one key, given {type(data).__name__}")
         ((kind, content),) = data.items()
-        maker = getattr(self, f"_{kind[1:]}", None) if kind[:1] == "@" else None
-        if maker is None:
-            raise StateError(f"state: {kind!r} is no kind of value")
-        return maker(content)
+        if kind not in KINDS:
+            raise StateError(f"state: {kind!r:.40} is no kind of value")
+        return KINDS[kind](self, content)
 
     def _keep(self, value: Any) -> Any:
         self._made.append(value)
+        return value
+
+    def _key(self, data: Any) -> Any:
+        """What is hashed: Python visits a value in it as often as it is reached, which nesting can make endless."""
+        key = self.decode(data)
+        if self._sizes.get(id(key), 1) > MOST_IN_KEY:
+            raise StateError(f"state: a key of more than {MOST_IN_KEY} values")
+        return key
+
+    def _weigh(self, value: Any, items: list[Any]) -> Any:
+        self._sizes[id(value)] = min(1 + sum(self._sizes.get(id(item), 1) for item in items), MOST_IN_KEY + 1)
         return value
 
     def _same(self, number: int) -> Any:
@@ -98,14 +111,14 @@ class Decoder:
         return class_of(content[0], Enum)(content[1])
 
     def _scalar(self, content: np.ndarray[Any, Any]) -> Any:
-        return content[()]
+        return real_array(content)[()]
 
     def _settings(self, content: list[Any]) -> Any:
         kind = class_of(content[0], Settings)
         return kind(**kind.without_gone(content[1]))
 
     def _array(self, content: list[Any]) -> Any:
-        array = np.array(content[0], order="K", copy=True)
+        array = np.array(real_array(content[0]), order="K", copy=True)
         array.setflags(write=content[1])
         return self._keep(array)
 
@@ -120,17 +133,23 @@ class Decoder:
     def _frozen(self, kind: type, content: list[Any]) -> Any:
         place = len(self._made)
         self._made.append(None)  # keeps the order of first visits: a frozen container is made after its items
-        self._made[place] = kind([self.decode(item) for item in content])
-        return self._made[place]
+        items = [self.decode(item) if kind is tuple else self._key(item) for item in content]
+        self._made[place] = kind(items)
+        return self._weigh(self._made[place], items)
 
-    _tuple = partialmethod(_frozen, tuple)
-    _set = partialmethod(_frozen, set)
-    _frozenset = partialmethod(_frozen, frozenset)
+    def _tuple(self, content: list[Any]) -> Any:
+        return self._frozen(tuple, content)
+
+    def _set(self, content: list[Any]) -> Any:
+        return self._frozen(set, content)
+
+    def _frozenset(self, content: list[Any]) -> Any:
+        return self._frozen(frozenset, content)
 
     def _dict(self, content: list[Any]) -> Any:
         made: dict[Any, Any] = self._keep({})
         for key, item in content:
-            made[self.decode(key)] = self.decode(item)
+            made[self._key(key)] = self.decode(item)
         return made
 
     def _object(self, content: list[Any]) -> Any:
@@ -138,7 +157,30 @@ class Decoder:
         made = self._keep(cls.__new__(cls))
         for name, item in content[1].items():
             object.__setattr__(made, name, self.decode(item))
-        return made
+        return self._weigh(made, list(fields_of(made).values()))
+
+
+KINDS: Mapping[str, Callable[[Decoder, Any], Any]] = {
+    "@same": Decoder._same,
+    "@enum": Decoder._enum,
+    "@scalar": Decoder._scalar,
+    "@settings": Decoder._settings,
+    "@array": Decoder._array,
+    "@generator": Decoder._generator,
+    "@list": Decoder._list,
+    "@tuple": Decoder._tuple,
+    "@set": Decoder._set,
+    "@frozenset": Decoder._frozenset,
+    "@dict": Decoder._dict,
+    "@object": Decoder._object,
+}
+
+
+def real_array(value: Any) -> np.ndarray[Any, Any]:
+    """`value`, an array of numbers, texts or rows. Raises `StateError` for anything else, as an array of objects."""
+    if type(value) is not np.ndarray or value.dtype.hasobject:
+        raise StateError(f"state: expected an array of plain values, given {type(value).__name__}")
+    return value
 
 
 def encode(value: Any) -> Any:
@@ -211,12 +253,12 @@ def class_of(name: str, base: type) -> Any:
     module, _, cls = str(name).partition(":")
     if name in ADMITTED and issubclass(ADMITTED[name], base):
         return ADMITTED[name]
-    if module.split(".")[0] != PACKAGE:
-        raise StateError(f"state: {name!r} is not a class of {PACKAGE}")
+    if not module.startswith(tuple(f"{PACKAGE}.{part}." for part in PARTS)):
+        raise StateError(f"state: {name!r:.80} is not a class of {PACKAGE} that a state holds")
     try:
         found = getattr(importlib.import_module(module), cls)
     except (ImportError, AttributeError):
-        raise StateError(f"state: there is no class {name!r}") from None
-    if not isinstance(found, type) or not issubclass(found, base):
-        raise StateError(f"state: {name!r} is not a class of that kind")
+        raise StateError(f"state: there is no class {name!r:.80}") from None
+    if not isinstance(found, type) or not issubclass(found, base) or found.__module__ != module:
+        raise StateError(f"state: {name!r:.80} is not a class of that kind")
     return found

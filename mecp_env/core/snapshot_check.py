@@ -12,18 +12,21 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from mecp_env.core.settings import Settings
-from mecp_env.core.snapshot import PACKAGE, StateError, fields_of
+from mecp_env.core.snapshot import PACKAGE, PLAIN, StateError, fields_of
 
 Examples = Mapping[type, Mapping[str, Any]]
 
+MOST = 2**62  # of whole numbers: compiled functions have 64 bits
+
 
 def examples_of(value: Any) -> Examples:
-    """Of every object in `value` whose class declares no fields: the class, and its fields with their types."""
+    """Of every object in `value` that is no dataclass: the class, and its fields with the types declared or found."""
     found: dict[type, Mapping[str, Any]] = {}
     for item in filter(is_object, fields_of(value).values()):
         found.update(examples_of(item))
         if not is_dataclass(item):
-            found[type(item)] = {name: kind_of(part) for name, part in fields_of(item).items()}
+            declared = get_type_hints(type(item))
+            found[type(item)] = {name: declared.get(name, kind_of(part)) for name, part in fields_of(item).items()}
     return found
 
 
@@ -47,7 +50,7 @@ class FieldCheck:
     def check(self, value: Any, hint: Any, where: str) -> None:
         """Raise `StateError` unless `value` is of the type `hint`, and what is in it of those declared."""
         if not fits(value, hint):
-            raise StateError(f"{where}: expected {getattr(hint, '__name__', hint)}, given {value!r:.60}")
+            raise StateError(f"{where}: expected {getattr(hint, '__name__', hint)}, given {brief(value)}")
         self._look_inside(value, where)
 
     def _look_inside(self, value: Any, where: str) -> None:
@@ -77,6 +80,11 @@ class FieldCheck:
         return self._examples[cls]
 
 
+def brief(value: Any) -> str:
+    """A value in an error: of a container or object only the kind, because what is nested can be endless to print."""
+    return f"{value!r:.60}" if type(value) in PLAIN else type(value).__name__
+
+
 def is_object(value: Any) -> bool:
     """True for an object of this package with custom fields."""
     return type(value).__module__.split(".")[0] == PACKAGE and not isinstance(value, Enum | Settings)
@@ -102,11 +110,13 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def is_a(value: Any, cls: Any) -> bool:
-    """As `isinstance`; but True is not a number, a whole number is a float, and a protocol is known by its names."""
+    """As `isinstance`; but True and what exceeds `MOST` are no numbers, a whole number is a float, and a protocol is
+    known by its names."""
     if getattr(cls, "_is_protocol", False):
         return all(hasattr(value, name) for name in vars(cls) if not name.startswith("_"))
     if cls in SCALARS:
-        return isinstance(value, SCALARS[cls]) and (cls is bool or not isinstance(value, bool))
+        small = not isinstance(value, int) or abs(value) < MOST
+        return isinstance(value, SCALARS[cls]) and small and (cls is bool or not isinstance(value, bool))
     return isinstance(value, cls)
 
 

@@ -16,7 +16,7 @@ from mecp_env.core.paths import is_folder
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
-from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed, unknown_split
+from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed, unknown_split
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 
@@ -54,17 +54,39 @@ class OneLayout:
 
 @dataclass(frozen=True, slots=True)
 class GeneratedLayouts:
-    """The generated buildings of a split."""
+    """The generated buildings of a split: those of the chosen difficulties, and of any other one on request.
 
-    spec: GeneratorSpec
+    Building n of the k-th chosen difficulty has the number k * size + n, size being that of the split; after the chosen
+    ones come all difficulties in their order, so that a number names one building.
+    """
+
+    chosen: tuple[str, ...]
     split: str
+    fields: dict[str, Any]  # of `GeneratorSpec`, over the difficulty
+
+    @property
+    def size(self) -> int:
+        return len(SPLITS[self.split])
 
     @property
     def count(self) -> int:
-        return len(SPLITS[self.split])
+        return len(self.chosen) * self.size
+
+    @property
+    def all(self) -> int:
+        """One more than the largest number that names a building."""
+        return (len(self.chosen) + len(DIFFICULTIES)) * self.size
 
     def layout(self, building: int) -> Layout:
-        return generate(self.spec, split_seed(self.split, building))
+        kind, number = divmod(building, self.size)
+        difficulty = (*self.chosen, *DIFFICULTIES)[kind]
+        return generate(GeneratorSpec.preset(difficulty, **self.fields), split_seed(self.split, number))
+
+    def of_difficulty(self, difficulty: Any) -> range:
+        """The numbers of its buildings. Raises `ConfigError` for an unknown one."""
+        GeneratorSpec.preset(difficulty, **self.fields)
+        first = (*self.chosen, *DIFFICULTIES).index(difficulty) * self.size
+        return range(first, first + self.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +172,16 @@ def _made(key: str, given: Any) -> Source:
     return SOURCES[key](**given[key])
 
 
-def _generated(difficulty: str = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
-    if split not in SPLITS:
+def _generated(difficulty: Any = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
+    if not isinstance(split, str) or split not in SPLITS:
         raise ConfigError(unknown_split(split))
-    return GeneratedLayouts(GeneratorSpec.preset(difficulty, **fields), split)
+    chosen = (difficulty,) if isinstance(difficulty, str) else difficulty
+    if not isinstance(chosen, list | tuple) or not chosen:
+        known = ", ".join(DIFFICULTIES)
+        raise ConfigError(f"difficulty: {shown(difficulty)}, expected one of {known}, or a list of them")
+    for name in chosen:
+        GeneratorSpec.preset(name, **fields)
+    return GeneratedLayouts(tuple(chosen), split, fields)
 
 
 def _plans(path: Any = None, **reading: Any) -> PlanFiles:
@@ -190,17 +218,36 @@ def generator_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[s
     return spec, {name: value for name, value in keywords.items() if name not in KEYWORDS[GENERATE]}
 
 
-def draw_building(source: Source, rng: np.random.Generator) -> int:
-    """The number of the next building; a source of one draws nothing."""
-    return int(rng.integers(source.count)) if source.count > 1 else 0
+def draw_building(numbers: range, rng: np.random.Generator) -> int:
+    """One of the numbers; nothing is drawn where there is only one."""
+    return numbers[int(rng.integers(len(numbers)))] if len(numbers) > 1 else numbers[0]
 
 
-def check_building(number: Any, source: Source) -> int | None:
-    """`number` if there is a building of that number, or None. Raises `ConfigError`."""
+def choose_buildings(number: Any, difficulty: Any, source: Source) -> range:
+    """The numbers of the buildings that the options of a reset allow, None standing for no option.
+
+    Raises `ConfigError` for a building or difficulty that does not exist, and a difficulty of what is not generated.
+    """
+    numbers = range(source.count)
+    if difficulty is not None:
+        if not isinstance(source, GeneratedLayouts):
+            raise ConfigError(f"difficulty: {shown(difficulty)}, only generated buildings have one")
+        numbers = source.of_difficulty(difficulty)
     if number is None:
-        return None
+        return numbers
+    chosen = numbers[check_number(number, len(numbers))]
+    return range(chosen, chosen + 1)
+
+
+def check_number(number: Any, count: int) -> int:
+    """`number` if it is a whole number from 0 to `count` - 1. Raises `ConfigError`."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer):
         raise ConfigError(f"building: expected a whole number, given {number!r:.80}")
-    if not 0 <= number < source.count:
-        raise ConfigError(f"building: {number}, there are {source.count}, numbered from 0")
+    if not 0 <= number < count:
+        raise ConfigError(f"building: {number}, there are {count}, numbered from 0")
     return int(number)
+
+
+def count_all(source: Source) -> int:
+    """One more than the largest number that an episode may name."""
+    return source.all if isinstance(source, GeneratedLayouts) else source.count

@@ -2,186 +2,99 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.se2 import to_robot
+from mecp_env.episode.flat_arrays import KINDS, fill_flat
+from mecp_env.episode.flat_layout import GOAL, NEAR_S, PREDICTED, ROWS, flat_columns
 from mecp_env.episode.observation_arrays import LAYERS
-from mecp_env.episode.observations import BeliefTables, GridWindows, TravelledPath
+from mecp_env.episode.observations import GridWindows, Seen
 from mecp_env.planning.goals import Goals
-from mecp_env.slam.messages import FeatureTable, SlamOutput
+from mecp_env.planning.row_times import RowTimes
 
 Floats = NDArray[np.float32]
 
-FLAT_SECTORS, FLAT_GOALS, FLAT_LANDMARKS = 24, 8, 4
+DERIVED = 5  # columns of a goal that depend on the pose or the grid
 IMAGE = (64, 0.4)  # cells per side, m per cell
 CHANNELS = (  # layer and shade, the later over the earlier
     (("unknown", 170), ("occupied", 255)),
     (("door", 85), ("frontier", 170), ("goal", 255)),
     (("polygon", 85), ("room", 170), ("path", 255)),
 )
-NO_BEAM = -1.0
-KINDS = 7.0
-
-# where a squashed column is 0.5
-POSITION_M, DISTANCE_M, RANGE_M, SIGMA_M, SIGMA_RAD, WIDTH_M = 10.0, 5.0, 2.0, 0.1, 0.05, 1.0
-FLOOR_M2, COUNTED, GAIN_NAT = 100.0, 10.0, 10.0
-
-
-def squash(values: Any, half: Any) -> Any:
-    """`values` of any size in (-1, 1): v / (|v| + half), which keeps order and sign and cuts nothing."""
-    return values / (np.abs(values) + half)
+BUDGET_SHADE = 255
 
 
 class Flat:
-    """Computes observations of the format "flat": float32 (104,) in [-1, 1], (128,) with `uncertainty`.
+    """Computes observations of the format "flat": float32 (n,) in [-1, 1], whose columns `mecp_env.flat_names` names.
 
-    `columns` names each number; docs/observations.md describes them. All lengths and counts are squashed, so that no
-    bound cuts them. Rows of goals and landmarks that do not exist are 0.
+    With `actions="goal"`, all 32 rows of goals are described, row k for action k (n = 325, 421 with `uncertainty`);
+    with other actions, the 16 that are nearest in time (n = 181, 229). Lengths and counts are squashed, so that no
+    bound cuts them. Rows without a goal are 0.
     """
 
-    def __init__(self, uncertainty: bool = False, nearest_first: bool = True) -> None:
-        self.columns = flat_columns(uncertainty)
-        self.space = spaces.Box(-1.0, 1.0, (len(self.columns),), np.float32)
-        self._tables = BeliefTables(uncertainty=True)  # has all kinds of goals
-        self._goal_columns = 12 if uncertainty else 9
-        self._nearest_first = nearest_first
+    def __init__(self, actions: str, uncertainty: bool = False, times: RowTimes | None = None) -> None:
+        """`times`: how long each row takes."""
+        columns = flat_columns(actions, uncertainty)
+        self._halves = np.array([half for _, half in columns], np.float32)
+        self.space = spaces.Box(-1.0, 1.0, (len(columns),), np.float32)
+        self._most, self._last = ROWS[actions], len(GOAL) + uncertainty * len(PREDICTED) - DERIVED
+        self._nearest_first, self._times = actions != "goal", times or RowTimes()
+        self._goals, self._rows = Goals(), self._goal_rows(Goals())
 
-    def observe(
-        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath, recognised: float = 0.0
-    ) -> tuple[Floats, int]:
-        """The observation in a fresh array, and how many values of the estimate were out of bounds."""
-        tables, outside = self._tables.read(output, features, goals)
-        trust = (output.confidence, output.localised, recognised)
-        parts = (
-            *(flat_pose(tables["pose"]), flat_covariance(tables["pose_cov"]), trust, flat_progress(output, goals)),
-            flat_ranges(output),
-            flat_goals(tables["goals"][:, : self._goal_columns], self._nearest_first).ravel(),
-            flat_landmarks(tables["landmarks"]).ravel(),
+    def observe(self, seen: Seen) -> tuple[Floats, int]:
+        """The observation in a fresh array, and how many values were not finite, and goals left out."""
+        output, belief, grid, goals = seen.output, seen.output.belief, seen.output.grid, seen.goals
+        if goals is not self._goals:  # they change only when goals are looked for
+            self._goals, self._rows = goals, self._goal_rows(goals)
+        flat = np.zeros(len(self._halves), np.float32)
+        trust = float(output.confidence), float(output.localised), float(seen.recognised), float(seen.budget)
+        outside = fill_flat(
+            flat,
+            self._halves,
+            (np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)),
+            (*trust, float(len(goals)), float(len(belief.ids))),
+            self._rows,
+            (output.beams.bearings, output.beams.ranges, float(output.T_robot_laser[2])),
+            (grid.label, grid.origin, float(grid.resolution_m)),
         )
-        return np.concatenate(parts, dtype=np.float32), outside
+        return flat, outside + max(0, len(goals) - self._most)
 
-
-def flat_columns(uncertainty: bool = False) -> tuple[str, ...]:
-    """The name of each number of a flat observation."""
-    predicted = ("sigma_m", "sigma_rad", "gain") if uncertainty else ()
-    goal = ("cos", "sin", "distance", "path", "width", "kind", *predicted)
-    landmark = ("cos", "sin", "distance", "sigma_m")
-    return (
-        *("x", "y", "cos_heading", "sin_heading"),
-        *("sigma_x", "sigma_y", "sigma_heading", "corr_x_y", "corr_x_heading", "corr_y_heading"),
-        *("confidence", "localised", "recognised"),
-        *("floor", "goals", "landmarks"),
-        *(f"range_{360 * k // FLAT_SECTORS}" for k in range(FLAT_SECTORS)),
-        *(f"goal_{k}_{name}" for k in range(FLAT_GOALS) for name in goal),
-        *(f"landmark_{k}_{name}" for k in range(FLAT_LANDMARKS) for name in landmark),
-    )
-
-
-def flat_pose(pose: Floats) -> Floats:
-    """(4,) x and y squashed, cos and sin of the heading, of `pose` (4,)."""
-    flat = pose.copy()
-    flat[:2] = squash(pose[:2], POSITION_M)
-    return flat
-
-
-def flat_covariance(cov: Floats) -> Array:
-    """(6,) squashed standard deviations of x, y, heading, and the correlations xy, x heading, y heading.
-
-    `cov` (6,): xx, xy, x heading, yy, y heading, heading heading. A correlation with an exact quantity is 0.
-    """
-    sigma = np.sqrt(np.maximum(cov[[0, 3, 5]].astype(np.float64), 0.0))
-    product = sigma[[0, 0, 1]] * sigma[[1, 2, 2]]
-    correlation = np.divide(cov[[1, 2, 4]], product, out=np.zeros(3), where=product > 0.0)
-    return np.concatenate([squash(sigma, np.array([SIGMA_M, SIGMA_M, SIGMA_RAD])), correlation.clip(-1.0, 1.0)])
-
-
-def flat_progress(output: SlamOutput, goals: Goals) -> tuple[float, float, float]:
-    """Mapped floor, goals left and landmarks, squashed."""
-    floor_m2 = np.count_nonzero(output.grid.label) * output.grid.resolution_m**2  # UNKNOWN is 0
-    counts = ((floor_m2, FLOOR_M2), (len(goals), COUNTED), (len(output.belief.ids), COUNTED))
-    floor, left, landmarks = (float(squash(value, half)) for value, half in counts)
-    return floor, left, landmarks
-
-
-def flat_ranges(output: SlamOutput) -> Array:
-    """(24,) the squashed nearest range in each sector of 15 degrees around the laser; -1 where it does not look.
-
-    The first sector is centred on the robot's heading, the others follow counter-clockwise.
-    """
-    bearings, width = output.beams.bearings + output.T_robot_laser[2], 2.0 * math.pi / FLAT_SECTORS
-    sector = np.rint(bearings / width).astype(np.intp) % FLAT_SECTORS
-    starts = np.flatnonzero(np.concatenate(([True], sector[1:] != sector[:-1])))  # of the runs of beams in one sector
-    nearest = np.full(FLAT_SECTORS, np.inf)
-    np.minimum.at(nearest, sector[starts], np.minimum.reduceat(output.beams.ranges, starts))
-    seen = np.isfinite(nearest)
-    return np.where(seen, squash(np.where(seen, nearest, 0.0), RANGE_M), NO_BEAM)
-
-
-def flat_goals(rows: Floats, nearest_first: bool) -> Floats:
-    """(8,6) or (8,9) cos and sin of the bearing, distance, path, width, kind, and what is predicted of each goal.
-
-    `rows` (32,9) or (32,12): as in the observation `goals`. Without `nearest_first` they keep their order.
-    """
-    if nearest_first:
-        rows = rows[np.argsort(np.where(rows[:, 8] > 0.0, rows[:, 2], np.inf), kind="stable")]
-    rows = rows[:FLAT_GOALS]
-    flat = np.empty((FLAT_GOALS, rows.shape[1] - 3), np.float32)
-    flat[:, :3] = polar(rows[:, :2])
-    flat[:, 3], flat[:, 4] = squash(rows[:, 2], DISTANCE_M), squash(rows[:, 3], WIDTH_M)
-    flat[:, 5] = (rows[:, 4] + 1.0) / KINDS
-    flat[:, 6:] = squash(rows[:, 9:], np.array((SIGMA_M, SIGMA_RAD, GAIN_NAT)[: rows.shape[1] - 9], np.float32))
-    flat[rows[:, 8] == 0.0] = 0.0
-    return flat
-
-
-def flat_landmarks(rows: Floats) -> Floats:
-    """(4,4) cos and sin of the bearing, distance, and standard deviation of the position of the nearest landmarks.
-
-    `rows` (128,8): as in the observation `landmarks`.
-    """
-    rows = rows[:FLAT_LANDMARKS]
-    flat = np.empty((FLAT_LANDMARKS, 4), np.float32)
-    flat[:, :3] = polar(rows[:, :2])
-    flat[:, 3] = squash(np.sqrt(np.maximum(rows[:, 2] + rows[:, 4], 0.0)), SIGMA_M)
-    flat[rows[:, 7] == 0.0] = 0.0
-    return flat
-
-
-def polar(p_robot: Floats) -> Floats:
-    """(n,3) cos and sin of the bearing and squashed distance of points (n,2) m in the robot's frame."""
-    far = np.hypot(p_robot[:, 0], p_robot[:, 1])
-    unit = np.divide(p_robot, far[:, None], out=np.zeros_like(p_robot), where=far[:, None] > 0.0)
-    return np.concatenate([unit, squash(far, DISTANCE_M)[:, None]], axis=1)
+    def _goal_rows(self, goals: Goals) -> Array:
+        """(g,2+k) what `fill_flat` reads of the goals that are described."""
+        seconds = self._times.seconds(goals)
+        order = np.argsort(seconds, kind="stable") if self._nearest_first else np.arange(len(goals))
+        near, kind = NEAR_S / (NEAR_S + seconds), (goals.kind + 1.0) / KINDS
+        columns = (near, goals.size_m, goals.visits, kind, goals.sigma_m, goals.sigma_rad, goals.gain_nat)
+        rows: Array = np.column_stack([goals.p_map, *columns[: self._last]])[order[: self._most]]
+        return np.ascontiguousarray(rows)
 
 
 class Image:
     """Computes observations of the format "image": uint8 (3,64,64), channels first, cells of 0.4 m around the robot.
 
     Its heading is up. The channels have shades: what blocks (unknown 170, occupied 255, free 0), where to go (door 85,
-    frontier 170, goal 255), and where the robot was (polygon 85, its room 170, its path 255).
+    frontier 170, goal 255), and where the robot was (polygon 85, its room 170, its path 255). The last row of the last
+    channel is a bar instead: 255 from the left over the share of the step budget that is left, then 0.
     """
 
     def __init__(self) -> None:
         self.space = spaces.Box(0, 255, (len(CHANNELS), IMAGE[0], IMAGE[0]), np.uint8)
         self._windows = GridWindows()
 
-    def observe(
-        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath, recognised: float = 0.0
-    ) -> tuple[Bytes, int]:
+    def observe(self, seen: Seen) -> tuple[Bytes, int]:
         """The observation in a fresh array, and 0: nothing in it is cut."""
-        layers = dict(zip(LAYERS, self._windows.layers(output, trail, IMAGE) > 0, strict=True))
+        layers = dict(zip(LAYERS, self._windows.layers(seen.output, seen.path, IMAGE) > 0, strict=True))
         layers["unknown"] &= ~layers["free"]
-        layers["goal"] = goal_cells(to_robot(output.belief.T_map_robot, goals.p_map))
+        layers["goal"] = goal_cells(to_robot(seen.output.belief.T_map_robot, seen.goals.p_map))
         image = np.zeros(self.space.shape, np.uint8)
         for channel, shades in zip(image, CHANNELS, strict=True):
             for name, shade in shades:
                 channel[layers[name]] = shade
+        image[-1, -1] = 0
+        image[-1, -1, : round(IMAGE[0] * seen.budget)] = BUDGET_SHADE
         return image, 0
 
 

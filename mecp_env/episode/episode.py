@@ -19,7 +19,7 @@ from mecp_env.slam.messages import Match, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 13
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 14
 RECENT = 0.2  # weight of the last scan in the recent share of recognised corners
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 

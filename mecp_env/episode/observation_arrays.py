@@ -86,10 +86,10 @@ def window_layers(
     for i in range(n):
         u, v = x - c * i, y - s * i
         first, last = 0, n  # a row of the window enters the grid once, and leaves it once
-        while first < n and not _is_inside(u + s * first, v - c * first, cols, rows):
+        while first < n and not ((0.0 <= u + s * first < cols) & (0.0 <= v - c * first < rows)):
             window[i, first] = UNKNOWN
             first += 1
-        while last > first and not _is_inside(u + s * (last - 1), v - c * (last - 1), cols, rows):
+        while last > first and not ((0.0 <= u + s * (last - 1) < cols) & (0.0 <= v - c * (last - 1) < rows)):
             last -= 1
             window[i, last] = UNKNOWN
         at, row, below, beside = place[first:last], window[i, first:last], down[first:last], right[first:last]
@@ -103,25 +103,12 @@ def window_layers(
         j = math.floor(0.5 * n - (-sine * dx + cosine * dy) / side)
         if i >= 0 and j >= 0 and i < n and j < n:
             window[i, j] |= PATH
-    return unpack_layers(window)
-
-
-@compiled
-def _is_inside(u: float, v: float, cols: int, rows: int) -> bool:
-    """True when column u and row v lie on the grid."""
-    return bool(u >= 0.0 and v >= 0.0 and u < cols and v < rows)
-
-
-@compiled
-def unpack_layers(window: Bytes) -> Bytes:
-    """(8,n,n) 255 where the bit of the layer is set in `window` (n,n), else 0."""
-    n = window.size
-    layers, codes = np.empty((8, n), np.uint8), window.reshape(-1)
+    layers, codes = np.empty((8, n * n), np.uint8), window.reshape(-1)
     for layer in range(8):
         bit = np.uint8(1 << layer)
-        for i in range(n):
-            layers[layer, i] = np.uint8(255) if codes[i] & bit else np.uint8(0)
-    return layers.reshape(8, window.shape[0], window.shape[1])
+        for k in range(n * n):
+            layers[layer, k] = np.uint8(255) if codes[k] & bit else np.uint8(0)
+    return layers.reshape(8, n, n)
 
 
 def belief_tables(

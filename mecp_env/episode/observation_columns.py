@@ -23,6 +23,7 @@ PREDICTED: tuple[Column, ...] = (  # with observation={"uncertainty": True}
     ("predicted gain of landmark information", "nat"),
 )
 COLUMNS: dict[str, tuple[Column, ...]] = {
+    "budget": (("share of the step limit that is left", ""),),
     "pose": (("x, map frame", "m"), ("y, map frame", "m"), ("cos of the heading", ""), ("sin of the heading", "")),
     "pose_cov": (
         ("xx", "m^2"),

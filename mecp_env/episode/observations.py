@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -50,6 +50,17 @@ class TravelledPath:
         self.count += 1
 
 
+class Seen(NamedTuple):
+    """What an observation is computed from: the estimate, and the agent's own step budget."""
+
+    output: SlamOutput
+    features: FeatureTable
+    goals: Goals
+    path: TravelledPath
+    recognised: float = 0.0  # recent share of recognised corners
+    budget: float = 1.0  # share of the step limit that is left
+
+
 def bounds(rows: int, low: list[float], high: list[float]) -> spaces.Box:
     """A float32 box of `rows` rows with the bounds of each column."""
     return spaces.Box(
@@ -65,6 +76,7 @@ def make_space(with_map: bool, beams: int, max_range_m: float, uncertainty: bool
         goal_low = [*goal_low, 0, 0, 0]
         goal_high = [*goal_high[:4], 6, *goal_high[5:], SIGMA_MAX_M, SIGMA_MAX_RAD, GAIN_MAX_NAT]
     parts: dict[str, spaces.Space[Any]] = {
+        "budget": spaces.Box(0.0, 1.0, (1,), np.float32),
         "pose": spaces.Box(np.array([-far, -far, -1, -1], np.float32), np.array([far, far, 1, 1], np.float32)),
         "pose_cov": spaces.Box(
             np.array([0, -cov, -cov, 0, -cov, 0], np.float32), np.full(6, cov, np.float32), dtype=np.float32
@@ -88,6 +100,7 @@ class Observer:
     The parts of an observation (float32 unless noted):
 
     - `pose` (4): x, y, cos and sin of the heading, map frame.
+    - `budget` (1): the share of the step limit `max_steps` that is left, from 1 to 0.
     - `pose_cov` (6): xx, xy, x heading, y y, y heading, heading heading.
     - `landmarks` (128,8), nearest first: x, y in the robot frame, covariance xx, xy, yy in the robot's axes, room, kind
       (0 crossing, 1 free end, 2 jamb), valid.
@@ -114,20 +127,17 @@ class Observer:
         self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
         self._uncertainty = uncertainty
 
-    def observe(
-        self, output: SlamOutput, features: FeatureTable, goals: Goals, trail: TravelledPath, recognised: float = 0.0
-    ) -> tuple[dict[str, NDArray[Any]], int]:
-        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out.
-
-        `recognised`: the recent share of recognised corners.
-        """
-        tables, outside = self._tables.read(output, features, goals)
+    def observe(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], int]:
+        """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
+        output, goals, trail = seen.output, seen.goals, seen.path
+        tables, outside = self._tables.read(output, seen.features, goals)
         observation: dict[str, NDArray[Any]] = dict(tables)
+        observation["budget"] = np.array([seen.budget], np.float32)
         observation["grid"] = self._windows.layers(output, trail, GRID)
         if "map" in self.space.spaces:
             observation["map"] = self._windows.layers(output, trail, MAP)
         if self._uncertainty:
-            trust = output.confidence, output.localised, recognised
+            trust = output.confidence, output.localised, seen.recognised
             observation["localisation"] = np.array(trust, np.float32)
         if "scan" in self.space.spaces:
             observation["scan"] = scan = output.beams.ranges.astype(np.float32)

@@ -10,16 +10,19 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import erf
 
 from mecp_env.config import REWARDS
 from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.settings import shown
+from mecp_env.evaluation.metric_arrays import OCCUPIED, WALL_M
 from mecp_env.slam.messages import Belief, SemanticGrid
 
-TAU_M = 0.15  # tolerance of the map: a wall drawn farther off is in a wrong place
+TAU_M = 0.15  # tolerance of `expected_area`: a wall drawn farther off is in a wrong place
 BLOCK_CELLS = 8  # width of the blocks of cells that have their nearest landmark in common
+NO_GOALS = np.empty((0, 2))
 LEAST_VARIANCE, MOST_VARIANCE = 1e-8, 1e4  # m^2 and rad^2: keep the information finite
 
 
@@ -30,6 +33,10 @@ class RewardInputs(NamedTuple):
     grid: SemanticGrid
     diverged: bool = False
     true_area_m2: float | None = None  # the true free area seen; None if the estimated area counts
+    true_shares: tuple[float, float] | None = None  # true coverage and correct coverage, likewise
+    free_area_m2: float = 1.0  # the floor of the building: only scales what is mapped to a share
+    budget: float = 1.0  # share of the step limit that is left
+    p_goals: Array = NO_GOALS  # (g,2) m, map frame: the goals that are left
 
 
 Potential = Callable[[RewardInputs], float]
@@ -56,17 +63,35 @@ def entropy(inputs: RewardInputs) -> float:
     return float(area_m2 @ (math.log(2.0) - uncertain))
 
 
+def expected_correct_m2(inputs: RewardInputs) -> float:
+    """Expected m^2 of floor that the map has in its place, as `correct_coverage` counts it.
+
+    The sum over the FREE and DOOR cells of erf(tau / (sqrt(2) s)), tau 0.25 m, the tolerance of that metric, s^2 half
+    the trace of the covariance of the nearest landmark: the probability that a wall drawn with that sigma is off by
+    less than tau across its direction.
+    """
+    area_m2, s2 = blocks(inputs, only_floor=True)
+    return float(area_m2 @ erf(WALL_M / np.sqrt(2.0 * s2)))
+
+
 def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
     """(b,) m^2 of mapped cells in each block that has some, and (b,) how reliable its nearest landmark is."""
+    area_m2, s2 = blocks(inputs)
+    return area_m2, 1.0 - np.exp(-(TAU_M**2) / (2.0 * s2))
+
+
+def blocks(inputs: RewardInputs, only_floor: bool = False) -> tuple[Array, Array]:
+    """(b,) m^2 of mapped cells, or FREE and DOOR ones, in each block that has some, and (b,) s^2 of its nearest
+    landmark, m^2: half the trace of its covariance.
+    """
     grid, belief = inputs.grid, inputs.belief
     if inputs.diverged or not len(belief.ids) or not grid.label.size:
         return np.empty(0), np.empty(0)
-    cells = mapped_cells(grid.label)
+    cells = mapped_cells(grid.label, only_floor)
     row, column = np.nonzero(cells)
     middles = grid.origin + (np.stack([column, row], axis=1) + 0.5) * BLOCK_CELLS * grid.resolution_m
     s2 = 0.5 * (belief.covs[:, 0, 0] + belief.covs[:, 1, 1])[nearest_landmarks(middles, belief.p_map)]
-    reliability: Array = 1.0 - np.exp(-(TAU_M**2) / (2.0 * np.maximum(s2, LEAST_VARIANCE)))
-    return cells[row, column].astype(np.float64) * grid.resolution_m**2, reliability
+    return cells[row, column].astype(np.float64) * grid.resolution_m**2, np.maximum(s2, LEAST_VARIANCE)
 
 
 @compiled
@@ -83,14 +108,15 @@ def nearest_landmarks(places: Array, p_map: Array) -> Ints:
 
 
 @compiled
-def mapped_cells(label: Bytes) -> Ints:
-    """(H/8,W/8), rounded up: how many cells of each block of (H,W) are mapped."""
+def mapped_cells(label: Bytes, only_floor: bool) -> Ints:
+    """(H/8,W/8), rounded up: how many cells of each block of (H,W) are mapped, or FREE or DOOR."""
     height, width = label.shape
     cells = np.zeros(((height + BLOCK_CELLS - 1) // BLOCK_CELLS, (width + BLOCK_CELLS - 1) // BLOCK_CELLS), np.int64)
     for row in range(height):
         counts = cells[row // BLOCK_CELLS]
         for column in range(width):
-            counts[column // BLOCK_CELLS] += label[row, column] > 0  # UNKNOWN is 0
+            cell = label[row, column]
+            counts[column // BLOCK_CELLS] += cell > 0 and not (only_floor and cell == OCCUPIED)  # UNKNOWN is 0
     return cells
 
 

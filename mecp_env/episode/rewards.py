@@ -2,7 +2,8 @@
 
 Each measured term is the change of a potential in a step. The terms of an episode therefore sum to the potential at its
 end minus the potential at its start, whatever happened in between: uncertainty that grows and shrinks again, an area
-mapped twice, or a map that is redrawn earns nothing.
+mapped twice, or a map that is redrawn earns nothing. The terms of a metric (`mecp_env.episode.metric_rewards`) sum to
+its mean over the step limit.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from operator import mul
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +21,9 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
 from mecp_env.core.settings import shown
+from mecp_env.episode.metric_rewards import METRIC_TERMS, MetricMemory, metric_terms, start_metrics
 from mecp_env.episode.potentials import POTENTIALS, RewardInputs
+from mecp_env.evaluation.metric_arrays import DOOR, FREE
 from mecp_env.slam.messages import SemanticGrid
 
 TERMS = REWARDS.ours
@@ -34,6 +38,7 @@ AHEAD_M = 5.0  # typical distance from the robot to a wall that it draws
 class RewardMemory:
     """The potentials of the step before; plain state."""
 
+    metric: MetricMemory = field(default_factory=MetricMemory)
     area_m2: float = 0.0
     pose_nat: float = 0.0
     landmark_nat: float = 0.0
@@ -51,8 +56,16 @@ def measured_potentials(config: RewardConfig) -> list[str]:
     return [name for name in OURS if getattr(config, name)] + [name for name, weight in config.custom.items() if weight]
 
 
+def new_memory(inputs: RewardInputs, config: RewardConfig) -> RewardMemory:
+    """The memory at the start of an episode."""
+    memory = RewardMemory()
+    remember(memory, inputs, config)
+    start_metrics(memory.metric, inputs, config)
+    return memory
+
+
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
-    """Update `memory` to this step."""
+    """Update the potentials in `memory` to this step."""
     memory.potentials = {name: measured(name, inputs) for name in measured_potentials(config)}
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
@@ -83,12 +96,19 @@ def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
     if not sure or inputs.grid.version == memory.grid_version:
         return memory.area_m2
     memory.grid_version = inputs.grid.version
+    memory.metric.floor_m2 = floor_m2(inputs.grid)
     return mapped_m2(inputs.grid)
 
 
 def mapped_m2(grid: SemanticGrid) -> float:
     """m^2 of cells that are not UNKNOWN."""
     return float(np.count_nonzero(grid.label) * grid.resolution_m**2)  # UNKNOWN is 0
+
+
+def floor_m2(grid: SemanticGrid) -> float:
+    """m^2 of cells that are FREE or DOOR."""
+    cells = np.count_nonzero(grid.label == FREE) + np.count_nonzero(grid.label == DOOR)
+    return float(cells * grid.resolution_m**2)
 
 
 def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
@@ -98,12 +118,14 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     - `pose_information`: nat, increase of -0.5 log det P of the pose.
     - `landmark_information`: nat, increase of the mean of -0.5 log det P over the landmarks.
     - the potentials that have a weight (`mecp_env.episode.potentials`): their change; 0 for the others.
+    - those of `mecp_env.episode.metric_rewards`.
     """
     area_m2, pose_nat, landmark_nat, before = memory.area_m2, memory.pose_nat, memory.landmark_nat, memory.potentials
     remember(memory, inputs, config)
     changes = {name: value - before.get(name, 0.0) for name, value in memory.potentials.items()}
     return (
-        dict.fromkeys((*OURS, *config.custom), 0.0)
+        dict.fromkeys((*METRIC_TERMS, *OURS, *config.custom), 0.0)
+        | metric_terms(memory.metric, inputs, config)
         | changes
         | {
             "area": memory.area_m2 - area_m2,
@@ -113,12 +135,22 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     )
 
 
-def events(
-    memory: RewardMemory, contact: bool, terminated: bool, diverged: bool, lost_m2: float | None = None
-) -> dict[str, float]:
+class Happened(NamedTuple):
+    """The events of a step."""
+
+    contact: bool = False
+    off: bool = False  # the pose, by ground truth (`mecp_env.evaluation.lost`)
+    terminated: bool = False
+    diverged: bool = False
+    lost_m2: float | None = None  # misplaced floor, in the step in which an episode ends lost
+    max_steps: int = 1
+
+
+def events(memory: RewardMemory, happened: Happened) -> dict[str, float]:
     """The terms of events; `memory` is that of this step.
 
-    - `contact`: 1 in a step in which the robot touched something.
+    - `contact`: 1 in a step in which the robot touched something; `contact_share`: 1 / `max_steps`.
+    - `lost_share`: 1 / `max_steps` in a step in which the pose is more than 1 m or 10 degrees off (ground truth).
     - `time`: 1 in every step.
     - `completion`: once, when the episode terminates: the area that counts as mapped, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
@@ -126,11 +158,13 @@ def events(
       `lost_m2` of floor that the map does not have in its place: 1, and 1 for each 20 m^2 of it.
     """
     return {
-        "contact": float(contact),
+        "contact": float(happened.contact),
+        "contact_share": happened.contact / happened.max_steps,
+        "lost_share": happened.off / happened.max_steps,
         "time": 1.0,
-        "completion": memory.area_m2 / COMPLETION_M2 if terminated else 0.0,
-        "divergence": float(diverged),
-        "lost": 1.0 + lost_m2 / LOST_M2 if lost_m2 is not None else 0.0,
+        "completion": memory.area_m2 / COMPLETION_M2 if happened.terminated else 0.0,
+        "divergence": float(happened.diverged),
+        "lost": 1.0 + happened.lost_m2 / LOST_M2 if happened.lost_m2 is not None else 0.0,
     }
 
 

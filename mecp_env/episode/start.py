@@ -18,7 +18,7 @@ from mecp_env.world.outline import Outline, random_free_pose
 
 Start = str | tuple[float, float, float]
 
-OPTIONS = ("start", "building")
+OPTIONS = ("start", "building", "difficulty")
 CLEARANCE_M = 0.05  # between the robot and the walls at a drawn start
 MAX_TURN = 2.0 * math.pi
 

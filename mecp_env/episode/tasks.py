@@ -1,4 +1,4 @@
-"""The tasks of active SLAM: buildings and robots in which greedy exploration loses its map (docs/tasks.md).
+"""The first task, and the tasks of active SLAM: buildings and robots in which greedy exploration loses its map.
 
 Plain fields of the buildings and of `EnvConfig`; settings were chosen on the validation split.
 """
@@ -10,20 +10,20 @@ from typing import Any
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 
+FIRST: dict[str, Any] = {  # of `First-v0`: a stock learner with a small network learns it in minutes
+    "difficulty": "easy",
+    "actions": "discrete",
+    "observation": {"format": "flat"},
+    "max_steps": 500,
+    "start": "random",
+}
 ACTIVE: dict[str, Any] = {  # of every task
     "actions": "goal",
     "start": "random",
     "max_steps": 1500,
     "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
     "observation": {"uncertainty": True},
-    "reward": {
-        "area": 0.0,
-        "pose_information": 0.0,
-        "landmark_information": 0.0,
-        "completion": 0.0,
-        "expected_area": 0.1,
-        "lost": -5.0,
-    },
+    "reward": {"preset": "correct_coverage"},
 }
 PLAIN: dict[str, Any] = {"shaped_rooms": 0, "furniture": 0.0, "corridors": 0}
 TASKS: dict[str, dict[str, Any]] = {

@@ -12,7 +12,7 @@ from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.messages import Scan
 from mecp_env.core.snapshot import StateError, damage_refused
-from mecp_env.episode.buildings import check_building, draw_building, make_source
+from mecp_env.episode.buildings import check_number, choose_buildings, count_all, draw_building, make_source
 from mecp_env.episode.episode import EpisodeState
 from mecp_env.episode.start import Start, check_start, start_pose
 from mecp_env.episode.state_shapes import check_arrays, check_truth
@@ -65,9 +65,9 @@ class TrueWorld:
         """(3,) m and rad: where the robot is."""
         return self.simulation.T_world_robot
 
-    def begin(self, building: int | None, start: Start, rng: np.random.Generator) -> None:
-        """An episode's building, doors, pedestrians and boxes, with the robot at rest; `building` None draws one."""
-        self._move_to(draw_building(self._source, rng) if building is None else building)
+    def begin(self, buildings: range, start: Start, rng: np.random.Generator) -> None:
+        """An episode's building, one of those numbers, doors, pedestrians and boxes, with the robot at rest."""
+        self._move_to(draw_building(buildings, rng))
         pose = start_pose(start, self.outline, self._config.robot, rng)
         self._populate(pose, rng)
         self.simulation.reset(pose)
@@ -123,14 +123,14 @@ class TrueWorld:
             "rooms_cut_off": len(self._open.outline.rooms) - len(self.outline.rooms),
         }
 
-    def check_building(self, number: Any) -> int | None:
-        """`number` if there is a building of that number, or None. Raises `ConfigError`."""
-        return check_building(number, self._source)
+    def choose_buildings(self, number: Any, difficulty: Any) -> range:
+        """The numbers of the buildings that the options of a reset allow. Raises `ConfigError`."""
+        return choose_buildings(number, difficulty, self._source)
 
     def building_of(self, state: dict[str, Any]) -> int:
         """The building of a state. Raises `StateError`."""
         try:
-            return self.check_building(state["building"]) or 0
+            return check_number(state["building"], count_all(self._source))
         except ConfigError as error:
             raise StateError(f"state.{error}") from None
 

@@ -53,9 +53,20 @@ class MapQuality:
     correct_coverage: float = 0.0
     map_error_m: float = 0.0  # RMSE of the landmarks
     over_steps: float = 0.0  # sum over the control steps
-    over_metres: float = 0.0  # m, integral over the metres driven
+    over_metres: float = 0.0  # m, integral over the metres driven, up to the budget
+    metres: float = 0.0  # driven, up to the budget
 
-    def drive(self, metres: float) -> None:
+    def drive(self, metres: float, budget_m: float) -> None:
         """Count one control step of that length."""
+        counted = min(metres, budget_m - self.metres)
+        self.metres += counted
         self.over_steps += self.correct_coverage
-        self.over_metres += metres * self.correct_coverage
+        self.over_metres += counted * self.correct_coverage
+
+    def mean_over_steps(self, steps: int, limit: int) -> float:
+        """Mean over the step limit, the last value held after `steps`."""
+        return (self.over_steps + max(0, limit - steps) * self.correct_coverage) / limit
+
+    def mean_over_metres(self, budget_m: float) -> float:
+        """Mean over the first `budget_m` metres, the last value held."""
+        return (self.over_metres + (budget_m - self.metres) * self.correct_coverage) / budget_m

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from mecp_env.core.trajectories import between, chained
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 from mecp_env.logs.motion import arcs, end_of, reading
+from mecp_env.logs.registration import registered
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
@@ -28,10 +29,14 @@ RANGE_SIGMA_M = 0.02  # of a SICK LMS-200 and its successors
 UNIFORM = math.sqrt(12.0)  # a beam looks anywhere within its step: the standard deviation is step / sqrt(12)
 
 
+REGISTERED = "odometry none: it is made by registration of successive scans"
+
+
 class LogRunConfig(Settings):
     """How a log is fed to the estimator."""
 
-    odometry: Literal["log", "reference"] = "log"  # reference: of the reference path, with noise of `noise`
+    odometry: Literal["log", "reference", "none"] = "log"  # reference: of the reference path, with noise of `noise`;
+    # none: made by registration of successive scans, as for a log without odometry
     noise: OdometryConfig = OdometryConfig()  # per metre: what the covariance of a reading is computed from
     seed: int = Field(0, ge=0)  # of that noise
     rest_m: float = Field(0.001, ge=0.0, le=1.0)  # a scan is skipped where the robot has moved less than this, and
@@ -64,6 +69,7 @@ class LogRun:
     polygon: Bools  # (n,) a polygon was found
     step_s: Array  # (n,) processor time of each scan
     counts: Mapping[str, int]  # those of the log, and of what was left out here
+    notes: tuple[str, ...] = ()  # those of the log, and of what was chosen here
 
     def metrics(self) -> dict[str, Any]:
         """The figures of the run; those against a reference or relations only where the log has them."""
@@ -82,7 +88,8 @@ class LogRun:
             "ms_per_scan_median": 1e3 * float(np.median(self.step_s)),
             "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
         }
-        return found | self._against_reference() | self._relations() | {"counts": dict(self.counts)}
+        said = {"counts": dict(self.counts), "notes": list(self.notes)}
+        return found | self._against_reference() | self._relations() | said
 
     @property
     def dropped(self) -> int:
@@ -147,7 +154,10 @@ class LogDrive:
     ended: str = "interrupted"
 
     def __post_init__(self) -> None:
-        """Check that the log has what the configuration asks for. Raises `LogError`."""
+        """Make odometry of the scans where there is none. Raises `LogError` where the log lacks what is asked for."""
+        if self.config.odometry == "none" or (self.config.odometry == "log" and self.log.T_odom_robot is None):
+            made = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
+            self.log = made
         self._path()
 
     def _path(self) -> Array:
@@ -156,9 +166,7 @@ class LogDrive:
             if self.log.T_ref_robot is None:
                 raise LogError(f"{self.log.name}: odometry: the log has no reference path to make it of")
             return self.log.T_ref_robot
-        if self.log.T_odom_robot is None:
-            there = " (it has a reference path: odometry `reference`)" if self.log.T_ref_robot is not None else ""
-            raise LogError(f"{self.log.name}: odometry: the log has none{there}")
+        assert self.log.T_odom_robot is not None
         return self.log.T_odom_robot
 
     def planned(self) -> list[int]:
@@ -216,7 +224,7 @@ class LogDrive:
         return LogRun(
             *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
             *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
-            dict(self.log.counts) | {what: n for what, n in skipped.items() if n},
+            *(dict(self.log.counts) | {what: n for what, n in skipped.items() if n}, self.log.notes),
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.budget import budget_m
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import MapQuality, correct_coverage
@@ -47,7 +48,7 @@ class AssociationLog:
         self.votes = np.zeros((64, self.true_corners), np.int32)
         self.features = np.tile(np.array([-1, NEVER]), (64, 1))
         self.counts = np.zeros(4, np.int64)
-        self.rows = np.empty((1024, 4), np.int64)
+        self.rows = np.zeros((1024, 4), np.int64)
 
     def record(self, output: SlamOutput, truth: Ints) -> None:
         """Add a scan whose corners have the true identities `truth` (n,)."""
@@ -90,7 +91,7 @@ class AssociationLog:
         """The next rows (count,4) at the end of the log, still to be written."""
         first, self.used = self.used, self.used + count
         if self.used > len(self.rows):
-            self.rows = np.concatenate([self.rows, np.empty_like(self.rows)])
+            self.rows = np.concatenate([self.rows, np.zeros_like(self.rows)])
         return self.rows[first : self.used]
 
 
@@ -102,8 +103,10 @@ class EpisodeMetrics:
     T_map_robot: Array  # (3,) true pose in the map frame
     seen: Bools  # (H,W) free cells the robot has seen
     association: AssociationLog
+    max_steps: int = 1  # limit of the episode, for means over it
     swept_from: Array = field(default_factory=lambda: np.full(2, np.inf))  # (2,) m, world
     seen_cells: int = 0
+    seen_over_steps: int = 0  # sum of `seen_cells` over the control steps
     new_cells: int = 0  # seen for the first time in this step
     steps: int = 0
     contacts: int = 0  # steps with a contact
@@ -126,11 +129,11 @@ class EpisodeMetrics:
 
     @classmethod
     def begin(
-        cls, truth: GroundTruth, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES
+        cls, truth: GroundTruth, T_world_robot: Array, obstacles: DynamicObstacles = NO_OBSTACLES, max_steps: int = 1
     ) -> EpisodeMetrics:
-        """The metrics of an episode that starts at the true pose (3,) with dynamic obstacles."""
+        """The metrics of an episode of at most `max_steps` from the true pose (3,) with dynamic obstacles."""
         log = AssociationLog(len(truth.outline.corners) + len(obstacles.corners))
-        return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log)
+        return cls(T_world_robot.copy(), np.zeros(3), np.zeros_like(truth.free), log, max_steps)
 
     def look(
         self, truth: GroundTruth, T_world_robot: Array, output: SlamOutput, obstacles: DynamicObstacles = NO_OBSTACLES
@@ -143,15 +146,16 @@ class EpisodeMetrics:
         self._compare_pose(output.belief)
         self.compare_map(truth, output, due=output.step % MAP_STEPS == 0)
 
-    def move(self, increments: Array, contact: bool) -> None:
+    def move(self, truth: GroundTruth, increments: Array, contact: bool) -> None:
         """Count one control step: the true increments (M,2) of the body and whether it touched something."""
         self.steps += 1
+        self.seen_over_steps += self.seen_cells
         self.contacts += contact
         metres = 0.0
         for distance in increments[:, 0].tolist():
             metres += abs(distance)
         self.metres += metres
-        self.quality.drive(metres)
+        self.quality.drive(metres, budget_m(truth.free_cells * metric_arrays.CELL_M**2))
 
     def coverage(self, truth: GroundTruth) -> float:
         """Share of the true free area that the robot has seen."""
@@ -162,11 +166,17 @@ class EpisodeMetrics:
         share = max(0.0, self.coverage(truth) - self.quality.correct_coverage)
         return share * truth.free_cells * metric_arrays.CELL_M**2
 
-    def correct_areas(self) -> dict[str, float]:
-        """Mean correct coverage over the control steps until now, and over the metres; 0 before the first."""
+    def over_limits(self, truth: GroundTruth) -> dict[str, float]:
+        """Mean coverage and correct coverage over the step limit, and the latter over the metres of `budget_m`.
+
+        After the last step they hold: a mean until now would favour an episode that ends early with little.
+        """
+        held = max(0, self.max_steps - self.steps) * self.seen_cells
+        free_m2 = truth.free_cells * metric_arrays.CELL_M**2
         return {
-            "correct_coverage_over_steps": self.quality.over_steps / max(1, self.steps),
-            "correct_coverage_over_metres": self.quality.over_metres / max(self.metres, 1e-9),
+            "coverage_over_steps": (self.seen_over_steps + held) / (self.max_steps * truth.free_cells),
+            "correct_coverage_over_steps": self.quality.mean_over_steps(self.steps, self.max_steps),
+            "correct_coverage_over_metres": self.quality.mean_over_metres(budget_m(free_m2)),
         }
 
     def in_map(self, T_world_robot: Array) -> Array:
@@ -246,7 +256,7 @@ class EpisodeMetrics:
             "contacts": self.contacts,
             "coverage": self.coverage(truth),
             "correct_coverage": correct_coverage(truth.floor_and_walls, output.grid, self.T_world_map),
-            **self.correct_areas(),
+            **self.over_limits(truth),
             "free_area_m2": truth.free_cells * metric_arrays.CELL_M**2,
             "rooms": len(truth.outline.rooms),
             "rooms_found": rooms,
@@ -282,7 +292,7 @@ def figures(metrics: EpisodeMetrics, truth: GroundTruth, output: SlamOutput) -> 
     return {
         "coverage": metrics.coverage(truth),
         "correct_coverage": metrics.quality.correct_coverage,  # every 25 steps
-        **metrics.correct_areas(),
+        **metrics.over_limits(truth),
         "map_error_m": metrics.quality.map_error_m,  # every 25 steps
         "pose_error_m": metrics.pose_error_m,
         "heading_error_rad": metrics.heading_error_rad,

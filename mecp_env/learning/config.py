@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 import tyro
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from mecp_env.config import EnvConfig, RewardConfig, merge, refuse_unknown
+from mecp_env.config import EnvConfig, merge, refuse_unknown
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.episode.tasks import task_fields
@@ -49,7 +49,6 @@ class Environment(EnvConfig):
     layout: Annotated[str, tyro.conf.Suppress] = "two_rooms"
     actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
     start: Literal["layout", "random"] = "random"
-    reward: RewardConfig = RewardConfig(completion=1.0)
 
 
 class BuildingsConfig(Settings):
@@ -182,10 +181,9 @@ class TrainConfig(Settings):
         return self.model_dump(mode="json") | {"env": env}
 
 
-COMMON: dict[str, Any] = {"env": {"start": "random", "reward": {"completion": 1.0}}}
+COMMON: dict[str, Any] = {"env": {"start": "random"}}
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
-    "env": {"reward": {"contact": -0.01, "time": -0.001}},  # with the defaults it learns to stand still
     "network": {"width": 32, "grid_channels": 8},
     "ppo": {"steps": 128, "batch": 512, "epochs": 3, "learning_rate": 3e-4, "discount": 0.995},
     "log": {"evaluate_every": 100_000, "evaluate_buildings": 8},

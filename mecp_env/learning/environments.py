@@ -17,12 +17,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.core.budget import budget_m
+from mecp_env.core.cores import cores
 from mecp_env.core.errors import LayoutError
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import DownsampledObservation
 from mecp_env.learning.sb3_batch import SB3Batch
-from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.vector import BatchEnv
 
 Env = gym.Env[Any, Any]
@@ -225,14 +227,18 @@ class HereVecEnv(DummyVecEnv):
 def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
     """The environments of a run, seeded."""
     makers = [partial(make_env, config, index) for index in range(config.environments)]
-    venv = vectorise(makers, config.workers)
+    venv = vectorise(makers, config.workers, computing=config.actions == "velocity")  # goals have processes anyway
     venv.seed(seed)
     return TimedVecEnv(venv)
 
 
-def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch") -> VecEnv:
-    """Many environments as one: in few processes, each in its own process, or all in this one."""
+def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch", computing: bool = False) -> VecEnv:
+    """Many environments as one: in few processes, each in its own process, or all in this one.
+
+    `computing`: this process computes while a batch steps, so that it should step no environment itself.
+    """
     if workers == "here":
         return HereVecEnv(makers)
-    count = len(makers) if workers == "processes" else None
+    few = cores() if computing else None
+    count = len(makers) if workers == "processes" else few
     return SB3Batch(BatchEnv(makers, workers=count, autoreset_mode=AutoresetMode.SAME_STEP))

@@ -69,6 +69,7 @@ class RunLog:
         columns = (BarColumn(BAR_WIDTH), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
         self.bar = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.description}"), console=console)
         self.task = self.bar.add_task("starting", total=steps)
+        self.steps, self.tenths = steps, 0
 
     def __enter__(self) -> Self:
         curves = [tensorboard_format(self.folder)] if self.tensorboard else []
@@ -88,8 +89,12 @@ class RunLog:
         self.advance(decisions)
 
     def advance(self, decisions: int, description: str | None = None) -> None:
-        """Update the progress bar."""
+        """Update the progress bar; without a terminal, print a line at every tenth of the way."""
         self.bar.update(self.task, completed=decisions, description=description)
+        tenths = 10 * decisions // self.steps
+        if tenths > self.tenths and not self.bar.console.is_terminal:
+            self.echo(f"{decisions:,} of {self.steps:,} decisions, {description or 'continued'}")
+        self.tenths = tenths
 
     def echo(self, text: str) -> None:
         """Print a line above the bar."""

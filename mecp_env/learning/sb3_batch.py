@@ -46,6 +46,7 @@ class SB3Batch(VecEnv):
             raise ValueError('Stable-Baselines3 wants a batch with autoreset_mode="SameStep" and copy=True')
         self.batch, self._listed = batch, DictInfoToList(batch)
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+        self.metadata = batch.metadata  # of which films take the frame rate
 
     def reset(self) -> Any:
         """First observations; seeds given by `seed` and options given by `set_options` count once."""

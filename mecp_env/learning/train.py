@@ -23,11 +23,12 @@ from mecp_env.learning.run_folder import RunFolder
 from mecp_env.learning.run_log import RunLog
 from mecp_env.learning.warm_start import check_teacher, warm_start
 
+AT_ONCE: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 
 
 def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
-    """Train in a folder, or continue the run there: True at its end, False after Ctrl-C, which saves everything.
+    """Train in a folder, or continue the run there: True at its end, False after Ctrl-C or SIGTERM, which save all.
 
     Raises `ConfigError` before anything is written, `WorkerDied`, and `NotFiniteError`.
     """
@@ -35,7 +36,7 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
     with closing(RunFolder(folder, config)) as run_folder:
         run_folder.resume() if resume else run_folder.start()
         log = RunLog(folder, config.steps, config.log.tensorboard)
-        with TrainingRun(run_folder, log) as run, log, stopped_by_ctrl_c(run):  # the log starts threads after the forks
+        with TrainingRun(run_folder, log) as run, log, stopped_in_order(run):  # the log starts threads after the forks
             done = run.train(resume)
         draw_training(folder)
         return done
@@ -103,16 +104,18 @@ class TrainingRun:
 
 
 @contextmanager
-def stopped_by_ctrl_c(run: TrainingRun) -> Iterator[None]:
-    """Within it the first Ctrl-C ends the run in order, a second one at once."""
+def stopped_in_order(run: TrainingRun) -> Iterator[None]:
+    """Within it Ctrl-C or SIGTERM, as of a cluster's scheduler, ends the run in order; a second one ends it at once."""
 
     def stop(number: int, frame: Any) -> None:
         run.statistics.stop = True
-        run.log.echo("stopping: everything is saved after this step; Ctrl-C again ends at once")
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        run.log.echo(f"stopping: everything is saved after this step; {name} again ends at once")
+        signal.signal(number, AT_ONCE[signal.Signals(number)])
 
-    before = signal.signal(signal.SIGINT, stop)
+    before = {number: signal.signal(number, stop) for number in AT_ONCE}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from mecp_env.core.array_types import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.paths import read_bytes
-from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
+from mecp_env.logs.recording import Budget, Geometry, Recording, Sweep, Track
 
 MOST_BYTES = 2**31  # of the file, and unpacked
 SHAPES = {  # n scans of B beams
@@ -30,15 +31,18 @@ UNEVEN = 0.25  # of a step, by which an angle may be off
 
 def read_archive(path: Path) -> Recording:
     """What is in an archive. Raises `LogError`."""
-    arrays = _arrays(read_bytes(path, MOST_BYTES))
+    data = read_bytes(path, MOST_BYTES)
+    recording = Recording(path.name, budget=Budget.of(len(data)))
+    arrays = _arrays(data, recording.budget)
     _check_shapes(arrays)
-    recording = Recording(path.name)
     geometry = _geometry(arrays["angles"], float(arrays.get("max_range_m", np.array(np.inf))))
     stamps = arrays["t"].tolist()
-    recording.sweeps = [Sweep(t, sweep, geometry) for t, sweep in zip(stamps, arrays["ranges"], strict=True)]
-    recording.odometry, recording.reference = (
-        Track(stamps, list(arrays[name])) if name in arrays else Track() for name in ("odo", "ref")
-    )
+    stamps, odometry = arrays["t"].tolist(), arrays.get("odo", np.empty((0, 3)))
+    poses = list(odometry) or [None] * len(stamps)
+    for row, (t, sweep, pose) in enumerate(zip(stamps, arrays["ranges"], poses, strict=True)):
+        recording.add(Sweep(t, sweep, geometry, pose, order=float(row)))
+    if "ref" in arrays:
+        recording.reference = Track(stamps, list(arrays["ref"]), [float(row) for row in range(len(stamps))])
     relations = arrays.get("rel", recording.relations)
     recording.relations = relations[np.isfinite(relations).all(axis=1)]
     recording.counts["damaged relations"] += len(relations) - len(recording.relations)
@@ -46,13 +50,13 @@ def read_archive(path: Path) -> Recording:
     return recording
 
 
-def _arrays(data: bytes) -> dict[str, Array]:
+def _arrays(data: bytes, budget: Budget) -> dict[str, Array]:
     """The arrays of known names, as numbers. Raises `LogError`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > MOST_BYTES:
-            raise LogError(f"it has {size} bytes unpacked, at most {MOST_BYTES}")
+            for member in archive.infolist():
+                if member.filename.removesuffix(".npy") in SHAPES:
+                    _check_size(archive, member, budget)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             _check_names(list(archive))
             return {name: np.array(archive[name], np.float64) for name in SHAPES if name in archive}
@@ -60,6 +64,18 @@ def _arrays(data: bytes) -> dict[str, Array]:
         raise
     except Exception as error:  # damaged bytes may raise anything
         raise LogError(f"no NumPy archive, or damaged ({type(error).__name__}: {error!s:.80})") from None
+
+
+def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, budget: Budget) -> None:
+    """Spend what an array takes as it is and as numbers. Raises `LogError` before it is unpacked."""
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, kind = read(file)
+    if kind.hasobject:
+        raise LogError(f"{member.filename}: damaged, or Python objects instead of numbers")
+    counted_again = 8 if member.filename == "ranges.npy" else 0  # with the sweeps
+    budget.take(math.prod(shape) * (max(kind.itemsize, 8) - counted_again))
 
 
 def _check_names(names: list[str]) -> None:

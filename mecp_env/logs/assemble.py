@@ -6,156 +6,94 @@ Whatever is skipped or repaired is counted; a few wrong stamps or readings are n
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import Counter
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import LogError
-from mecp_env.core.trajectories import between, chained, composed, interpolated, wrapped
+from mecp_env.core.trajectories import between, chained, composed, interpolated
+from mecp_env.logs.clock import Clock, ascending_rows, listed, set_stamps
+from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
-from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
+from mecp_env.logs.readings import Readings, clean
+from mecp_env.logs.recording import Recording, Sweep, Track
 
-LATEST_S = 1e11  # no stamp is later: the year 5138
 FARTHEST_M = 1e6  # no pose is farther
 GAP = 5.0  # medians between two scans
 FASTEST_M_S = 5.0  # a faster motion is a jump of the odometry, not one of the robot,
 SLACK_M = 0.5  # if it is longer than this
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
+FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
-LONGEST_M = 1000.0  # no laser measures farther
-LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
-BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
-FEWEST_BEAMS, NARROWEST_DEG = 8, 10.0
+WAY_OUT = "--clock received takes the order of the file in place of the stamps (in a bag, the times of receipt)"
 
 
-def assemble(recording: Recording, max_range_m: float | None = None, field_of_view_deg: float | None = None) -> Log:
+def assemble(
+    recording: Recording,
+    max_range_m: float | None = None,
+    field_of_view_deg: float | None = None,
+    clock: Clock = "message",
+    laser_yaw_deg: float = 0.0,
+) -> Log:
     """The log. Readings from `max_range_m` on are no returns; beams outside the field of view are left out.
+
+    `clock`: whose stamps count; `laser_yaw_deg` is added to the heading of the laser on the robot.
 
     Raises `LogError` where nothing is left.
     """
-    counts = recording.counts
-    sweeps = _in_order(recording.sweeps, counts)
-    geometry = _most_common(sweeps)
-    order, bearings = _ascending(geometry, field_of_view_deg)
-    ranges = _on_beams(sweeps, geometry, counts)[:, order]
-    limit = max_range_m or _limit(ranges, geometry.max_range_m)
+    counts, found = recording.counts, len(recording.sweeps)
+    set_stamps(recording, clock)
+    readings = _readings(recording, max_range_m, field_of_view_deg)
+    sweeps = recording.sweeps
     mount, reference = _mount(recording, sweeps, counts)
+    mount[2] = math.remainder(mount[2] + math.radians(laser_yaw_deg), 2.0 * math.pi)
     t = np.array([sweep.t for sweep in sweeps])
-    T_odom = _at(t, _odometry(recording, sweeps), "odometry", counts)
-    T_ref = _at(t, reference, "reference pose", counts)
+    odometry = _odometry(recording, sweeps)
+    T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
-    if not kept.any():
-        raise LogError(f"no scan with odometry ({_listed(counts)})")
+    _check_clocks(recording, t, odometry, kept)
     counts["gaps in time"] += _gaps(t[kept])
+    ranges = readings.ranges if kept.all() else readings.ranges[kept]
     return Log(
-        *(recording.name, t[kept], _sound(ranges[kept], limit, geometry.min_range_m, counts), bearings, limit, mount),
+        *(recording.name, t[kept], ranges, readings.bearings, readings.limit_m, mount),
         *(None if T_odom is None else _bridged(t[kept], T_odom[kept], counts), None if T_ref is None else T_ref[kept]),
-        *(recording.relations, +counts),
+        relations=recording.relations,
+        counts=+counts,
+        notes=tuple(recording.notes),
+        found=found,
     )
 
 
-def _listed(counts: Counter[str]) -> str:
-    return ", ".join(f"{n} {what}" for what, n in (+counts).items()) or "nothing else is in it"
+def _readings(recording: Recording, max_range_m: float | None, view_deg: float | None) -> Readings:
+    """Those of the only laser, or of several, whose sweeps then become those of one scanner. Raises `LogError`."""
+    counts, budget = recording.counts, recording.budget
+    if not recording.mounts:
+        return clean(recording.sweeps, counts, budget, max_range_m, view_deg)
+    used = sorted({sweep.laser for sweep in recording.sweeps})
+    groups = [[sweep for sweep in recording.sweeps if sweep.laser == laser] for laser in used]
+    lasers = [(sweeps, clean(sweeps, counts, budget, max_range_m, None)) for sweeps in groups]
+    mounts = [recording.mounts[laser] for laser in used]
+    recording.sweeps = one_scanner(lasers, mounts, recording.odometry, counts)
+    farthest = max(
+        readings.limit_m + float(np.hypot(*mount[:2])) for (_, readings), mount in zip(lasers, mounts, strict=True)
+    )
+    unused = Counter[str]()  # beams that no laser covers are no readings without a return
+    return clean(recording.sweeps, unused, budget, farthest, view_deg)
 
 
-def _in_order(sweeps: list[Sweep], counts: Counter[str]) -> list[Sweep]:
-    """The most sweeps whose stamps ascend, in the order of the file. Raises `LogError` without any."""
-    stamps = np.array([sweep.t for sweep in sweeps], np.float64)
-    rows = _ascending_rows(stamps)
-    same = len(stamps) - len(np.unique(stamps))
-    counts["scans with the stamp of another"] += same
-    counts["scans with an impossible stamp, or out of order"] += len(stamps) - len(rows) - same
-    if not len(rows):
-        raise LogError(f"no scan that can be used ({_listed(counts)})")
-    return [sweeps[row] for row in rows]
-
-
-def _ascending_rows(t: Array) -> Ints:
-    """Rows of the longest ascending subsequence of t (n,): one wrong stamp costs one row, wherever it points."""
-    ends: list[float] = []  # of the best subsequence of each length, the last stamp
-    last: list[int] = []  # and its row
-    before = np.full(len(t), -1)
-    for row in np.flatnonzero(abs(t) < LATEST_S).tolist():
-        length = bisect_left(ends, t[row])
-        before[row] = last[length - 1] if length else -1
-        ends[length : length + 1], last[length : length + 1] = [float(t[row])], [row]
-    rows = [last[-1]] if last else []
-    while rows and before[rows[-1]] >= 0:
-        rows.append(int(before[rows[-1]]))
-    return np.array(rows[::-1], np.int64)
-
-
-def _most_common(sweeps: list[Sweep]) -> Geometry:
-    """The geometry that most sweeps have."""
-    rounded = [_rounded(sweep.geometry) for sweep in sweeps]
-    return sweeps[rounded.index(Counter(rounded).most_common(1)[0][0])].geometry
-
-
-def _rounded(geometry: Geometry) -> Geometry:
-    """The same for all sweeps of a laser, whatever the last digits are."""
-    return geometry._replace(start_rad=round(geometry.start_rad, 4), step_rad=round(geometry.step_rad, 6))
-
-
-def _ascending(geometry: Geometry, field_of_view_deg: float | None) -> tuple[Ints, Array]:
-    """The readings that are used (B,), and their bearings (B,) rad, ascending. Raises `LogError`."""
-    beams, step = geometry.beams, abs(geometry.step_rad)
-    if not beams * step > 0.0 or not math.isfinite(beams * step):
-        raise LogError(f"laser: {beams} beams {geometry.step_rad:g} rad apart")
-    once = wrapped(geometry.angles[: round(2.0 * math.pi / step)])  # the last beam of a circle may repeat the first
-    once[once == -math.pi] = math.pi
-    order = np.argsort(once)
-    order = order[abs(once[order]) <= math.radians(0.5 * (field_of_view_deg or 360.0)) + 1e-9]
-    bearings = once[order]
-    span = math.degrees(float(np.ptp(bearings))) if len(bearings) else 0.0
-    if len(bearings) < FEWEST_BEAMS or span < NARROWEST_DEG or not (np.diff(bearings) > 0.0).all():
-        raise LogError(
-            f"laser: {len(bearings)} beams over {span:g} deg, at least {FEWEST_BEAMS} over {NARROWEST_DEG:g} expected"
-        )
-    return order, bearings
-
-
-def _on_beams(sweeps: list[Sweep], geometry: Geometry, counts: Counter[str]) -> Array:
-    """(n,B) m of all sweeps: those of another geometry give each beam the nearest of theirs."""
-    ranges, usual = np.empty((len(sweeps), geometry.beams)), _rounded(geometry)
-    for row, sweep in enumerate(sweeps):
-        if _rounded(sweep.geometry) == usual:
-            ranges[row] = sweep.ranges
-        else:
-            counts["scans with other beams, resampled"] += 1
-            ranges[row] = _resampled(sweep, geometry)
-    return ranges
-
-
-def _resampled(sweep: Sweep, geometry: Geometry) -> Array:
-    """(B,) m at the bearings of a geometry; nan where the sweep has no beam within a step."""
-    step = sweep.geometry.step_rad or math.inf
-    place = wrapped(geometry.angles - sweep.geometry.start_rad) / step
-    place = np.where(place < -0.5, place + 2.0 * math.pi / abs(step), place)  # behind the first beam: the other way
-    beam = np.rint(place).clip(-1, sweep.geometry.beams).astype(np.int64)
-    there = (beam >= 0) & (beam < sweep.geometry.beams)
-    return np.where(there, sweep.ranges[np.where(there, beam, 0)], np.nan)
-
-
-def _limit(ranges: Array, stated: float) -> float:
-    """m from which on a reading is no return: by the log, by a common limit near the largest reading, or that."""
-    if 0.0 < stated <= LONGEST_M:
-        return BELOW_LIMIT * stated
-    top = float(ranges[ranges <= LONGEST_M].max(initial=0.0))
-    if top <= 0.0:
-        raise LogError("laser: no reading above 0 m")
-    near = [limit for limit in LIMITS_M if BELOW_LIMIT * limit <= top <= 1.001 * limit]
-    return BELOW_LIMIT * near[0] if near else float(np.nextafter(top, math.inf))
-
-
-def _sound(ranges: Array, limit: float, least: float, counts: Counter[str]) -> Array:
-    """The readings (n,B) with nan for all that measure nothing."""
-    near = (ranges <= 0.0) | (ranges < least)
-    far = ~near & ~(ranges < limit)
-    counts["readings below the least range"] += int(near.sum())
-    counts["readings without a return"] += int(far.sum())
-    return np.where(near | far, np.nan, ranges)
+def _check_clocks(recording: Recording, t: Array, odometry: Track, kept: Bools) -> None:
+    """Note where few scans have odometry, whose span of time is another. Raises `LogError` where none has."""
+    if kept.mean() >= FEW_SHARE:
+        return
+    sound = np.array([stamp for stamp in odometry.t if math.isfinite(stamp)] or [math.nan])
+    spans = (
+        f"{kept.sum()} of {len(t)} scans have odometry: scans from {t[0]:.3f} s to {t[-1]:.3f} s, "
+        f"odometry from {sound.min():.3f} s to {sound.max():.3f} s; {WAY_OUT}, --odometry none does without"
+    )
+    if not kept.any():
+        raise LogError(f"no scan with odometry: {spans} ({listed(recording)})")
+    recording.notes.append(spans)
 
 
 def _odometry(recording: Recording, sweeps: list[Sweep]) -> Track:
@@ -171,7 +109,7 @@ def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> t
     corrected by another program, and serves as reference where the log has no other.
     """
     stated = np.zeros(3) if recording.T_robot_laser is None else recording.T_robot_laser
-    pairs = [(s.T_odom_robot, s.T_odom_laser) for s in sweeps if s.T_odom_robot is not None]
+    pairs = [(s.T_odom_robot, s.T_odom_laser) for s in sweeps if s.T_odom_laser is not None]
     if not pairs:
         return _near(stated, counts), recording.reference
     T_robot, T_laser = (np.array(poses, np.float64) for poses in zip(*pairs, strict=True))
@@ -199,7 +137,7 @@ def _at(t: Array, track: Track, what: str, counts: Counter[str]) -> Array | None
         return None
     stamps, poses = np.array(track.t, np.float64), np.array(track.poses, np.float64)
     rows = np.flatnonzero((abs(poses) < FARTHEST_M).all(axis=1))
-    rows = rows[_ascending_rows(stamps[rows])]
+    rows = rows[ascending_rows(stamps[rows])]
     counts[f"samples of the {what} that are damaged or out of order"] += len(stamps) - len(rows)
     inside = (t >= stamps[rows[0]]) & (t <= stamps[rows[-1]]) if len(rows) else np.zeros(len(t), bool)
     counts[f"scans without {what}"] += int((~inside).sum())

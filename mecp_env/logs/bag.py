@@ -1,28 +1,30 @@
-"""ROS 1 and ROS 2 bags, by the package `rosbags`: LaserScan, Odometry, and the mounting pose from the frames."""
+"""ROS 1 and ROS 2 bags, by the package `rosbags`: LaserScan, Odometry or its frames, and where lasers are mounted."""
 
 from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
+from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
-from mecp_env.logs.recording import Geometry, Recording, Sweep
+from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, planar, transform
+from mecp_env.logs.recording import POSE_BYTES, Budget, Geometry, Recording, Sweep
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-STATIC, MOVING = "/tf_static", "/tf"  # ROS 1 bags often have the fixed frames among the others
+FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
-MOST_FRAMES = 32  # between the laser and the robot
-Transform = Array  # (4,4)
+MOST_LASERS = 8
+Choice = Sequence[str]
+Taker = Callable[[Any, float], None]
 
 
 @dataclass(slots=True, eq=False)
@@ -30,9 +32,9 @@ class BagLog:
     """What the messages so far have said."""
 
     recording: Recording
-    laser_frame: str = ""
+    frames: Frames
     robot_frame: str = ""
-    parents: dict[str, tuple[str, Transform]] = field(default_factory=dict)  # frame -> its parent, pose in it
+    lasers: list[str] = field(default_factory=list)  # their frames, in the order of `Sweep.laser`
 
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
@@ -42,36 +44,45 @@ class BagLog:
         if not (0 < len(ranges) <= MOST_BEAMS and all(map(math.isfinite, (*view, limits[0])))):
             raise ValueError
         geometry = Geometry(len(ranges), *view, limits[0], limits[1] if limits[1] > limits[0] else math.inf)
-        self.laser_frame = self.laser_frame or str(message.header.frame_id).strip("/")
-        self.recording.sweeps.append(Sweep(_stamp(message.header, received), ranges, geometry))
+        laser = self._laser(_name(message.header.frame_id))
+        self.recording.add(Sweep(_stamp(message.header, received), ranges, geometry, order=received, laser=laser))
+
+    def _laser(self, frame: str) -> int:
+        """Which laser has this frame. Raises `LogError` for too many."""
+        if frame not in self.lasers:
+            if len(self.lasers) == MOST_LASERS:
+                raise LogError(f"scans of more than {MOST_LASERS} frames: {', '.join(self.lasers)}")
+            self.lasers.append(frame)
+        return self.lasers.index(frame)
+
+    def mounts(self, lasers: Sequence[int], robot: str) -> dict[int, Transform]:
+        """The poses in the frame of the robot of those lasers that have one."""
+        found = {laser: self.frames.mount(self.lasers[laser], robot) for laser in lasers}
+        return {laser: T for laser, T in found.items() if T is not None}
 
     def odometry(self, message: Any, received: float) -> None:
         """A pose of the robot by its wheels."""
-        T = _transform(message.pose.pose.position, message.pose.pose.orientation)
-        self.robot_frame = self.robot_frame or str(message.child_frame_id).strip("/")
-        self.recording.odometry.add(_stamp(message.header, received), _planar(T))
+        T = transform(message.pose.pose.position, message.pose.pose.orientation)
+        self.robot_frame = self.robot_frame or _name(message.child_frame_id)
+        self.recording.budget.take(POSE_BYTES)
+        self.recording.odometry.add(_stamp(message.header, received), planar(T), received)
 
-    def frames(self, message: Any, received: float) -> None:
-        """Where frames are in their parents."""
+    def tf(self, message: Any, received: float) -> None:
+        """Where frames are in their parents; a damaged one is left out."""
         for one in message.transforms:
-            T = _transform(one.transform.translation, one.transform.rotation)
-            self.parents[str(one.child_frame_id).strip("/")] = str(one.header.frame_id).strip("/"), T
+            try:
+                T = transform(one.transform.translation, one.transform.rotation)
+            except ValueError as error:
+                self.damaged(error, "transforms")
+                continue
+            self.frames.add(
+                _name(one.header.frame_id), _name(one.child_frame_id), T, _stamp(one.header, received), received
+            )
 
-    def mount(self) -> Transform | None:
-        """The laser's pose in the robot's frame, where static frames join the two."""
-        above = dict(self._chain(self.laser_frame)), dict(self._chain(self.robot_frame))
-        common = next((name for name in above[0] if name in above[1]), None)
-        return None if common is None else np.linalg.inv(above[1][common]) @ above[0][common]
-
-    def _chain(self, frame: str) -> Iterator[tuple[str, Transform]]:
-        """The frame and those above it, each with the pose of the first in it."""
-        T = np.eye(4)
-        for _ in range(MOST_FRAMES):
-            yield frame, T
-            if frame not in self.parents:
-                return
-            frame, step = self.parents[frame]
-            T = step @ T
+    def damaged(self, error: Exception, what: str) -> None:
+        """Count what cannot be used, by its fault."""
+        named = f"{what} with a quaternion of zeros" if isinstance(error, ZeroQuaternion) else f"damaged {what}"
+        self.recording.counts[named] += 1
 
 
 def is_bag(path: Path) -> bool:
@@ -79,17 +90,22 @@ def is_bag(path: Path) -> bool:
     return path.suffix in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file()
 
 
-def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> Recording:
-    """What is in a bag. Raises `LogError`."""
+def read_bag(
+    path: Path, scan_topics: Choice = (), odometry_topic: str | None = None, frame: str | None = None
+) -> Recording:
+    """What is in a bag; `frame` names the laser to read. Raises `LogError`."""
     try:
         reader = importlib.import_module("rosbags.highlevel")
         stores = importlib.import_module("rosbags.typesys")
     except ImportError:
         raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
-    log = BagLog(Recording(path.name))
+    recording = Recording(path.name, budget=Budget.of(_size(path)))
+    check_chunks(path, recording.budget.most)
+    log, kinds = BagLog(recording, Frames(recording.budget)), dict[str, str]()
     try:
         with reader.AnyReader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
-            _read(bag, log, scan_topic, odometry_topic)
+            kinds |= {connection.topic: connection.msgtype for connection in bag.connections}
+            _read(bag, log, _takers(kinds, log, scan_topics, odometry_topic))
     except LogError:
         raise
     except Exception as error:  # damaged bytes may raise anything
@@ -97,43 +113,59 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise LogError(f"no bag, or damaged; {REPAIR} ({reason:.160})") from None
         log.recording.counts["bag cut short"] += 1
-    _turn_over(log)
+    _choose_frame(log, frame)
+    _find_odometry(log, kinds)
+    _mount(log)
     return log.recording
 
 
-def _read(bag: Any, log: BagLog, scan_topic: str | None, odometry_topic: str | None) -> None:
-    """All messages of the chosen topics."""
-    kinds = {connection.topic: connection.msgtype for connection in bag.connections}
-    scans = _topic(kinds, SCAN, scan_topic, "--scan-topic")
-    if scans is None:
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files of a folder."""
+    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+    return sum(file.stat().st_size for file in files)
+
+
+def _takers(kinds: dict[str, str], log: BagLog, scan_topics: Choice, odometry_topic: str | None) -> dict[str, Taker]:
+    """What takes the messages of each topic that is read. Raises `LogError`."""
+    scans = _topics(kinds, SCAN, scan_topics, "--scan-topic")
+    if not scans:
         raise LogError(f"no laser: no topic of type {SCAN}; topics: {_listed(kinds)}")
-    odometry = _topic(kinds, ODOMETRY, odometry_topic, "--odometry-topic")
-    takers = {scans: log.scan, odometry: log.odometry}
-    takers |= dict.fromkeys(_frame_topics(kinds), log.frames)
+    odometry = _topics(kinds, ODOMETRY, [odometry_topic] if odometry_topic else [], "--odometry-topic")
+    takers: dict[str, Taker] = dict.fromkeys(
+        (topic for topic, kind in kinds.items() if kind in FRAMES and topic.endswith(FRAME_TOPICS)), log.tf
+    )
+    return takers | dict.fromkeys(scans, log.scan) | dict.fromkeys(odometry, log.odometry)
+
+
+def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
+    """All messages of the chosen topics."""
     for connection, received, data in bag.messages([c for c in bag.connections if c.topic in takers]):
         try:
             takers[connection.topic](bag.deserialize(data, connection.msgtype), 1e-9 * received)
-        except Exception:  # damaged bytes may raise anything
-            log.recording.counts["damaged messages"] += 1
+        except LogError:
+            raise
+        except Exception as error:  # damaged bytes may raise anything
+            log.damaged(error, "messages")
 
 
-def _frame_topics(kinds: dict[str, str]) -> list[str]:
-    """The topic of the frames: of the fixed ones, or else of all."""
-    return [topic for topic in (STATIC, MOVING) if kinds.get(topic) in FRAMES][:1]
-
-
-def _topic(kinds: dict[str, str], kind: str, asked: str | None, option: str) -> str | None:
-    """The topic of a type: as asked, or the only one; None without any. Raises `LogError`."""
+def _topics(kinds: dict[str, str], kind: str, asked: Choice, option: str) -> list[str]:
+    """The topics of a type: as asked, or the only one; none without any. Raises `LogError`."""
     found = sorted(topic for topic, its in kinds.items() if its == kind)
-    if asked is not None and asked not in found:
-        raise LogError(f"{option}: no {kind} on {asked!r:.80}{guess(asked, found)}; topics: {_listed(kinds)}")
-    if asked is None and len(found) > 1:
-        raise LogError(f"{option}: {len(found)} topics of type {kind}, one must be named: {', '.join(found)}")
-    return asked or next(iter(found), None)
+    for topic in asked:
+        if topic not in found:
+            raise LogError(f"{option}: no {kind} on {topic!r:.80}{guess(topic, found)}; topics: {_listed(kinds)}")
+    if not asked and len(found) > 1:
+        several = "; named more than once, it merges several" if kind == SCAN else ""
+        raise LogError(f"{option}: {len(found)} topics of type {kind}, one must be named: {', '.join(found)}{several}")
+    return list(dict.fromkeys(asked)) or found
 
 
 def _listed(kinds: dict[str, str]) -> str:
     return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))[:600] or "none"
+
+
+def _name(frame: Any) -> str:
+    return str(frame).strip("/")
 
 
 def _stamp(header: Any, received: float) -> float:
@@ -142,30 +174,55 @@ def _stamp(header: Any, received: float) -> float:
     return float(stamp) if stamp > 0.0 else received
 
 
-def _transform(position: Any, rotation: Any) -> Transform:
-    """(4,4) of a position and a quaternion. Raises `ValueError` unless they are finite and of length 1."""
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
-    T = np.eye(4)
-    T[:3, 3] = position.x, position.y, position.z
-    T[0, :3] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
-    T[1, :3] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
-    T[2, :3] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
-    if not np.isfinite(T).all() or abs(x * x + y * y + z * z + w * w - 1.0) > 0.01:
-        raise ValueError
-    return T
-
-
-def _planar(T: Transform) -> Array:
-    """(3,) x, y, heading of a transform."""
-    return np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
-
-
-def _turn_over(log: BagLog) -> None:
-    """The mounting pose, where the bag has it; a laser that hangs upside down turns the other way."""
-    mount = log.mount()
-    if mount is None:
+def _choose_frame(log: BagLog, frame: str | None) -> None:
+    """Keep the sweeps of one frame, where it is named. Raises `LogError`."""
+    if frame is None:
         return
-    log.recording.T_robot_laser = _planar(mount)
-    if mount[2, 2] < 0.0:
-        log.recording.counts["scans of a laser upside down, mirrored"] = len(log.recording.sweeps)
-        log.recording.sweeps = [sweep.mirrored() for sweep in log.recording.sweeps]
+    if _name(frame) not in log.lasers:
+        there = ", ".join(log.lasers) or "none"
+        raise LogError(f"--scan-frame: no scan in {frame!r:.80}{guess(frame, log.lasers)}; frames of scans: {there}")
+    chosen = log.lasers.index(_name(frame))
+    log.recording.counts["scans of another frame"] += sum(s.laser != chosen for s in log.recording.sweeps)
+    log.recording.sweeps = [sweep for sweep in log.recording.sweeps if sweep.laser == chosen]
+
+
+def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
+    """Odometry from the frames, where no message has it; a note of where it was looked for."""
+    edge = log.frames.odometry()
+    if log.recording.odometry.t:
+        return
+    if edge is not None:
+        log.recording.odometry, log.robot_frame = log.frames.moving[edge], edge[1]
+        log.recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
+        return
+    looked = f"topics: {_listed(kinds)}; frames: {log.frames.listed()}"
+    log.recording.notes.append(f"no odometry: no message of type {ODOMETRY}, and no frame that moves in odom; {looked}")
+
+
+def _mount(log: BagLog) -> None:
+    """The mounting poses, where the bag has them. Raises `LogError` where one of several lasers has none."""
+    recording, robot = log.recording, log.frames.robot(log.robot_frame)
+    used = sorted({sweep.laser for sweep in recording.sweeps})
+    known = log.mounts(used, robot)
+    _turn_over(recording, {laser for laser, T in known.items() if T[2, 2] < 0.0})
+    if len(used) > 1:
+        _check_mounts(log, [log.lasers[laser] for laser in used if laser not in known], robot)
+        recording.mounts = [planar(known.get(laser, np.eye(4))) for laser in range(len(log.lasers))]
+    elif known:
+        recording.T_robot_laser = planar(known[used[0]])
+
+
+def _turn_over(recording: Recording, upside_down: set[int]) -> None:
+    """A laser that hangs upside down turns the other way."""
+    recording.counts["scans of a laser upside down, mirrored"] += sum(s.laser in upside_down for s in recording.sweeps)
+    recording.sweeps = [s.mirrored() if s.laser in upside_down else s for s in recording.sweeps]
+
+
+def _check_mounts(log: BagLog, lost: list[str], robot: str) -> None:
+    """Raise `LogError` where lasers have no mounting pose."""
+    if lost:
+        there = f"frames: {log.frames.listed()}"
+        raise LogError(
+            f"scans of {len(log.lasers)} frames ({', '.join(log.lasers)}), and no mounting pose in "
+            f"{robot or 'base_link'!r:.80} of {', '.join(lost)}; --scan-frame names one; {there}"
+        )

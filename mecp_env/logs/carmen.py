@@ -16,9 +16,10 @@ import io
 import math
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -26,11 +27,13 @@ from mecp_env.core.array_types import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.paths import read_bytes
 from mecp_env.core.settings import guess
-from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
+from mecp_env.logs.recording import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, Recording, Sweep, Track
 
-MOST_BYTES = 2**30  # unpacked, too
-PACKED, PIECE = ".gz", 2**14
+MOST_BYTES = 2**30
+PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
+BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 MOST_BEAMS = 20_000
+MOST_LINES = 10**6  # and one more for each byte of the file
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
 MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
 WIDE_DEG = {541: 270.0, 1081: 270.0, 682: 239.77, 683: 240.0}  # an FLASER line has no angles: these are no SICK LMS
@@ -47,6 +50,21 @@ class CarmenLog:
     reference: Track = field(default_factory=Track)
     mount: dict[str, float] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+    budget: Budget = field(default_factory=lambda: Budget.of(0))
+    line: int = 0
+    cut: bool = False  # this line has no end
+
+    def read(self, words: list[str]) -> None:
+        """Take in one line, or count it as damaged."""
+        try:
+            self.take(words)
+        except LogError:
+            raise
+        except (ValueError, IndexError):
+            if not self.counts["damaged lines"]:
+                self.notes.append(f"line {self.line} is the first that is damaged: {' '.join(words[:4]):.60} ...")
+            self.counts["damaged lines"] += 1
 
     def take(self, words: list[str]) -> None:
         """Take in one line that is neither empty nor a comment. Raises `ValueError` for a damaged one."""
@@ -64,20 +82,44 @@ class CarmenLog:
 
     def odom(self, words: list[str]) -> None:
         """The robot's pose by its wheels."""
-        self.odometry.add(_stamp(words, 7), _pose(words, 1))
+        self.pose(self.odometry, words)
 
     def truepos(self, words: list[str]) -> None:
         """The robot's true pose."""
-        self.reference.add(_stamp(words, 7), _pose(words, 1))
+        self.pose(self.reference, words)
+
+    def pose(self, track: Track, words: list[str]) -> None:
+        """A pose of a track."""
+        self.budget.take(POSE_BYTES)
+        track.add(self.stamp(words, 7), _pose(words, 1), float(self.line))
+
+    def stamp(self, words: list[str], at: int) -> float:
+        """s; nan for a line without one, whose place in the file counts."""
+        try:
+            return _number(words[at])
+        except (IndexError, ValueError):
+            if self.cut and not self.counts["lines without a stamp"]:
+                raise  # only the last line lacks one: it is cut short
+            self.counts["lines without a stamp"] += 1
+            return math.nan
+
+    def sweep(self, kind: str, t: float, ranges: Array, geometry: Geometry, poses: Sequence[Array] = ()) -> None:
+        """Keep a sweep; the poses are those of laser and robot. One without has the place of the odometry before it."""
+        if len(ranges) < 2:
+            raise ValueError
+        self.budget.take(SWEEP_BYTES + 2 * ranges.nbytes)
+        laser, robot = poses or (None, None)
+        order = float(self.line) if poses or not self.odometry.order else self.odometry.order[-1]
+        self.sweeps[kind].append(Sweep(t, ranges, geometry, robot, laser, order=order))
 
     def flaser(self, words: list[str]) -> None:
         """A sweep with the poses of laser and robot."""
         ranges, tail = _readings(words, 1)
         geometry = _plain_geometry(len(ranges), self.field_of_view_deg)
-        poses = {"T_odom_laser": _pose(tail, 0), "T_odom_robot": _pose(tail, 3)}
         if len(tail) > 9:
             raise ValueError
-        self.sweeps["FLASER"].append(Sweep(_stamp(tail, 6), ranges, geometry, **poses))
+        poses = _pose(tail, 0), _pose(tail, 3)
+        self.sweep("FLASER", self.stamp(tail, 6), ranges, geometry, poses)
 
     def rawlaser(self, words: list[str]) -> None:
         """A sweep without a pose."""
@@ -85,18 +127,18 @@ class CarmenLog:
         tail = tail[1 + _count(tail[0]) :]
         if len(tail) > 3:
             raise ValueError
-        self.sweeps["RAWLASER1"].append(Sweep(_stamp(tail, 0), ranges, _geometry(words, len(ranges))))
+        self.sweep("RAWLASER1", self.stamp(tail, 0), ranges, _geometry(words, len(ranges)))
 
     def robotlaser(self, words: list[str]) -> None:
         """A sweep with the poses of laser and robot, in the old or the new form."""
         ranges, tail = _readings(words, 8)
         values = OLD_TAIL
-        if len(tail) != OLD_TAIL + 3:
+        if len(tail) not in (OLD_TAIL, OLD_TAIL + 3):
             tail, values = tail[1 + _count(tail[0]) :], NEW_TAIL
-        if not values < len(tail) <= values + 3:
+        if not values <= len(tail) <= values + 3:
             raise ValueError
-        poses = {"T_odom_laser": _pose(tail, 0), "T_odom_robot": _pose(tail, 3)}
-        self.sweeps["ROBOTLASER1"].append(Sweep(_stamp(tail, values), ranges, _geometry(words, len(ranges)), **poses))
+        poses = _pose(tail, 0), _pose(tail, 3)
+        self.sweep("ROBOTLASER1", self.stamp(tail, values), ranges, _geometry(words, len(ranges)), poses)
 
 
 READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
@@ -111,45 +153,60 @@ READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
 
 def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
-    log = CarmenLog(field_of_view_deg)
-    for words in _lines(_content(path, log.counts)):
-        try:
-            log.take(words)
-        except (ValueError, IndexError):
-            log.counts["damaged lines"] += 1
+    data = read_bytes(path, MOST_BYTES)
+    log = CarmenLog(field_of_view_deg, budget=Budget.of(len(data)))
+    for number, is_cut, words in _lines(data, path.suffix == PACKED, log.counts):
+        if number > MOST_LINES + len(data):
+            raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
+        log.line, log.cut = number, is_cut
+        log.read(words)
     kind = _message(log, message)
     counts = +log.counts
     unused = sum(len(found) for name, found in log.sweeps.items() if name != kind)
     counts["scans of another message"] += unused
     mount = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
-    return Recording(path.name, log.sweeps[kind], log.odometry, log.reference, T_robot_laser=mount, counts=+counts)
+    poses = log.odometry, log.reference
+    return Recording(path.name, log.sweeps[kind], *poses, T_robot_laser=mount, counts=+counts, notes=log.notes)
 
 
-def _content(path: Path, counts: Counter[str]) -> bytes:
-    """The bytes of a file, unpacked where it is packed; of a packed one that is cut short, what there is."""
-    data = read_bytes(path, MOST_BYTES)
-    if path.suffix != PACKED:
-        return data
-    content = io.BytesIO()
+def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
+    """The number, whether it has no end, and the words of each line that is neither empty nor a comment."""
+    number, rest = 0, b""
+    for piece in _unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
+        *lines, rest = (rest + piece).split(b"\n")
+        for place, line in enumerate(lines, start=number + 1) if any(lines) else ():
+            if line and (words := _words(line)):
+                yield place, False, words
+        number, rest = number + len(lines), rest[:LONGEST_LINE]
+    if words := _words(rest):
+        yield number + 1, True, words
+
+
+def _words(line: bytes) -> list[str]:
+    """None for a comment."""
+    words = line.decode("latin-1").split()
+    return [] if words and words[0].startswith("#") else words
+
+
+def _pieces(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    while piece := file.read(PIECE):
+        yield piece
+
+
+def _unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
+    """The pieces of a packed file; of one that is cut short, what there is. Raises `LogError`."""
+    left = most = BASE_BYTES + FACTOR * len(data)
     try:
         with gzip.open(io.BytesIO(data)) as file:
-            while content.tell() <= MOST_BYTES and content.write(file.read(PIECE)):
-                pass
+            for piece in _pieces(file):
+                left -= len(piece)
+                if left < 0:
+                    raise LogError(f"it has more than {most} bytes unpacked, too much for its size; unpack it first")
+                yield piece
     except (OSError, EOFError, zlib.error) as error:
-        if not content.tell():
+        if left == most:
             raise LogError(f"no {PACKED} file, or damaged ({error!s:.80})") from None
         counts["packed file cut short or damaged"] += 1
-    if content.tell() > MOST_BYTES:
-        raise LogError(f"it has more than {MOST_BYTES} bytes unpacked")
-    return content.getvalue()
-
-
-def _lines(data: bytes) -> Iterator[list[str]]:
-    """The words of each line that is neither empty nor a comment."""
-    for line in io.BytesIO(data):
-        words = line.decode("latin-1").split()
-        if words and not words[0].startswith("#"):
-            yield words
 
 
 def _message(log: CarmenLog, asked: str | None) -> str:
@@ -184,10 +241,6 @@ def _count(word: str) -> int:
     if not 0 <= count <= MOST_BEAMS:
         raise ValueError
     return count
-
-
-def _stamp(words: list[str], at: int) -> float:
-    return _number(words[at])
 
 
 def _pose(words: list[str], at: int) -> Array:

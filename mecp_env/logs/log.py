@@ -12,6 +12,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.messages import Scan
+from mecp_env.logs.no_return import no_return_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +40,8 @@ class Log(Sequence[LogRecord]):
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     """(k,5) s, s, m, m, rad: two stamps, and the true pose at the second in the frame of the first."""
     counts: Mapping[str, int] = field(default_factory=dict)  # what was skipped or repaired -> how often
+    notes: tuple[str, ...] = ()  # what a user should know of how the file was read
+    found: int = 0  # scans in the file, of which this log has those that can be used; 0: not known
 
     def __post_init__(self) -> None:
         """Make all arrays and the counts read-only."""
@@ -81,7 +84,8 @@ class Log(Sequence[LogRecord]):
         return min(360.0, widest + 1e-9)
 
     def sensor(self) -> dict[str, Any]:
-        """The geometry of the laser as fields of the estimator's sensor model."""
+        """Geometry of the laser and meaning of its beams without a return: fields of the estimator's sensor model."""
         x, y, heading = self.T_robot_laser.tolist()
         mount = {"x_m": x, "y_m": y, "heading_deg": math.degrees(heading)}
-        return {"field_of_view_deg": self.field_of_view_deg, **mount}
+        meaning = no_return_of(self.ranges, self.step_rad, self.max_range_m)
+        return {"field_of_view_deg": self.field_of_view_deg, "no_return": meaning, **mount}

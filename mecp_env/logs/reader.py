@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import Field
@@ -13,30 +14,58 @@ from mecp_env.logs.archive import read_archive
 from mecp_env.logs.assemble import assemble
 from mecp_env.logs.bag import is_bag, read_bag
 from mecp_env.logs.carmen import PACKED, read_carmen
+from mecp_env.logs.clock import Clock
 from mecp_env.logs.log import Log
-from mecp_env.logs.recording import Recording
+from mecp_env.logs.recording import Recording, Track
+from mecp_env.logs.tables import TABLES, read_table
 
 CARMEN = (".log", ".clf", ".carmen")
-FORMATS = f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .bag, .db3, .mcap or the folder of a ROS 2 bag"
+FORMATS = (
+    f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .csv, .dat (BreezySLAM), .bag, .db3, .mcap "
+    "or the folder of a ROS 2 bag"
+)
 
 
 class ReadOptions(Settings):
     """What a log does not say, or says wrongly."""
 
-    scan_topic: str | None = None  # of a bag, or the laser message of a CARMEN log; None: the only one
+    scan_topic: str | tuple[str, ...] | None = None  # of a bag, several for several lasers that are merged; or the
+    # laser message of a CARMEN log; None: the only one
+    scan_frame: str | None = None  # of a bag whose scans have several frames: the one to read; None: all, merged
     odometry_topic: str | None = None  # of a bag; None: the only one
     max_range_m: float | None = Field(None, gt=0.0, le=1000.0)  # readings from here on are no return; None: by the log
     field_of_view_deg: float | None = Field(None, ge=10.0, le=360.0)  # beams outside are left out; FLASER lines have
     # no angles: their beams are spread over it
+    mirror: bool = False  # the laser turns clockwise, or hangs upside down
+    laser_yaw_deg: float = Field(0.0, ge=-180.0, le=180.0)  # added to the heading of the laser on the robot
+    clock: Clock = "message"  # or received: the order of the file, in a bag the times when messages were received
+    use_odometry: bool = True  # False: that of the log is left out
+
+    @property
+    def scan_topics(self) -> tuple[str, ...]:
+        """All topics that are asked for."""
+        return (self.scan_topic,) if isinstance(self.scan_topic, str) else self.scan_topic or ()
 
 
 def read_log(path: str | Path, options: ReadOptions | None = None) -> Log:
     """The log in a file or folder. What is skipped or repaired is counted. Raises `LogError` that names the file."""
     options, path = options or ReadOptions(), Path(path)
     try:
-        return assemble(_recording(path, options), options.max_range_m, options.field_of_view_deg)
+        recording = _asked(_recording(path, options), options)
+        limits = options.max_range_m, options.field_of_view_deg
+        return assemble(recording, *limits, options.clock, options.laser_yaw_deg)
     except MecpError as error:
         raise LogError(f"{path}: {error}") from None
+
+
+def _asked(recording: Recording, options: ReadOptions) -> Recording:
+    """A recording with what the options say in place of what the file does."""
+    if options.mirror:
+        recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
+    if not options.use_odometry:
+        recording.odometry = Track()
+        recording.sweeps = [replace(sweep, T_odom_robot=None) for sweep in recording.sweeps]
+    return recording
 
 
 def _recording(path: Path, options: ReadOptions) -> Recording:
@@ -44,11 +73,20 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
     if not exists(path):
         raise LogError("no such file")
     if is_bag(path):
-        return read_bag(path, options.scan_topic, options.odometry_topic)
+        return read_bag(path, options.scan_topics, options.odometry_topic, options.scan_frame)
     if path.is_dir():
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
     if path.suffix == ".npz":
         return read_archive(path)
     if Path(path.name.removesuffix(PACKED)).suffix in CARMEN:
-        return read_carmen(path, options.scan_topic, options.field_of_view_deg)
+        return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
+    if path.suffix in TABLES:
+        return read_table(path, options.field_of_view_deg)
     raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+
+
+def _only(topics: tuple[str, ...]) -> str | None:
+    """The laser message of a CARMEN log. Raises `LogError` for several."""
+    if len(topics) > 1:
+        raise LogError(f"--scan-topic: {', '.join(topics)}: a CARMEN log has one laser message; several are for bags")
+    return topics[0] if topics else None

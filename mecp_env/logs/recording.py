@@ -9,6 +9,30 @@ from typing import NamedTuple
 import numpy as np
 
 from mecp_env.core.array_types import Array
+from mecp_env.core.errors import LogError
+
+BASE_BYTES, FACTOR = 40 * 2**20, 16  # what may be made of a file: so much, and so many times its size
+SWEEP_BYTES, POSE_BYTES = 800, 300  # of a sweep without its readings, and of a pose
+
+
+@dataclass(slots=True, eq=False)
+class Budget:
+    """The bytes that may be made of a file: a small one that unpacks to gigabytes is refused."""
+
+    most: int
+    used: int = 0
+
+    @classmethod
+    def of(cls, size: int) -> Budget:
+        """That of a file of so many bytes."""
+        return cls(BASE_BYTES + FACTOR * size)
+
+    def take(self, size: int) -> None:
+        """Spend some of it. Raises `LogError` where it is used up."""
+        self.used += size
+        if self.used > self.most:
+            mib = self.most // 2**20
+            raise LogError(f"it makes more than {mib} MiB unpacked, too much for its size; save it without packing")
 
 
 class Geometry(NamedTuple):
@@ -35,6 +59,8 @@ class Sweep:
     geometry: Geometry
     T_odom_robot: Array | None = None  # (3,)
     T_odom_laser: Array | None = None  # (3,)
+    order: float = 0.0  # place in the file: number of the line or row, or the time in s when a bag received it
+    laser: int = 0  # which of several lasers: a place in `Recording.mounts`
 
     def mirrored(self) -> Sweep:
         """The same readings of a laser that hangs upside down."""
@@ -48,11 +74,13 @@ class Track:
 
     t: list[float] = field(default_factory=list)  # s
     poses: list[Array] = field(default_factory=list)  # (3,) each
+    order: list[float] = field(default_factory=list)  # as `Sweep.order`
 
-    def add(self, t: float, pose: Array) -> None:
+    def add(self, t: float, pose: Array, order: float) -> None:
         """Take in one pose."""
         self.t.append(t)
         self.poses.append(pose)
+        self.order.append(order)
 
 
 @dataclass(slots=True, eq=False)
@@ -65,4 +93,12 @@ class Recording:
     reference: Track = field(default_factory=Track)
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     T_robot_laser: Array | None = None  # (3,), None: the file does not say
+    mounts: list[Array] = field(default_factory=list)  # (3,) of each of several lasers, which are one scanner
     counts: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)  # what a user should know of how the file was read
+    budget: Budget = field(default_factory=lambda: Budget.of(0))
+
+    def add(self, sweep: Sweep) -> None:
+        """Take in one sweep. Raises `LogError` where the file makes too much."""
+        self.budget.take(SWEEP_BYTES + 2 * sweep.ranges.nbytes)
+        self.sweeps.append(sweep)

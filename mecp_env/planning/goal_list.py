@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from typing import Any
 
@@ -97,6 +97,10 @@ class Goals:
             Goal(kind, x, y, **dict(zip(names, values, strict=True)))
             for kind, (x, y), *values in zip(kinds, places, *rest, strict=True)
         ]
+
+    def in_order(self, order: Ints) -> Goals:
+        """The goals `order` (k,) of the list."""
+        return Goals(**{column.name: getattr(self, column.name)[order] for column in fields(self)})
 
     @classmethod
     def of(cls, goals: Sequence[Goal]) -> Goals:

@@ -9,13 +9,6 @@ import numpy as np
 
 from mecp_env.core.array_types import Array
 
-BUDGET_M_PER_M2 = 0.5  # metres of an exploration per m2 of floor
-
-
-def budget_m(free_area_m2: float) -> float:
-    """The metres by which a curve is normalised: a function of the building alone, the same for every policy."""
-    return BUDGET_M_PER_M2 * free_area_m2
-
 
 @dataclass(slots=True, eq=False)
 class CoverageCurve:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures
 from mecp_env.core.own_modules import checksums
@@ -21,11 +22,10 @@ from mecp_env.core.paths import write_atomic
 from mecp_env.core.provenance import dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, rows_of, timing
-from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import policy_checksum, source_of
 from mecp_env.policies.returns import returns_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, check_observation, make_rooms, run_episode
 from mecp_env.policies.seeds import seeds_of
 from mecp_env.policies.setting import Setting, plan_names
 
@@ -80,12 +80,17 @@ class Evaluation:
         names = dict.fromkeys(self.policies)
         return rows_of(self.results, [(name, setting.estimator) for setting in self.settings for name in names])
 
-    def check_buildings(self, policy: Policy) -> None:
-        """Raise `MecpError` for a wrong setting, a first plan that cannot be read, or too many generated buildings."""
-        env = make_rooms(self.setting, policy)
-        if self.setting.layout:
+    def check_buildings(self, policies: Sequence[Policy]) -> None:
+        """Raise `MecpError` for a wrong setting, a first plan that cannot be read, too many generated buildings, or a
+        policy whose observation is not that of the setting.
+        """
+        for policy in policies:
+            env = make_rooms(self.setting, policy)
+            check_observation(policy, env)
             env.close()
+        if self.setting.layout or not policies:
             return
+        env = make_rooms(self.setting, policies[0])
         try:
             env.reset(seed=0, options={"building": self.episodes - 1})
         except ConfigError as error:

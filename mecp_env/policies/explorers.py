@@ -1,4 +1,4 @@
-"""The simple explorers: the paper's breadth-first one, the nearest goal, random goals, and a random walk."""
+"""The simple explorers: the paper's breadth-first one, nearest goal, random goals, random walk, and standing still."""
 
 from __future__ import annotations
 
@@ -53,6 +53,19 @@ class RandomGoal:
         """Row of a goal; 0 when there is none."""
         rows = choices(observation, mask)
         return int(self.rng.choice(rows)) if len(rows) else 0
+
+
+class Standing:
+    """Stands still: what an episode pays for nothing."""
+
+    actions = "velocity"
+
+    def reset(self, seed: int = 0) -> None:
+        """Start an episode; nothing here is random."""
+
+    def act(self, observation: Any = None, mask: Any = None) -> NDArray[np.float32]:
+        """The command (2,) to stand."""
+        return np.zeros(2, np.float32)
 
 
 class RandomWalk:

@@ -7,10 +7,10 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.intervals import Figures
 from mecp_env.core.text import sanitised
 from mecp_env.policies.comparison import SHARES_OF_BUDGET
-from mecp_env.policies.coverage_curve import BUDGET_M_PER_M2
 
 COLOURS = ("#1f5ac8", "#e08c00", "#148c5a", "#b01830", "#784aa0", "#46afaa", "#96765a", "#5a6978")
 INK, FAINT = "#262c36", "#8c929c"

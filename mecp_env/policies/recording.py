@@ -14,9 +14,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from mecp_env.config import merge
+from mecp_env.config import ObservationConfig, merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.episode.observations import Observer
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.rollout import options_of
 from mecp_env.policies.setting import Setting
@@ -96,16 +95,21 @@ class Recording:
         if kept != mine and (mine, kept) != ("goal", "velocity"):
             raise ConfigError(f"actions: {kept!r}, expected {mine!r}, the actions of this policy")
         fields = self.setting.fields(options_of(self.policy))
-        asked = {"actions": kept, "observation": {"format": self.observation}}
+        parts = {} if self.observation == "dict" else {"map": False, "scan": False}  # which only tables have
+        asked = {"actions": kept, "observation": {"format": self.observation, **parts}}
         env = gym.make(disable_env_checker=True, **self.setting.buildings(), **merge(fields, asked))
         recorder = Recorder(env)
         return (recorder if kept == mine else GoalActions(recorder)), recorder
 
     def _view_of_policy(self, env: Env) -> Callable[[Any], Any]:
-        """What the policy sees of an observation: always tables and grids."""
+        """What the policy sees of an observation that is recorded: the format and the parts that it needs."""
         base: Any = env.unwrapped
-        observer = Observer(uncertainty=base.config.observation.uncertainty)
-        return lambda seen: seen if self.observation == "dict" else base.observed_by(observer)
+        asked = merge({"observation": {}}, options_of(self.policy))["observation"]
+        seen = ObservationConfig(**{**base.config.observation.model_dump(), "format": "dict", **asked})
+        if seen == base.config.observation:
+            return lambda recorded: recorded
+        observer = base.observer_of(seen, self.policy.actions)
+        return lambda recorded: base.observed_by(observer)
 
 
 def run(env: Env, policy: Policy, show: Callable[[Any], Any], building_seed: tuple[int, int]) -> None:

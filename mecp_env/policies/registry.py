@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import sys
 from pathlib import Path
@@ -23,10 +24,16 @@ EXPLORERS = {  # name -> "module:Class", constructed without arguments
     "stachniss": "mecp_env.policies.active:Stachniss",
     "random_goal": "mecp_env.policies.explorers:RandomGoal",
     "random_walk": "mecp_env.policies.explorers:RandomWalk",
+    "standing": "mecp_env.policies.explorers:Standing",
 }
 OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
+LOADERS = {  # suffix of a file -> module and function
+    ".onnx": ("mecp_env.learning.exported", "load_onnx"),
+    "": ("mecp_env.learning.learned", "load"),
+}
+BESIDE = (".json", "_vecnormalize.pkl")  # what belongs to a model file, after its stem
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
 CLASS_PATH = re.compile(r"([A-Za-z_][\w.]*):([A-Za-z_]\w*)")
 
@@ -68,11 +75,22 @@ def source_of(name: str) -> str:
 def policy_checksum(name: str) -> str:
     """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
     found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
+    paths = [path, *(path.with_name(path.stem + ending) for ending in BESIDE), path.with_name("vecnormalize.pkl")]
     if found:
-        path = Path(str(importlib.import_module(found[1]).__file__))
-    elif path.is_dir():
-        path = path / "policy.json"  # which contains the checksum of the weights
-    return checksum(path.read_bytes()) if path.is_file() else ""
+        paths = [Path(str(importlib.import_module(found[1]).__file__))]
+    elif not path.is_file():
+        paths = [path / "policy.json"]  # which contains the checksum of the weights
+    data = [path.read_bytes() for path in paths if path.is_file()]
+    return checksum(b"".join(data)) if data else ""
+
+
+def training_hours(name: str) -> float | None:
+    """The hours that the training of a shipped policy or a run folder took; None for other policies."""
+    folder = WEIGHTS / name if name in LEARNED else Path(name)
+    if not (folder / "policy.json").is_file():
+        return None
+    seconds = json.loads((folder / "policy.json").read_text()).get("seconds")
+    return round(seconds / 3600.0, 2) if isinstance(seconds, int | float) else None
 
 
 def import_policy(module: str, class_name: str) -> Policy:
@@ -96,8 +114,9 @@ def import_policy(module: str, class_name: str) -> Policy:
 
 def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
+    module, load = LOADERS.get(Path(name).suffix, LOADERS[""])
     try:
-        policy: Policy = importlib.import_module("mecp_env.learning.learned").load(name, trust)
+        policy: Policy = getattr(importlib.import_module(module), load)(name, trust)
     except ModuleNotFoundError as error:
         raise ConfigError(f"policy: {name!r} is a trained policy and needs {error.name}; {INSTALL}") from None
     return policy

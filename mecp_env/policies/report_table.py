@@ -11,6 +11,7 @@ Figures = dict[str, Any]
 Column = tuple[str, str, str, float]  # heading, name of the figure, format, factor
 
 PERCENT, PLAIN = ".0f", ".1f"
+SCORES = {True: ("correct_over_steps", "correct coverage over steps"), False: ("auc", "area under the curve")}  # task?
 HEADLINE: tuple[Column, ...] = (
     ("correct coverage over steps", "correct_over_steps", ".3f", 1.0),
     ("over metres", "correct_over_metres", ".3f", 1.0),
@@ -33,7 +34,7 @@ EXPLORATION: tuple[Column, ...] = (
     ("coverage, %", "coverage", PLAIN, 100.0),
     ("m in all", "metres", PERCENT, 1.0),
     ("decisions", "decisions", PERCENT, 1.0),
-    ("return", "reward", PLAIN, 1.0),
+    ("return", "reward", ".3f", 1.0),
 )
 LOCALISATION: tuple[Column, ...] = (
     ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
@@ -55,9 +56,9 @@ DIFFERENCES: tuple[Column, ...] = (
     ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
 )
 RETURNS: tuple[Column, ...] = (
-    ("lost", "lost", PLAIN, 1.0),
-    ("others", "others", PLAIN, 1.0),
-    ("lost - others", "difference", "+.1f", 1.0),
+    ("lost", "lost", ".3f", 1.0),
+    ("others", "others", ".3f", 1.0),
+    ("lost - others", "difference", "+.3f", 1.0),
     ("lost / others", "ratio", ".2f", 1.0),
     ("correlation with correct coverage", "correlation", ".2f", 1.0),
 )
@@ -127,10 +128,27 @@ def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str
     return "\n".join(lines)
 
 
+def overview(result: Figures) -> list[str]:
+    """A short table for a terminal: score, difference to the reference, shares lost and complete of each policy."""
+    metric, name = SCORES[bool(result["setting"].get("task"))]
+    heads = ["policy", name, f"minus {result['reference']}", "lost, %", "complete, %"]
+    lines = [heads]
+    for row in result["rows"]:
+        figures, against = row["figures"], row.get("against_reference", {})
+        shares = [number(100.0 * figures[share]["value"], PERCENT) for share in ("lost", "complete")]
+        difference = cell(against[metric], "+.3f", 1.0) if against else "-"
+        lines.append([name_of(row), cell(figures[metric], ".3f", 1.0), difference, *shares])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    rows = ["  ".join(f"{text:{width}}" for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    return [where_of(result), "", *rows, *(f"failed: {failure}" for failure in result["failures"])]
+
+
 def cell(figure: Figures, form: str, factor: float) -> str:
-    """`value [low, high]` of an estimate; a dash without one."""
+    """`value [low, high]` of an estimate, `value [-]` of a single run; a dash without one."""
     if figure["value"] is None:
         return "-"
+    if figure.get("n") == 1:
+        return f"{number(factor * figure['value'], form)} [-]"
     value, low, high = (number(factor * figure[end], form) for end in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 

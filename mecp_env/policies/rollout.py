@@ -11,11 +11,13 @@ import gymnasium as gym
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.core.budget import budget_m
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.observations import COV_MAX
+from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.setting import Setting
-from mecp_env.wrappers import GoalActions
 
 LEVELS = (0.90, 0.99)
 COMPLETE_COVERAGE = 0.95
@@ -37,7 +39,7 @@ KEPT = (  # of the environment's own summary
 )
 
 Info = dict[str, Any]
-OnStep = Callable[[dict[str, Any], Info], None]
+OnStep = Callable[[Info], None]
 Env = gym.Env[Any, Any]
 
 
@@ -74,20 +76,21 @@ class EpisodeResult:
 
 @dataclass(slots=True, eq=False)
 class StepLog:
-    """What is recorded in every step."""
+    """What is recorded in every step, from the environment; `pose_cov` is that of the estimate."""
 
+    pose_cov: Callable[[], Any]
     curve: CoverageCurve = field(default_factory=CoverageCurve)
     correct: CoverageCurve = field(default_factory=lambda: CoverageCurve(falls=True))
     pose_errors_m: list[float] = field(default_factory=list)
     log_dets: list[float] = field(default_factory=list)
     reward: float = 0.0  # of all steps
 
-    def add(self, observation: dict[str, Any], info: Info) -> None:
+    def add(self, info: Info) -> None:
         """Record one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
         self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
-        self.log_dets.append(log_det(observation["pose_cov"]))
+        self.log_dets.append(log_det(self.pose_cov()))
         self.reward += sum(value for name, value in info.items() if name.startswith("reward_"))
 
 
@@ -103,9 +106,10 @@ class EpisodeEnd:
 
 def run_episode(task: EpisodeTask) -> EpisodeResult:
     """Run one episode; the same task gives the same metrics bit for bit."""
-    policy, log = make_policy(task.source or task.policy, task.trust), StepLog()
-    env = for_policy(make_rooms(task.setting, policy, task.building), policy, log.add)
-    end = run_policy(env, policy, log.add, (task.setting.building(task.building), task.building))
+    policy = make_policy(task.source or task.policy, task.trust)
+    env = make_rooms(task.setting, policy, task.building)
+    log = StepLog(lambda: pose_cov(env))
+    end = run_policy(watched(env, log.add), policy, log.add, (task.setting.building(task.building), task.building))
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
     return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
@@ -118,16 +122,32 @@ def make_rooms(setting: Setting, policy: Policy, episode: int = 0) -> Env:
 
 
 def options_of(policy: Policy) -> dict[str, Any]:
-    """The fields of the configuration that a policy needs, below the wrapper `GoalActions` of `for_policy`."""
-    actions = "velocity" if policy.actions == "goal" else policy.actions
-    return {"actions": actions, **getattr(policy, "settings", {})}
+    """The fields of the configuration that a policy needs: its actions, and its `settings`.
+
+    Raises `ConfigError` for settings with other actions.
+    """
+    settings = dict(getattr(policy, "settings", {}))
+    if settings.get("actions", policy.actions) != policy.actions:
+        raise ConfigError(
+            f"policy: settings of actions {settings['actions']!r:.40}, but its `actions` are {policy.actions!r:.40}"
+        )
+    return {**settings, "actions": policy.actions}
 
 
-def for_policy(env: Env, policy: Policy, on_step: OnStep) -> Env:
-    """`env` with the actions of the policy; `on_step` is called with observation and info of every control step."""
-    if policy.actions == "goal":
-        return GoalActions(env, callback=lambda step: on_step(step[0], step[4]))
-    return StepCallback(env, on_step)
+def check_observation(policy: Policy, env: Env) -> None:
+    """Raise `ConfigError` where a policy names the space of its observations and an environment has another one."""
+    check = getattr(policy, "check_space", None)
+    if check is not None:
+        check(env.observation_space)
+
+
+def watched(env: Env, on_step: OnStep) -> Env:
+    """`env` that calls `on_step` with the info of every control step, those within drives included."""
+    if env.get_wrapper_attr("config").actions != "goal":
+        return StepCallback(env, on_step)
+    env.set_wrapper_attr("callback", lambda step: on_step(step[4]))
+    env.set_wrapper_attr("observes", False)
+    return env
 
 
 class StepCallback(gym.Wrapper[Any, Any, Any, Any]):
@@ -140,25 +160,34 @@ class StepCallback(gym.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, Info]:
         """The step of the wrapped environment."""
         step = super().step(action)
-        self.on_step(step[0], step[4])
+        self.on_step(step[4])
         return step
 
 
-def masks(env: Env) -> Any:
-    """The mask of the goals; None where actions are no goals."""
-    return env.action_masks() if isinstance(env, GoalActions) else None
+def masks_of(env: Env) -> Callable[[], Any]:
+    """A function that returns the mask of the goals; None where actions are no goals."""
+    goals = env.get_wrapper_attr("config").actions == "goal"
+    found: Callable[[], Any] = env.get_wrapper_attr("action_masks") if goals else lambda: None
+    return found
+
+
+def pose_cov(env: Env) -> Any:
+    """(6,) float32: the covariance of the estimated pose, in the order and bounds of the observation's `pose_cov`."""
+    cov = env.get_wrapper_attr("slam_output").belief.pose_cov[np.triu_indices(3)]
+    return np.clip(cov.astype(np.float32), -COV_MAX, COV_MAX)
 
 
 def run_policy(env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int]) -> EpisodeEnd:
-    """Explore a building until the episode ends; `on_step` receives the first observation, too."""
+    """Explore a building until the episode ends; `on_step` receives the first info, too."""
     end, (building, seed) = EpisodeEnd(), building_seed
     observation, info = env.reset(seed=seed, options={"building": building})
+    masks = masks_of(env)
     policy.reset(seed)
-    on_step(observation, info)
+    on_step(info)
     ended = False
     while not ended:
         start = time.thread_time()
-        action = policy.act(observation, masks(env))
+        action = policy.act(observation, masks())
         end.act_s += time.thread_time() - start
         end.decisions += 1
         observation, _, end.terminated, truncated, info = env.step(action)
@@ -171,6 +200,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
     curve, budget = log.curve, budget_m(summary["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
+    figures["coverage_over_steps"] = curve.area_under_steps(max_steps)
     figures["correct_over_metres"] = log.correct.area_under(budget)
     figures["correct_over_steps"] = log.correct.area_under_steps(max_steps)
     for level in LEVELS:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mecp_env.core.array_types import Bytes
 from mecp_env.policies.registry import make_policy
-from mecp_env.policies.rollout import Env, Info, for_policy, make_rooms, run_policy
+from mecp_env.policies.rollout import Env, Info, make_rooms, run_policy, watched
 from mecp_env.policies.setting import Setting
 from mecp_env.render.film import Film
 from mecp_env.render.screen import thumbnail
@@ -31,7 +30,7 @@ class Recorder:
         self.film = Film(MOST_FRAMES, EVERY)
         self.info: Info = {}
 
-    def add(self, observation: dict[str, Any], info: Info) -> None:
+    def add(self, info: Info) -> None:
         """Take the picture of every n-th step."""
         self.info = info
         self.film.offer(info["period"], self.picture)
@@ -60,7 +59,7 @@ def record(policy: str, setting: Setting, trust: bool = False) -> Film:
     made = make_policy(policy, trust)
     env = make_rooms(setting, made)
     recorder = Recorder(policy, env)
-    run_policy(for_policy(env, made, recorder.add), made, recorder.add, FIRST)
+    run_policy(watched(env, recorder.add), made, recorder.add, FIRST)
     recorder.film.frames.append(recorder.picture("    ..." if recorder.info["goals"] else "    done"))
     env.close()
     return recorder.film

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import Figures
 from mecp_env.core.provenance import checksum, commit
 from mecp_env.core.settings import guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.leaderboard import TRAINING
+from mecp_env.policies.leaderboard import leaderboard as leaderboard
 from mecp_env.policies.policy import Policy
+from mecp_env.policies.references import check_name
 from mecp_env.policies.rollout import make_rooms
 from mecp_env.policies.setting import Setting
 
@@ -25,7 +27,7 @@ FORMAT, VERSION = "mecp_env/suite", 1
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
 METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
-LESS_IS_BETTER = ("lost",)
+ESTIMATORS = ("slam", "known", "truth")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,7 @@ SUITES = {
         200,
         "f3388a4466800053",
     ),
+    "active-quick-v1": Suite((Setting("", "test", "slam", 1500, "ActiveHalls-v0"),), 20, "50d59c8d8bb456d8"),
     "coverage-v1": Suite(
         tuple(Setting(name, "test", "slam", 3000) for name in ("medium", "hard")), 100, "d1b7f5ea1ca3abcb"
     ),
@@ -117,7 +120,21 @@ def describe(setting: Setting) -> dict[str, Any]:
     return {"setting": setting.named(), "config": fixed, "buildings": checksum(json.dumps(begins).encode())}
 
 
-def submission(name: str, rows: Iterable[tuple[Setting, Sequence[Row]]], command: str) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Training:
+    """What a submission says of the training of its policies; None where it says nothing."""
+
+    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+
+    def named(self) -> dict[str, float]:
+        """The fields that are known."""
+        return {name: value for name, value in (("hours", self.hours), ("seeds", self.seeds)) if value is not None}
+
+
+def submission(
+    name: str, rows: Iterable[tuple[Setting, Sequence[Row]]], command: str, training: Training | None = None
+) -> dict[str, Any]:
     """The result of a suite as JSON data: for each setting and policy the figures, and each episode."""
     results = [
         {
@@ -134,7 +151,7 @@ def submission(name: str, rows: Iterable[tuple[Setting, Sequence[Row]]], command
         for row in some
     ]
     content = {"format": FORMAT, "version": VERSION, "suite": name, "hash": SUITES[name].frozen}
-    content |= {"command": command, "commit": commit(), "results": results}
+    content |= {"command": command, "commit": commit(), **(training or Training()).named(), "results": results}
     return content | {"checksum": checksum(json.dumps(content, sort_keys=True).encode())}
 
 
@@ -154,7 +171,11 @@ def read_submission(path: Path) -> dict[str, Any]:
     own = checksum(json.dumps(content, sort_keys=True).encode())
     if found != own:
         raise ConfigError(f"{path}: its checksum is {found}, that of its content {own}; it was changed by hand")
-    check_results(path, content.get("results"))
+    check_results(path, content.get("results"), SUITES[name])
+    try:
+        TypeAdapter(Training).validate_python({key: content.get(key) for key in TRAINING})
+    except ValueError as error:
+        raise ConfigError(f"{path}: hours, seeds: {' '.join(str(error).split()):.160}") from None
     return dict(content)
 
 
@@ -166,59 +187,23 @@ def check_suite(path: Path, name: Any, frozen: Any) -> None:
         raise ConfigError(f"{path}: suite {name} with the hash {frozen}, here {SUITES[name].frozen}")
 
 
-def check_results(path: Path, results: Any) -> None:
-    """Raise `ConfigError` for results of another form, and where a metric is missing."""
+def check_results(path: Path, results: Any, suite: Suite) -> None:
+    """Raise `ConfigError` for results of another form or task, a name that forges rows, and a missing metric."""
     try:
         found = TypeAdapter(list[Result]).validate_python(results)
     except ValueError as error:  # of pydantic, too
         raise ConfigError(f"{path}: results: {' '.join(str(error).split()):.160}") from None
+    for row in found:
+        check_row(path, row, suite)
     missing = [(row, metric) for row in found for metric in METRICS if metric not in row.figures]
     for row, metric in missing[:1]:
         raise ConfigError(f"{path}: results: {row.policy} in {row.task} has no {metric}")
 
 
-Line = dict[str, Figures]  # task -> its figure
-
-
-def leaderboard(submissions: Mapping[str, Mapping[str, Any]], metric: str = "correct_over_steps") -> str:
-    """A table with a line per policy and estimator and a column per task, the best first.
-
-    `submissions` are results by the names of their files, which tell policies of one name and different results apart.
-    """
-    sign = 1.0 if metric in LESS_IS_BETTER else -1.0
-    lines = sorted(
-        named_lines(submissions, metric), key=lambda item: sign * sum(figure["value"] for figure in item[1].values())
-    )
-    tasks = list(dict.fromkeys(task for _, line in lines for task in line))
-    rows = [f"| {name} | {' | '.join(cell(line.get(task)) for task in tasks)} |" for name, line in lines]
-    return "\n".join([f"| | {' | '.join(tasks)} |", f"|{'---|' * (len(tasks) + 1)}", *rows])
-
-
-def named_lines(submissions: Mapping[str, Mapping[str, Any]], metric: str) -> list[tuple[str, Line]]:
-    """The lines of all files with their labels; equal ones of the same policy once."""
-    found: dict[tuple[str, str], dict[str, Line]] = {}  # policy and estimator -> file -> figures
-    for source, content in submissions.items():
-        for key, line in lines_of(content["results"], metric).items():
-            if line not in found.setdefault(key, {}).values():
-                found[key][source] = line
-    files = [(key, source, line) for key, some in found.items() for source, line in some.items()]
-    return [(label(*key, source if len(found[key]) > 1 else ""), line) for key, source, line in files]
-
-
-def lines_of(results: Iterable[Mapping[str, Any]], metric: str) -> dict[tuple[str, str], Line]:
-    """The figures of each policy and estimator of a file, by task."""
-    lines: dict[tuple[str, str], Line] = {}
-    for row in results:
-        lines.setdefault((row["policy"], row["estimator"]), {})[row["task"]] = row["figures"][metric]
-    return lines
-
-
-def label(policy: str, estimator: str, source: str) -> str:
-    """The name of a line: the policy, the estimator where it has some ground truth, the file where it matters."""
-    parts = [policy, *([] if estimator == "slam" else [estimator]), *([source] if source else [])]
-    return ", ".join(parts)
-
-
-def cell(figure: Figures | None) -> str:
-    """`value [low, high]`; a dash without one."""
-    return "-" if figure is None else f"{figure['value']:.3f} [{figure['low']:.3f}, {figure['high']:.3f}]"
+def check_row(path: Path, row: Result, suite: Suite) -> None:
+    """Raise `ConfigError` for a policy whose name would forge rows, another task, and an unknown estimator."""
+    check_name(row.policy, f"{path}: results: policy")
+    tasks = [setting.task or setting.difficulty for setting in suite.settings]
+    for given, known in ((row.task, tasks), (row.estimator, ESTIMATORS)):
+        if given not in known:
+            raise ConfigError(f"{path}: results: {given!r:.80}, expected one of {', '.join(known)}")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from functools import cache
 
 import pygame
 
 from mecp_env.core.array_types import Bytes
 from mecp_env.core.errors import ConfigError
+
+log = logging.getLogger(__name__)
 
 UNSEEN = ("dummy", "offscreen")  # drivers that SDL takes where there is no display; their windows are not visible
 FIX = "start it on a desktop or with DISPLAY set (ssh -X, xvfb-run), or do without the window"
@@ -18,13 +22,24 @@ def require_display() -> str:
     try:
         pygame.display.init()
         driver = pygame.display.get_driver()
-        if driver in UNSEEN and not os.environ.get("SDL_VIDEODRIVER"):
+        if is_unseen(driver):
             raise pygame.error("there is no display")
         return driver
     except pygame.error as error:
         raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
     finally:
         pygame.display.quit()
+
+
+def is_unseen(driver: str) -> bool:
+    """True for a driver whose windows nobody sees, unless SDL_VIDEODRIVER asks for it."""
+    return driver in UNSEEN and not os.environ.get("SDL_VIDEODRIVER")
+
+
+@cache
+def warn_unseen() -> None:
+    """Say once that there is a window and nobody sees it."""
+    log.warning("mecp_env: render_mode='human' without a display: nothing can be seen; %s", FIX)
 
 
 class Window:
@@ -72,5 +87,7 @@ class Window:
         except pygame.error as error:
             pygame.display.quit()
             raise ConfigError(f"render_mode: 'human' can open no window ({error}); {FIX}") from None
+        if is_unseen(pygame.display.get_driver()):
+            warn_unseen()
         pygame.display.set_caption(self.title)
         return self._surface

@@ -11,6 +11,7 @@ from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
 from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.grid.key_scans import seen_floor
 from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.mecp.polygons import beams_on_walls
@@ -167,7 +168,8 @@ class SlamPipeline(SlamParts):
         matched = seen.match.ids[seen.match.recognised()]
         painted = self.dynamic_objects.without(beams, segments, dynamic)
         graph = self.rooms.graph()
-        self.grid.paint(belief, *painted, matched, self.map.polygons.polygons, graph)
+        floor = seen_floor(painted[0], self.config.sensor)
+        self.grid.paint(belief, floor, painted[1], matched, self.map.polygons.polygons, graph)
         still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
         self.recent.remember(still, seen.match, graph, self.filter)
         return seen.match, belief

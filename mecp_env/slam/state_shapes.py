@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mecp_env.core.snapshot import StateError
-from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes
+from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes, check_declared
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import FEATURE, NO_ID, FeatureState
 
@@ -23,6 +23,7 @@ SHAPES: Shapes = {
         "covs": "n 2 2",
     },
     "FeatureTable": {"rows": "F"},
+    "SlamPipeline": {"step_count": f" in 0:{10**15}"},
     "MapPolygon": {"ids": "k in 0:F", "intervals": "i 4", "room": " in -1:32768"},
     "PolygonGroup": {"ids": "n k in 0:F", "index": "n in 0:P"},
     "DoorMap": {"ids": "n", "jambs": "n 4 in -1:F"},
@@ -49,7 +50,7 @@ SHAPES: Shapes = {
         "has_room": "n",
     },
     "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
-    "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "n 2 2"},
+    "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "c 2 2"},
     "GridPainter": {"p_landmark": "n 2"},
     "SlamOutput": {"T_robot_laser": f"3 in {NEAR}"},
     "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")
@@ -89,7 +90,7 @@ def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
     check_polygons(pipeline.map.polygons, f"{where}.map.polygons")
     if hasattr(pipeline.filter, "slot_ids"):  # else a custom filter, which stores what it likes
         check_filter(pipeline.filter, len(rows), marks_of(pipeline, where), f"{where}.filter")
-    check_grid(pipeline.grid, f"{where}.grid")
+    check_grid(pipeline.grid, pipeline.config.grid.resolution_m, f"{where}.grid")
     return {"F": len(rows), "P": len(pipeline.map.polygons.polygons)}
 
 
@@ -109,7 +110,15 @@ def check_polygons(store: Any, where: str) -> None:
         raise StateError(f"{where}.polygons: one of fewer than three vertices")
 
 
-def check_grid(grid: Any, where: str) -> None:
+def check_grid(grid: Any, resolution_m: float, where: str) -> None:
+    """Raise `StateError` unless cells are of the configured size, completed rooms can be, and layers are consistent."""
+    if {grid.canvas.resolution_m, grid.canvas.grid.resolution_m} != {resolution_m}:
+        raise StateError(f"{where}.canvas.resolution_m: {grid.canvas.resolution_m!r}, configured {resolution_m}")
+    check_declared(np.array(grid.completed + grid.filled), "n in 0:32768", {}, f"{where}.completed")
+    check_layers(grid, where)
+
+
+def check_layers(grid: Any, where: str) -> None:
     """Raise `StateError` unless painted polygons have a place per vertex, and painted doors, where known, are near."""
     if any(np.shape(painted.ring) != (len(ids), 2) for ids, painted in grid.polygons.painted.items()):
         raise StateError(f"{where}.polygons.painted: a ring of another number of vertices")

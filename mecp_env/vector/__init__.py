@@ -36,6 +36,7 @@ def _make(name: str, wrappers: tuple[Callable[[Any], Any], ...], keywords: dict[
     return env
 
 
+make_first = partial(make_batch, "mecp_env/First-v0")
 make_paper_map = partial(make_batch, "mecp_env/PaperMap-v0")
 make = partial(make_batch, "mecp_env/Layout-v0")
 make_rooms = partial(make_batch, "mecp_env/Rooms-v0")

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import NoAsyncCallError, ResetNeeded
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from mecp_env.core.processes import Failure, WorkerDied
@@ -23,7 +22,7 @@ from mecp_env.vector.checks import (
 )
 from mecp_env.vector.hosted import HostedEnvs
 from mecp_env.vector.infos import batched_infos, single_infos
-from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT
+from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, copied
 from mecp_env.vector.worker import Info, Infos, Makers
 
 Bools = NDArray[np.bool_]
@@ -31,8 +30,11 @@ Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 GroupStep = tuple[Any, NDArray[np.float64], Bools, Bools, list[Info]]
 
 
-class BatchEnv(HostedEnvs):
-    """`N` environments in `workers` processes (one a core), bit for bit what each would do alone.
+class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct base of that name
+    """`N` environments on all cores, or in `workers` processes, bit for bit what each would do alone.
+
+    Without `workers`, this process steps the first slice of the environments while worker processes step the others; a
+    single environment needs no process. With goal actions, only processes step several environments, two per core.
 
     Observations, rewards and the numbers of `info` come through shared memory, and a worker is sent one message a step,
     however many environments it holds. `step` waits for all environments; `send` and `recv` serve those first that are
@@ -74,7 +76,7 @@ class BatchEnv(HostedEnvs):
         self._stale = self._stale | chosen
         infos = self._ask("reset", [(seeds[s.start : s.stop], rest, chosen[s.start : s.stop]) for s in self._slices])
         self._fresh, self._stale = self._fresh & ~chosen, self._stale & ~chosen
-        return self._observations(), self._batched(infos, self._records.copy(), chosen)
+        return self._observations(), self._batched(infos, copied(self._records), chosen)
 
     def step(self, actions: Any) -> Step:
         """One step in every environment: observations, rewards (N,), terminated (N,), truncated (N,), infos."""
@@ -86,7 +88,7 @@ class BatchEnv(HostedEnvs):
         self._assert_free("step")
         if len(actions) != self.num_envs:
             raise ValueError(f"actions: {len(actions)} of them, expected one for each of {self.num_envs} environments")
-        self._assert_reset("step", np.arange(self.num_envs))
+        self._assert_reset("step")
         self._begin("step", [(actions[own.start : own.stop],) for own in self._slices])
 
     def step_wait(self) -> Step:
@@ -95,7 +97,7 @@ class BatchEnv(HostedEnvs):
             raise NoAsyncCallError("step_wait() without step_async()", "step")
         self._stale = ~self._fresh  # should an environment raise
         infos = self._answers()
-        records = self._records.copy()
+        records = copied(self._records)
         reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
         self._stale = self._must_reset(terminated | truncated)
         return self._observations(), reward, terminated, truncated, self._batched(infos, records, ~self._fresh)
@@ -170,9 +172,9 @@ class BatchEnv(HostedEnvs):
             raise ResetNeeded("action_masks() before reset()")
         return masks[envs]
 
-    def _assert_reset(self, name: str, envs: NDArray[np.intp]) -> None:
-        stale = envs[self._stale[envs]]
-        if stale.size:
+    def _assert_reset(self, name: str, envs: NDArray[np.intp] | slice = slice(None)) -> None:
+        if self._stale[envs].any():
+            stale = np.arange(self.num_envs)[envs][self._stale[envs]]
             raise ResetNeeded(f"{name}() before reset() of the environments {stale.tolist()}")
 
     def _must_reset(self, over: Bools) -> Bools:
@@ -206,7 +208,7 @@ class BatchEnv(HostedEnvs):
             seen = {name: array[envs] for name, array in self._seen.items()}
         else:
             seen = {name: array.copy() if self.copy else array for name, array in self._seen.items()}
-        return seen if isinstance(self.single_observation_space, spaces.Dict) else seen[ALONE]
+        return seen.get(ALONE, seen)
 
     def _batched(self, shared: list[Infos], records: NDArray[Any], chosen: Bools) -> dict[str, Any]:
         """The infos of the chosen environments as Gymnasium batches them: an array and a mask for each key."""

@@ -7,7 +7,8 @@ from typing import Any
 
 from gymnasium.error import AlreadyPendingCallError, NoAsyncCallError
 
-from mecp_env.core.processes import Failure, WorkerPool
+from mecp_env.core.processes import Failure
+from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.vector.worker import Info
 
 
@@ -26,7 +27,7 @@ class Flights:
 
     def check_free(self, envs: Iterable[int], what: str) -> None:
         """Raise `AlreadyPendingCallError` for environments that are under way."""
-        busy = sorted((self._flying | self._landed.keys()).intersection(envs))
+        busy = sorted((self._flying | self._landed.keys()).intersection(envs)) if len(self) else []
         if busy:
             raise AlreadyPendingCallError(f"{what} while environments {busy} are under way: recv() them first", "send")
 

@@ -1,8 +1,9 @@
-"""Environments in worker processes: how they are started, asked for anything but steps, and closed."""
+"""Environments in this and in worker processes: how they are started, asked for anything but steps, and closed."""
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import itertools
 import multiprocessing
 import weakref
@@ -18,7 +19,8 @@ from gymnasium.vector.utils import batch_space
 
 from mecp_env.core import warm_up
 from mecp_env.core.cores import cores
-from mecp_env.core.processes import WorkerDied, WorkerPool, start_method
+from mecp_env.core.processes import WorkerDied, start_method
+from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.vector.checks import check_workers
 from mecp_env.vector.flights import Flights
 from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
@@ -30,7 +32,9 @@ RESERVED = ("reset", "step", "close")  # not for `call`
 
 
 class HostedEnvs(VectorEnv[Any, Any, Any]):
-    """`N` environments in `workers` processes and the shared buffers of their results."""
+    """`N` environments in their slices and the shared buffers of their results."""
+
+    closed = True  # until there are workers: Gymnasium below 1.4 closes what a failed construction leaves
 
     def __init__(self, makers: Makers, workers: int | None, mode: AutoresetMode, context: str | None) -> None:
         if not makers:
@@ -40,14 +44,22 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         method = start_method(context)
         fields = self._describe(makers[0]())
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
+        local = workers is None and (not self.masked or self.num_envs == 1)  # a drive would delay what `recv` returns
         memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
         self._buffers = lay_out(fields, memory)
         self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
         self._pending: str | None = None
-        share_functions(method)
-        self._pool = WorkerPool(self._targets(makers, fields, memory), method)
+        if len(self._slices) > local:
+            share_functions(method)
+        self._pool = WorkerPool(self._targets(makers, fields, memory), method, local)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
+        self.closed = False
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What happens when an episode ends, as the vector classes of Gymnasium name it."""
+        return self._mode
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """For each environment what its method `name` returns, or its attribute of that name."""
@@ -86,13 +98,13 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 
     @property
     def pids(self) -> list[int]:
-        """Of the workers."""
+        """Of the worker processes, which may be none."""
         return self._pool.pids
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Copies of the generators of the environments."""
-        return self.get_attr("np_random")
+        return copy.deepcopy(self.get_attr("np_random"))
 
     @property
     def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
@@ -150,16 +162,20 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 
     def _begin(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         self._pending = name
-        with self._closed_by(WorkerDied):
+        try:
             self._pool.ask(name, arguments)
+        except WorkerDied:
+            self.close()
+            raise
 
     def _answers(self) -> list[Any]:
-        with self._closed_by(WorkerDied):
-            try:
-                answers = self._pool.gather()
-            except Exception:
-                self._pending = None
-                raise
+        try:
+            answers = self._pool.gather()
+        except Exception as error:
+            self._pending = None
+            if isinstance(error, WorkerDied):
+                self.close()
+            raise
         self._pending = None
         return answers
 

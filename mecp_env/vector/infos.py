@@ -39,20 +39,22 @@ def _first_rows(infos: Info, count: int) -> Info:
 
 
 def _of_records(records: NDArray[Any], listed: NDArray[np.bool_]) -> Info:
+    """The numbers of the listed environments; where these are all, one mask is that of every key."""
     if not listed.any():
         return {}
-    if not listed.all():
+    complete = bool(listed.all())
+    if not complete:
         records[~listed] = 0
-    infos: Info = {}
-    for name, field, mask in _columns(records.dtype):
-        infos[name], infos[mask] = records[field], listed.copy()
-    return infos
+    columns, masks = _columns(records.dtype)
+    infos: Info = {name: records[field] for name, field in columns}
+    return infos | (dict.fromkeys(masks, listed) if complete else {mask: listed.copy() for mask in masks})
 
 
 @cache
-def _columns(record: np.dtype[Any]) -> list[tuple[str, str, str]]:
-    """The keys of an info that records hold: each with the name of its field, and of its mask."""
-    return [(name, INFO + name, f"_{name}") for name in info_names(record)]
+def _columns(record: np.dtype[Any]) -> tuple[list[tuple[str, str]], list[str]]:
+    """The keys of an info that records hold: each with the name of its field; and the keys of their masks."""
+    names = info_names(record)
+    return [(name, INFO + name) for name in names], [f"_{name}" for name in names]
 
 
 def _without_texts(infos: Info, info: Info, row: int, count: int) -> Info:

@@ -95,5 +95,10 @@ def below(buffers: SharedBuffers, prefix: str) -> SharedBuffers:
     return {name.removeprefix(prefix): array for name, array in buffers.items() if name.startswith(prefix)}
 
 
+def copied(records: NDArray[Any]) -> NDArray[Any]:
+    """A copy of records (n,) as a whole; NumPy copies them field by field."""
+    return records.view(np.uint8).copy().view(records.dtype)
+
+
 def _padded(field: Field) -> int:
     return -(-field.bytes // ALIGNMENT) * ALIGNMENT

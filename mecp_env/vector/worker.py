@@ -151,7 +151,7 @@ class WorkerEnvironments:
             for name, value in zip(RESULT, (*result, False), strict=True):
                 records[name][row] = value
             return info
-        records[row] = (*result, True, *(info[name] for name in self._listed))
+        records[row] = (*result, True, *map(info.__getitem__, self._listed))
         return {name: value for name, value in info.items() if name not in self._listed}
 
     def _show_mask(self, place: int) -> None:

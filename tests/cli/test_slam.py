@@ -14,7 +14,7 @@ from mecp_env.cli import log_files
 from mecp_env.cli import main as cli
 from mecp_env.evaluation.log_run import LogDrive
 from mecp_env.floorplans import load_plan
-from mecp_env.slam.map_file import SlamMap
+from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
@@ -128,8 +128,6 @@ def test_a_truncated_log_is_mapped_as_far_as_it_goes(tmp_path: Path, capsys: Sai
 @pytest.mark.parametrize(
     ("name", "more", "said"),
     [
-        ("a.npz", {"odo": None}, "the log has none (it has a reference path"),
-        ("a.npz", {"odo": None, "ref": None}, "the log has none"),
         ("a.npz", {"ranges": None}, "no ranges in the archive"),
         ("none.npz", None, "no such file"),
         (".", None, "no ROS 2 bag"),
@@ -145,6 +143,51 @@ def test_what_cannot_be_mapped_is_one_line(
     assert said in error
     assert error.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: whole[name] for name in whole if name != "odo"})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
+    assert "odometry none" in capsys.readouterr().out
+    assert metrics_of(tmp_path / "a")["ate_m"] < 0.1
+    assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--odometry", "none"]) == 0
+    assert metrics_of(tmp_path / "b")["ate_m"] == metrics_of(tmp_path / "a")["ate_m"]
+
+
+def test_a_mirrored_laser_is_named_and_mended(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: -whole[name] if name == "angles" else whole[name] for name in whole})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
+    assert "try --mirror" in capsys.readouterr().out
+    assert any("--mirror" in note for note in metrics_of(tmp_path / "a")["notes"])
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "b"), "--mirror"]) == 0
+    assert "try --mirror" not in capsys.readouterr().out
+    assert metrics_of(tmp_path / "b")["ate_m"] < 0.05
+
+
+def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        np.savez(tmp_path / "a.npz", **{name: 0.0 * whole[name] if name == "odo" else whole[name] for name in whole})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    assert "--odometry none" in capsys.readouterr().err
+    assert metrics_of(tmp_path / "a")["scans"] == 1
+
+
+def test_a_run_that_is_lost_to_its_end_fails(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        ranges = whole["ranges"].copy()
+        ranges[len(ranges) // 2 :] = 0.4 + 0.1 * np.random.default_rng(0).random(ranges[len(ranges) // 2 :].shape)
+        np.savez(tmp_path / "a.npz", **({name: whole[name] for name in whole} | {"ranges": ranges}))
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    assert "--noise.scale" in capsys.readouterr().err
+
+
+def test_two_topics_reach_the_reader(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
+    line = ["slam", str(bag), "--out", str(tmp_path / "b"), "--scan-topic", "/front", "--scan-topic", "/rear"]
+    assert cli.main(line) == 0
 
 
 def test_options_that_contradict_each_other(log: Path, kept: Path, tmp_path: Path, capsys: Said) -> None:
@@ -175,6 +218,32 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
+
+
+@pytest.mark.parametrize("error", [MapError("map: damaged"), OSError(28, "No space left on device")])
+def test_a_map_that_cannot_be_saved_loses_nothing_else(
+    error: Exception, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    def save_map(self: SlamPipeline, path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
+    assert {path.name for path in out.iterdir()} == FILES
+    assert f"{saved} was not written" in capsys.readouterr().err
+
+
+def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
+    def save(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(log_files, "save", save)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 2
+    assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {path.name for path in out.iterdir()}
+    assert saved.exists()
+    assert f"{out / 'map.png'}: No space left" in capsys.readouterr().err
 
 
 def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:

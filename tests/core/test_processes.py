@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from typing import Any
 
 import pytest
 
-from mecp_env.core import processes
-from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerError, WorkerPool
+from mecp_env.core import worker_pool
+from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerError
+from mecp_env.core.worker_pool import WorkerPool
 from tests.processes import gone_within, needs_linux
 
 pytestmark = needs_linux
@@ -134,6 +136,14 @@ def caught(call: Any) -> Exception:
     raise AssertionError
 
 
+def views_kept_by(error: BaseException | None) -> list[memoryview]:
+    """Views of memory among the variables that an exception and its causes keep alive."""
+    if error is None:
+        return []
+    kept = [value for frame, _ in traceback.walk_tb(error.__traceback__) for value in frame.f_locals.values()]
+    return [value for value in kept if isinstance(value, memoryview)] + views_kept_by(error.__context__)
+
+
 def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
     pool = WorkerPool({"a": Target("a"), "b": Target("b")}, "fork")
     pids = pool.pids
@@ -141,14 +151,15 @@ def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
     assert pool.gather() == ["a", "b"]
     os.kill(pids[1], signal.SIGKILL)
     assert gone_within(pids[1:], 1.0)
-    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped"):
+    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped") as caught:
         pool.ask("open", [(), ()])
+    assert views_kept_by(caught.value) == []
     assert gone_within(pids, 1.0)
     pool.close()
 
 
 def test_a_worker_that_does_not_stop_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "STOP_S", 0.3)
+    monkeypatch.setattr(worker_pool, "STOP_S", 0.3)
     pool = WorkerPool({"slow": Target("slow")}, "fork")
     pids, start = pool.pids, time.monotonic()
     pool.close()

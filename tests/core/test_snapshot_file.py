@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -125,7 +127,7 @@ def with_content(**fields: Any) -> bytes:
         (with_content(format="mecp_env map"), "format: 'mecp_env map', expected 'mecp_env test'"),
         (with_content(version=4, package="9.0"), r"version: 4 \(of mecp_env 9\.0\), this mecp_env 0\.1\.0 reads .* 3"),
         (with_content(version=2), r"version: 2 \(of mecp_env 0\.1\.0\), this mecp_env 0\.1\.0 reads version 3"),
-        (with_content(state={"@bytes": ["<f8", [2], 0]}), "damaged .ValueError: buffer is smaller"),
+        (with_content(state={"@bytes": ["<f8", [2], 0]}), "arrays.bin: arrays of more bytes"),
         (with_content(state={"@bytes": ["<f8", [-1], 0]}), r"array: '<f8' \[-1\] from 0 on"),
         (with_content(state={"@bytes": ["|O", [1], 0]}), r"array: '\|O' \[1\] from 0 on"),
         (with_content(state={"@bytes": ["<f8", [1], -8]}), r"array: '<f8' \[1\] from -8 on"),
@@ -142,10 +144,81 @@ def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, mess
 def test_a_file_that_unpacks_to_too_much_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_snapshot(path, KIND, encode(np.zeros(100_000)))
     monkeypatch.setattr("mecp_env.core.snapshot_file.MOST_BYTES", 10_000)
-    with pytest.raises(StateError, match=r"kept\.zip: it has \d+ bytes unpacked, at most 10000"):
+    with pytest.raises(StateError, match=r"kept\.zip: arrays.bin: it has \d+ bytes unpacked, at most 10000"):
         load_snapshot(path, KIND)
 
 
 def test_a_missing_file_is_named(path: Path) -> None:
     with pytest.raises(StateError, match=r"kept\.zip: no such file"):
         load_snapshot(path, KIND)
+
+
+def packed(text: str, arrays: bytes = b"") -> bytes:
+    """A file with this state as JSON."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("state.json", json.dumps(KIND._asdict())[:-1] + f', "state": {text}}}')
+        archive.writestr("arrays.bin", arrays)
+    return buffer.getvalue()
+
+
+LARGE = '{"@array": [{"@bytes": ["<f8", [1000000], 0]}, true]}'
+BOMBS = {
+    "a long list": (packed('{"@list": [' + "[]," * 1_000_000 + "[]]}"), "parts, at most"),
+    "a long text": (packed('"' + "x" * 10_000_000 + '"'), "state.json: it has"),
+    "large arrays": (packed("{}", bytes(100_000_000)), "arrays.bin: it has"),
+    "one array many times": (packed(f'{{"@list": [{LARGE}, {LARGE}]}}', bytes(8_000_000)), "more bytes than there are"),
+    "nesting": (packed("[" * 100_000 + "]" * 100_000), "RecursionError"),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_makes_little(name: str, path: Path) -> None:
+    data, message = BOMBS[name]
+    path.write_bytes(data)
+    tracemalloc.start()
+    with pytest.raises(StateError, match=message):
+        load_snapshot(path, KIND)
+    assert tracemalloc.get_traced_memory()[1] < 60e6
+    tracemalloc.stop()
+
+
+def test_a_part_that_hides_its_size_is_not_unpacked(path: Path) -> None:
+    data = packed("{}", bytes(100_000_000))
+    path.write_bytes(data.replace((100_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little")))
+    tracemalloc.start()
+    with pytest.raises(StateError):
+        load_snapshot(path, KIND)
+    assert tracemalloc.get_traced_memory()[1] < 60e6
+    tracemalloc.stop()
+
+
+def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
+    save_snapshot(path, KIND, encode(np.zeros(10_000_000)))
+    assert len(decode(load_snapshot(path, KIND))) == 10_000_000
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"@object": ["mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}]},
+        {"@object": ["mecp_env.cli.main:Command", {}]},
+        {"@keep": 3},
+        {"@frozen": [1]},
+        {"@array": [["a", {}], True]},
+        {"@scalar": [None]},
+    ],
+)
+def test_only_our_classes_and_kinds_are_made(data: Any) -> None:
+    with pytest.raises(StateError):
+        decode(data)
+    gc.collect()
+    os.fstat(1)  # still open
+
+
+def test_a_key_that_python_would_hash_for_ever_is_refused() -> None:
+    nested: Any = {"@tuple": [1]}
+    for number in range(60):
+        nested = {"@tuple": [nested, {"@same": 61 - number}]}
+    with pytest.raises(StateError, match="a key of more than"):
+        decode({"@dict": [[nested, 1]]})

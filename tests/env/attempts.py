@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.env import MecpEnv
-from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.rewards import TERMS
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
@@ -147,10 +146,12 @@ def attempt(name: str, seed: int, **keywords: Any) -> Episode:
 def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
     """An episode of the breadth-first explorer, which may wait some steps before it starts."""
     episode, policy = Episode(), BreadthFirst()
-    env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: episode.note(step[4]))
+    base = MecpEnv(actions="goal", **keywords)
+    env = GoalActions(base, callback=lambda step: episode.note(step[4]))
     observation, _ = env.reset(seed=seed)
     for _ in range(waits):
-        observation = env.step(GOALS - 1)[0]  # no goal there
+        observation, *_, info = base.step(np.zeros(2, np.float32))
+        episode.note(info)
     over = False
     while not over:
         observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
+import mecp_env
 from mecp_env.core.errors import ConfigError, KeywordError
-from mecp_env.episode.compact_observations import FLAT_GOALS, flat_columns, goal_cells, squash
+from mecp_env.episode.compact_observations import goal_cells
+from mecp_env.episode.flat_arrays import unseen_floor
 from mecp_env.episode.observation_arrays import LAYERS
+from mecp_env.planning.goal_list import WAIT
+from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, NEEDED, drive, make, same
 
-FORMATS = {"flat": (104,), "image": (3, 64, 64)}
+FORMATS = {"flat": (181,), "image": (3, 64, 64)}
+GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
+GOAL_NAMES += ("sigma_m", "sigma_rad", "gain")
 STEPS = 25
 OWN: dict[str, Any] = {  # places and waiting are goals, too; no beam is on the border of two sectors
-    "planning": {"known_ground": {"places": 8}},
+    "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
     "laser": {"sweeps": 1, "beams": 710},
 }
 
@@ -40,74 +48,188 @@ def test_flat_columns_against_a_plain_twin(observation: dict[str, Any], actions:
     flat_env, dict_env = (make(observation=seen, actions=actions, **OWN) for seen in (observation, parts))
     flat, tables = flat_env.reset(seed=4)[0], dict_env.reset(seed=4)[0]
     bare = [env.env if isinstance(env, GoalActions) else env.unwrapped for env in (flat_env, dict_env)]
-    uncertainty, by_row = "uncertainty" in observation, actions == "goal"
+    names = mecp_env.flat_names(flat_env)
     for _ in range(STEPS):
-        expected = twin(tables, dict_env.unwrapped, uncertainty, by_row)
-        assert tuple(expected) == flat_columns(uncertainty)
-        pairs = zip(expected.items(), flat.tolist(), strict=True)
-        assert {name: (value, seen) for (name, value), seen in pairs if abs(value - seen) > 1e-5} == {}
+        expected = twin(tables, dict_env.unwrapped, len(flat), names)
+        assert expected.keys() == dict.fromkeys(names).keys()
+        pairs = zip(names, flat.tolist(), strict=True)
+        assert {name: (expected[name], seen) for name, seen in pairs if abs(expected[name] - seen) > 2e-5} == {}
         command = np.float32([0.7, 0.3])
+        by_row = actions == "goal"
         flat, tables = (env.unwrapped.step(command)[0] if by_row else env.step(command)[0] for env in bare)
 
 
-def twin(seen: dict[str, np.ndarray], env: Any, uncertainty: bool, by_row: bool) -> dict[str, float]:
+def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...]) -> dict[str, float]:
     """The flat columns from a dict observation, one by one as docs/observations.md says."""
-    x, y, cos, sin = seen["pose"].tolist()
-    xx, xy, xt, yy, yt, tt = seen["pose_cov"].tolist()
-    sx, sy, st = math.sqrt(xx), math.sqrt(yy), math.sqrt(tt)
-    named = {"x": halved(x, 10), "y": halved(y, 10), "cos_heading": cos, "sin_heading": sin}
-    named |= {"sigma_x": halved(sx, 0.1), "sigma_y": halved(sy, 0.1), "sigma_heading": halved(st, 0.05)}
-    pairs = {"x_y": (xy, sx * sy), "x_heading": (xt, sx * st), "y_heading": (yt, sy * st)}
-    named |= {f"corr_{name}": cov / product if product else 0.0 for name, (cov, product) in pairs.items()}
-    named |= dict(zip(("confidence", "localised", "recognised"), seen["localisation"].tolist(), strict=True))
-    grid = env.slam_output.grid
-    floor_m2 = float((grid.label != 0).sum()) * grid.resolution_m**2
-    named |= {"floor": halved(floor_m2, 100), "goals": halved(len(env.goals), 10)}
-    named["landmarks"] = halved(len(env.slam_output.belief.ids), 10)
+    named = head_twin(seen, env)
     nearest_15 = 15 * np.rint(np.degrees(env.slam_output.beams.bearings) / 15) % 360
     for sector in range(0, 360, 15):
         named[f"range_{sector}"] = halved(float(seen["scan"][nearest_15 == sector].min()), 2)
-    goals = seen["goals"][seen["goals"][:, 8] == 1.0]
-    goals = goals if by_row else goals[np.argsort(goals[:, 2], kind="stable")]
-    for k in range(FLAT_GOALS):
-        row = goals[k] if k < len(goals) else None
-        columns = ("cos", "sin", "distance", "path", "width", "kind") + ("sigma_m", "sigma_rad", "gain") * uncertainty
-        values = goal_twin(row)[: len(columns)] if row is not None else [0.0] * len(columns)
-        named |= {f"goal_{k}_{name}": value for name, value in zip(columns, values, strict=True)}
-    for k, row in enumerate(seen["landmarks"][:4]):
-        sigma = halved(math.sqrt(row[2] + row[4]), 0.1)
-        values = [*polar_twin(row), sigma] if row[7] else [0.0] * 4
-        named |= {
-            f"landmark_{k}_{name}": v for name, v in zip(("cos", "sin", "distance", "sigma_m"), values, strict=True)
-        }
+    by_row, predicted = size in (325, 421), size in (229, 421)
+    goals = seen["goals"][seen["goals"][:, 8] == 1.0].astype(float)
+    config = env.config.planning_config
+    wait_s = config.known_ground.wait_steps * 0.4
+    seconds = np.where(goals[:, 4] == WAIT, wait_s, goals[:, 2] / config.control.speed_m_s)
+    order = np.arange(len(goals)) if by_row else np.argsort(seconds, kind="stable")
+    described: list[dict[str, float]] = [goal_twin(goals[k], seconds[k], env) for k in order]
+    for k in range(32 if by_row else 16):
+        values = described[k] if k < len(described) else dict.fromkeys(GOAL_NAMES, 0.0)
+        named |= {f"goal_{k}_{name}": values[name] for name in (GOAL_NAMES if predicted else GOAL_NAMES[:9])}
     return named
 
 
-def polar_twin(row: np.ndarray) -> list[float]:
-    far = math.hypot(row[0], row[1])
-    return [row[0] / far if far else 0.0, row[1] / far if far else 0.0, halved(far, 5)]
+def head_twin(seen: dict[str, np.ndarray], env: Any) -> dict[str, float]:
+    x, y, cos, sin = seen["pose"].tolist()
+    xx, xy, _, yy, _, tt = seen["pose_cov"].tolist()
+    turn = np.array([[cos, sin], [-sin, cos]])
+    to_start, cov = turn @ [-x, -y], turn @ [[xx, xy], [xy, yy]] @ turn.T
+    named = dict(zip(("start_cos", "start_sin", "start_distance"), polar_twin(to_start, 10), strict=True))
+    sigmas = halved(math.sqrt(cov[0, 0]), 0.1), halved(math.sqrt(cov[1, 1]), 0.1), halved(math.sqrt(tt), 0.05)
+    named |= dict(zip(("sigma_ahead", "sigma_left", "sigma_heading"), sigmas, strict=True))
+    named |= dict(zip(("confidence", "localised", "recognised"), seen["localisation"].tolist(), strict=True))
+    grid = env.slam_output.grid
+    named["budget"] = float(seen["budget"][0])
+    named["floor"] = halved(float((grid.label != 0).sum()) * grid.resolution_m**2, 100)
+    return named | {"goals": halved(len(env.goals), 10), "landmarks": halved(len(env.slam_output.belief.ids), 10)}
 
 
-def goal_twin(row: np.ndarray) -> list[float]:
-    predicted = [halved(row[9], 0.1), halved(row[10], 0.05), halved(row[11], 10)]
-    return [*polar_twin(row), halved(row[2], 5), halved(row[3], 1), (row[4] + 1) / 7, *predicted]
+def polar_twin(p_robot: np.ndarray, half: float) -> list[float]:
+    far = math.hypot(p_robot[0], p_robot[1])
+    return [p_robot[0] / far if far else 0.0, p_robot[1] / far if far else 0.0, halved(far, half)]
+
+
+def goal_twin(row: np.ndarray, seconds: float, env: Any) -> dict[str, float]:
+    rank = int(np.hypot(*(env.goals.p_map - from_robot(row[:2], env)).T).argmin())
+    floor = halved(plain_unseen(env.goals.p_map[rank], env.slam_output.grid), 5) if row[4] < 4 else 0.0
+    values = [1.0, *polar_twin(row, 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
+    values += [(row[4] + 1) / 7, halved(row[9], 0.1), halved(row[10], 0.05), halved(row[11], 10)]
+    return dict(zip(GOAL_NAMES, values, strict=True))
+
+
+def from_robot(p_robot: np.ndarray, env: Any) -> np.ndarray:
+    x, y, heading = env.slam_output.belief.T_map_robot.tolist()
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([x + c * p_robot[0] - s * p_robot[1], y + s * p_robot[0] + c * p_robot[1]])
+
+
+def plain_unseen(p_map: np.ndarray, grid: Any) -> float:
+    """m^2 of unknown cells that 24 beams of 5 m from a place cross before a wall, at most 2 m of each, in NumPy."""
+    bearings, steps = np.arange(24) * (2 * math.pi / 24), np.arange(1, int(5.0 / grid.resolution_m) + 1)
+    ways = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[:, None] * steps[:, None]
+    cells = np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int)
+    column, row = cells[..., 0], cells[..., 1]
+    rows, columns = grid.label.shape
+    inside = (row >= 0) & (column >= 0) & (row < rows) & (column < columns)
+    label = np.where(inside, grid.label[row.clip(0, rows - 1), column.clip(0, columns - 1)], Cell.UNKNOWN)
+    seen = np.cumsum((label == Cell.OCCUPIED) & (steps * grid.resolution_m > 0.3), axis=1) == 0
+    fresh = (label == Cell.UNKNOWN) & seen
+    area = (fresh & (np.cumsum(fresh, axis=1) * grid.resolution_m < 2.0 + 1e-9)) * steps
+    return float(area.sum()) * grid.resolution_m**2 * 2 * math.pi / 24
+
+
+@pytest.mark.parametrize("place", [(1.05, 1.05), (-3.0, 0.5), (30.0, 30.0), (2.0, 0.95)])
+def test_unseen_floor_against_numpy_also_outside_the_grid(place: tuple[float, float]) -> None:
+    label = np.random.default_rng(3).choice([0, 1, 2], (41, 67), p=[0.5, 0.48, 0.02]).astype(np.uint8)
+    grid = SimpleNamespace(label=label, origin=np.array([-1.0, -2.0]), resolution_m=0.1)
+    expected = plain_unseen(np.array(place), grid)
+    assert unseen_floor(*place, (label, grid.origin, grid.resolution_m)) == pytest.approx(expected)
+
+
+def test_unseen_floor_is_that_of_the_disc_in_the_open_and_nothing_behind_walls() -> None:
+    empty, corner = np.zeros((10, 10), np.uint8), np.zeros(2)
+    assert unseen_floor(0.5, 0.5, (empty, corner, 0.1)) == pytest.approx(math.pi * 4, rel=0.06)
+    walled = np.full((40, 40), int(Cell.OCCUPIED), np.uint8)
+    walled[5:35, 5:35] = int(Cell.FREE)
+    assert unseen_floor(2.0, 2.0, (walled, corner, 0.1)) == 0.0
 
 
 def test_a_sector_without_beams_is_minus_one() -> None:
     env = make(observation="flat", laser={"preset": "lms200", "sweeps": 1})
-    flat = dict(zip(flat_columns(), env.reset(seed=1)[0], strict=True))
+    flat = dict(zip(mecp_env.flat_names(), env.reset(seed=1)[0], strict=True))
     behind = [flat[f"range_{sector}"] for sector in range(105, 270, 15)]
     ahead = [flat[f"range_{sector}"] for sector in (*range(0, 90, 15), *range(285, 360, 15))]
     assert behind == [-1.0] * len(behind)
     assert min(ahead) > 0.0
 
 
-def test_squashing_keeps_order_and_sign_and_has_no_bound() -> None:
-    values = np.array([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9])
-    squashed = squash(values, 3.0)
-    assert (np.diff(squashed) > 0).all()
-    assert np.abs(squashed).max() <= 1.0
-    assert (squashed[1], squashed[2], squashed[4]) == (-0.5, 0.0, 0.5)
+def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time() -> None:
+    """Over whole episodes: row k of the vector is action k, valid just where the mask is."""
+    env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=400)
+    names = mecp_env.flat_names(env)
+    columns = {name: [names.index(f"goal_{k}_{name}") for k in range(32)] for name in ("valid", "kind", "near")}
+    env.action_space.seed(1)
+    kinds: set[int] = set()
+    for seed in range(2):
+        observation, info = env.reset(seed=seed)
+        over = False
+        while not over:
+            goals = env.unwrapped.goals
+            assert observation[columns["valid"]].astype(np.int8).tolist() == info["action_mask"].tolist()
+            shown = np.rint(observation[columns["kind"]] * 7 - 1)[: len(goals)]
+            assert shown.tolist() == goals.kind[:32].tolist()
+            waiting = np.flatnonzero(goals.kind[:32] == WAIT)
+            wait_s = env.unwrapped.config.planning.known_ground.wait_steps * 0.4
+            assert observation[columns["near"]][waiting] == pytest.approx(10 / (10 + wait_s))
+            kinds |= set(goals.kind.tolist())
+            action = env.action_space.sample(mask=info["action_mask"])
+            observation, _, terminated, truncated, info = env.step(action)
+            assert env.observation_space.contains(observation)
+            over = terminated or truncated
+    assert WAIT in kinds
+    assert len(kinds) > 2
+
+
+@pytest.mark.parametrize("observation", ["dict", *FORMATS])
+@pytest.mark.parametrize("actions", ["goal", "discrete"])
+def test_whole_episodes_stay_in_the_space_and_show_the_budget(observation: str, actions: str) -> None:
+    env = make(observation=observation, actions=actions, max_steps=60)
+    env.action_space.seed(0)
+    seen, _ = env.reset(seed=3)
+    assert budget_in(seen) == 1.0
+    over = False
+    while not over:
+        seen, _, terminated, truncated, info = env.step(env.action_space.sample())
+        assert env.observation_space.contains(seen)
+        left = 1.0 - info["period"] / 60
+        assert budget_in(seen) == pytest.approx(left, abs=0.5 / 64 if observation == "image" else 1e-6)
+        over = terminated or truncated
+
+
+def budget_in(seen: Any) -> float:
+    if isinstance(seen, dict):
+        return float(seen["budget"][0])
+    if seen.ndim == 3:
+        return float(np.mean(seen[2, -1] == 255))
+    return float(seen[mecp_env.flat_names().index("budget")])  # at the same place whatever the actions are
+
+
+def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
+    env = make(observation="flat").unwrapped
+    env.reset(seed=1)
+    episode = env._started()
+    belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
+    episode.slam_output = replace(episode.slam_output, belief=belief)
+    flat = dict(zip(mecp_env.flat_names(env), env.observation(), strict=True))
+    assert (flat["sigma_ahead"], flat["sigma_left"], flat["sigma_heading"]) == (0.0, 0.0, 0.0)
+    assert env.info()["saturated"] == 3
+
+
+@pytest.mark.parametrize("actions", ["goal", "velocity", "discrete"])
+@pytest.mark.parametrize("uncertainty", [False, True])
+def test_names_match_the_vector(actions: str, uncertainty: bool) -> None:
+    env = make(observation={"format": "flat", "uncertainty": uncertainty}, actions=actions)
+    names = mecp_env.flat_names(actions=actions, uncertainty=uncertainty)
+    assert names == mecp_env.flat_names(env)
+    assert len(set(names)) == len(names) == env.observation_space.shape[0]
+
+
+def test_names_of_what_is_not_flat_are_refused() -> None:
+    with pytest.raises(ConfigError, match="observation='flat', got 'dict'"):
+        mecp_env.flat_names(make())
+    with pytest.raises(ConfigError, match="expected a mecp_env environment"):
+        mecp_env.flat_names(gymnasium.make("CartPole-v1"))
+    with pytest.raises(ConfigError, match="did you mean 'goal'"):
+        mecp_env.flat_names(actions="goals")
 
 
 def test_the_image_shows_the_grid_goals_and_path() -> None:
@@ -150,10 +272,10 @@ def test_the_episode_is_the_same_in_every_format(observation: str) -> None:
 def test_every_id_takes_every_format_as_word_and_as_setting(name: str, observation: str) -> None:
     short = gymnasium.make(name, observation=observation, **NEEDED.get(name, {}))
     long = gymnasium.make(name, config={"observation": {"format": observation}}, **NEEDED.get(name, {}))
-    assert short.unwrapped.config == long.unwrapped.config
+    assert short.unwrapped.config.to_dict() == long.unwrapped.config.to_dict()
     uncertain = short.unwrapped.config.observation.uncertainty  # a word keeps the other settings of a task
     assert uncertain == ("Active" in name)
-    assert short.observation_space.shape == ((128,) if uncertain and observation == "flat" else FORMATS[observation])
+    assert short.observation_space.shape == ((421,) if uncertain and observation == "flat" else FORMATS[observation])
     assert gymnasium.make(short.spec).observation_space == short.observation_space
 
 
@@ -173,3 +295,18 @@ def test_an_unknown_keyword_is_a_type_error_as_python_words_it() -> None:
             gymnasium.make(name, frameskip=1, **NEEDED.get(name, {}))
         assert isinstance(caught.value, KeywordError)
         assert isinstance(caught.value, ConfigError)
+
+
+@pytest.mark.parametrize("name", ["mecp_env/Rooms-v0", "mecp_env/ActiveHalls-v0"])
+def test_rows_that_explore_are_nearest_in_time_first(name: str) -> None:
+    env = gymnasium.make(name, observation="flat", actions="goal")
+    columns = np.array(mecp_env.flat_names(env))
+    near, kind = (np.flatnonzero(np.char.endswith(columns, ending)) for ending in ("_near", "_kind"))
+    _, info = env.reset(seed=4)
+    for _ in range(6):
+        observation, _, terminated, truncated, info = env.step(0)
+        if terminated or truncated:
+            break
+        explores = (info["action_mask"] > 0) & (observation[kind] < 4.5 / 7.0)
+        assert np.flatnonzero(explores).tolist() == list(range(explores.sum()))
+        assert (np.diff(observation[near][explores]) <= 1e-6).all()

@@ -20,7 +20,7 @@ UNKNOWN = [
     ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
     ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
     ({"planning": {"navigator": {"limit_step": 3}}}, r"did you mean 'limit_steps'\?"),
-    ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: source, area"),
+    ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: preset, source, area"),
 ]
 WRONG = [
     {"max_steps": 0},

@@ -111,10 +111,11 @@ def test_the_spec_survives_json(name):
     env = gymnasium.make(name, config=EnvConfig.build(max_steps=9), actions="goal", **own)
     spec = EnvSpec.from_json(env.spec.to_json())
     json.dumps(env.unwrapped.spec.kwargs)
+    assert spec.max_episode_steps == env.unwrapped.config.max_steps
     again = gymnasium.make(spec)
     assert again.unwrapped.config == env.unwrapped.config
     assert type(below(again)) is GoalActions
-    assert str(again) == str(env)
+    assert str(again) == f"<TimeLimit{env}>"  # of the same limit, which the environment has by itself
     assert data_equivalence(again.reset(seed=1)[0], env.reset(seed=1)[0], exact=True)
 
 
@@ -280,3 +281,23 @@ def test_the_docstring_is_the_spec_sheet():
         "Version History",
     ]
     assert all(f"`{name}`" in text for name in EnvConfig.model_fields)
+
+
+def test_the_spec_has_the_limit_of_the_episode():
+    assert gymnasium.make("mecp_env/Rooms-v0", max_steps=70).spec.max_episode_steps == 70
+    assert gymnasium.make("mecp_env/Rooms-v0", max_steps=70, max_episode_steps=9).spec.max_episode_steps == 9
+    env = gymnasium.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", max_steps=70)
+    assert env.spec.max_episode_steps == 70
+
+
+def test_human_without_a_display_warns_once(monkeypatch, caplog):
+    from mecp_env.render import window
+
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr(window, "is_unseen", lambda driver: driver == "dummy")
+    window.warn_unseen.cache_clear()
+    for _ in range(2):
+        env = gymnasium.make("mecp_env/Layout-v0", layout="two_rooms", render_mode="human")
+        env.reset(seed=0)
+        env.close()
+    assert caplog.text.count("nothing can be seen") == 1

@@ -12,6 +12,8 @@ from mecp_env.env import MecpEnv
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.planning.goal_list import Goal, GoalKind, Goals
+from mecp_env.planning.row_times import RowTimes
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import make, same
@@ -52,15 +54,55 @@ def test_the_mask_tells_the_rows_with_goals():
     assert mask.sum() == info["goals"] > 0
 
 
-def test_a_masked_choice_is_one_waiting_step_and_an_event():
+def test_the_mask_in_the_info_is_what_the_space_samples_with():
     env = make(actions="goal")
+    env.action_space.seed(0)
+    _, info = env.reset(seed=1)
+    for _ in range(4):
+        mask = info["action_mask"]
+        assert (mask.dtype, mask.shape) == (np.int8, (GOALS,))
+        assert np.array_equal(mask == 1, env.get_wrapper_attr("action_masks")())
+        action = env.action_space.sample(mask=mask)
+        assert mask.any() or action == 0
+        assert mask[action] or not mask.any()
+        _, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+    assert "action_mask" not in make().reset(seed=1)[1]
+
+
+def test_a_masked_choice_is_a_drive_to_the_nearest_goal_and_an_event():
+    env, other = (make(actions="goal", layout="paper") for _ in range(2))
     env.reset(seed=1)
-    before = env.unwrapped._true_world.simulation.T_world_robot
-    _, reward, terminated, truncated, info = env.step(GOALS - 1)
-    assert (info["event"], info["periods"], info["period"]) == ("masked", 1, 1)
-    assert (terminated, truncated) == (False, False)
-    assert same(env.unwrapped._true_world.simulation.T_world_robot, before)
-    assert reward <= 0.1
+    other.reset(seed=1)
+    nearest = int(other.unwrapped.goals.path_m.argmin())
+    *masked, info = env.step(GOALS - 1)
+    *chosen, its_info = other.step(nearest)
+    assert same(masked, chosen)
+    assert info["event"] == "masked"
+    assert same(info | {"event": ""}, its_info | {"event": ""})
+
+
+def test_a_policy_that_always_answers_a_masked_row_explores_and_ends():
+    env = make(actions="goal", max_steps=1500)
+    env.reset(seed=2)
+    for _ in range(100):
+        _, _, terminated, truncated, info = env.step(GOALS - 1)
+        assert info["event"] == "masked"
+        if terminated or truncated:
+            break
+    assert terminated
+    assert info["coverage"] > 0.9
+
+
+def test_the_best_row_explores_and_waiting_is_the_last_resort():
+    kinds = (GoalKind.WAIT, GoalKind.PLACE, GoalKind.DOOR, GoalKind.FRONTIER)
+    goals = [Goal(kind, 0.0, 0.0, 0.0, 0, path_m=path_m) for kind, path_m in zip(kinds, (0, 1, 9, 7), strict=True)]
+    times = RowTimes(speed_m_s=0.5, wait_s=4.0)
+    assert times.seconds(Goals.of(goals)).tolist() == [4.0, 2.0, 18.0, 14.0]
+    best = [times.best(Goals.of(goals[:count]), GOALS) for count in range(5)]
+    assert best == [None, 0, 1, 2, 3]
+    assert times.best(Goals.of(goals), 3) == 2  # of the rows that are offered
 
 
 def test_rewards_are_summed_and_the_callback_sees_every_step():
@@ -98,7 +140,7 @@ def test_every_choice_takes_at_least_a_step_and_every_policy_comes_to_an_end():
 
 
 def test_an_episode_ends_when_no_goal_is_left():
-    env = make(actions="goal")
+    env = make(actions="goal", reward="terms")
     rows = explore(env)
     for row in rows[:-1]:
         assert row[4]["goals"] > 0
@@ -164,9 +206,9 @@ def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
         env = make(actions="goal", laser=laser)
         env.reset(seed=0)
         before = env.unwrapped.view().T_world_robot.copy()
+        env.unwrapped._started().goals = Goals()
         for _ in range(3):
-            *_, info = env.step(GOALS - 1)
-            assert info["event"] == "masked"
+            below(env)._wait()
         moved = env.unwrapped.view().T_world_robot - before
         assert (abs(moved[2]) > 0.1) == turns
         assert np.hypot(*moved[:2]) < 1e-3

@@ -13,6 +13,7 @@ from gymnasium import spaces, wrappers
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
 
+from mecp_env.wrappers import GoalActions
 from tests.env.helpers import SMALL, make
 
 LAYOUT = "mecp_env/Layout-v0"
@@ -62,6 +63,21 @@ def test_a_video_of_an_episode(tmp_path: Path) -> None:
     ended(env, 5)
     env.close()
     assert next(folder.glob("*.mp4")).stat().st_size > 1000
+
+
+def test_a_film_of_goal_actions_shows_every_control_step(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="needs the extra video")
+    recorder = wrappers.RecordVideo(
+        make(render_mode="rgb_array", max_steps=12), str(tmp_path / "films"), disable_logger=True
+    )
+    env = GoalActions(recorder)
+    _, info = env.reset(seed=0)
+    over = False
+    while not over:
+        *_, terminated, truncated, info = env.step(0)
+        over = terminated or truncated
+    assert len(recorder.recorded_frames) == info["period"] + 1
+    env.close()
 
 
 @pytest.mark.parametrize("observation", FORMATS)

@@ -147,8 +147,9 @@ def test_mapped_cells_are_counted_by_blocks(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(0)
     label = (rng.integers(0, 4, shape) * (rng.random(shape) < 0.5)).astype(np.uint8)
     rows, columns = (np.arange(0, size, 8) for size in shape)
-    expected = np.add.reduceat(np.add.reduceat((label > 0).astype(int), rows, axis=0), columns, axis=1)
-    assert (mapped_cells(label) == expected).all()
+    for only_floor, counted in ((False, label > 0), (True, (label == 1) | (label == 3))):
+        expected = np.add.reduceat(np.add.reduceat(counted.astype(int), rows, axis=0), columns, axis=1)
+        assert (mapped_cells(label, only_floor) == expected).all()
 
 
 def test_the_nearest_landmark_is_that_of_a_tree() -> None:

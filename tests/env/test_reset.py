@@ -140,7 +140,7 @@ def test_info_counts_the_landmarks_that_found_no_room():
 
 
 def test_coverage_can_end_an_episode():
-    env = make(end={"coverage": 0.3}).unwrapped
+    env = make(end={"coverage": 0.3}, reward="terms").unwrapped
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (True, False)

@@ -9,18 +9,19 @@ from mecp_env.config import RewardConfig
 from mecp_env.episode.potentials import RewardInputs
 from mecp_env.episode.rewards import (
     TERMS,
+    Happened,
     RewardMemory,
     apply_weights,
     events,
     information,
     measured_terms,
-    remember,
+    new_memory,
     weights_of,
 )
 from mecp_env.slam.messages import Belief, SemanticGrid
 from tests.env.helpers import drive, make
 
-CONFIG = RewardConfig()
+CONFIG = RewardConfig(preset="terms")
 CELL_M2 = 0.25
 SURE, LOST = 1e-4, 1.0  # variances of a pose, m^2 and rad^2
 NO_COVS = np.empty((0, 2, 2))
@@ -45,8 +46,7 @@ def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -
 
 def sums(*moments: RewardInputs, config: RewardConfig = CONFIG) -> dict[str, float]:
     """The sums of the measured terms over an episode with these states."""
-    memory = RewardMemory()
-    remember(memory, moments[0], config)
+    memory = new_memory(moments[0], config)
     rows = [measured_terms(memory, now, config) for now in moments[1:]]
     return {name: sum(row[name] for row in rows) for name in rows[0]}
 
@@ -164,25 +164,27 @@ def test_the_information_of_a_pose_is_finite_and_right():
 
 def test_events():
     memory = RewardMemory(area_m2=150.0)
-    calm = {"contact": 0.0, "time": 1.0, "completion": 0.0, "divergence": 0.0, "lost": 0.0}
-    assert events(memory, False, False, False) == calm
-    assert events(memory, True, False, True) == calm | {"contact": 1.0, "divergence": 1.0}
-    assert events(memory, False, False, False, lost_m2=50.0) == calm | {"lost": 3.5}
-    assert events(memory, False, True, False)["completion"] == 1.5  # of 100 m^2
+    calm = dict.fromkeys(("contact", "contact_share", "lost_share", "completion", "divergence", "lost"), 0.0)
+    calm |= {"time": 1.0}
+    assert events(memory, Happened()) == calm
+    hit = Happened(contact=True, diverged=True, max_steps=500)
+    assert events(memory, hit) == calm | {"contact": 1.0, "contact_share": 0.002, "divergence": 1.0}
+    assert events(memory, Happened(off=True, max_steps=500)) == calm | {"lost_share": 0.002}
+    assert events(memory, Happened(lost_m2=50.0)) == calm | {"lost": 3.5}
+    assert events(memory, Happened(terminated=True))["completion"] == 1.5  # of 100 m^2
 
 
 def test_weights():
     config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
     measured = dict.fromkeys(TERMS, 1.0)
-    assert apply_weights(weights_of(config), measured) == {
+    found = apply_weights(weights_of(config), measured)
+    assert {name: value for name, value in found.items() if value} == {
         "area": 2.0,
-        "pose_information": 0.0,
-        "landmark_information": 0.0,
         "contact": -3.0,
         "time": -1.0,
         "completion": 10.0,
         "divergence": -20.0,
-    } | dict.fromkeys(("lost", "expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality"), 0.0)
+    }
 
 
 def test_to_diverge_costs_more_than_the_time_of_a_whole_episode():
@@ -206,7 +208,7 @@ def test_the_area_of_an_episode_telescopes(source):
 
 
 def test_a_contact_costs():
-    env = make()
+    env = make(reward="terms")
     env.reset(seed=1)
     for _ in range(12):
         _, _, _, _, info = env.step(np.array([-1.0, 0.0], np.float32))  # backwards into the nearest wall
@@ -217,7 +219,7 @@ def test_a_contact_costs():
 
 
 def test_a_filter_that_diverged_completes_nothing():
-    env = make(end={"coverage": 0.1}).unwrapped
+    env = make(end={"coverage": 0.1}, reward="terms").unwrapped
     env.reset(seed=1)
     env._episode.pipeline.divergence.found = True
     _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))

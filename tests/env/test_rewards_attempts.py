@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.config import RewardConfig
-from mecp_env.episode.tasks import ACTIVE
+from mecp_env.config import REWARD_PRESETS, RewardConfig
 from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
-WEIGHTS = RewardConfig()
+WEIGHTS = RewardConfig(preset="terms")
 BUILDINGS: dict[str, dict[str, Any]] = {
     "paper": {"layout": "paper", "laser": {"sweeps": 1}},
     "twins": {"layout": "twins", "laser": {"sweeps": 1}},  # rooms that look alike
@@ -29,12 +28,12 @@ BUILDINGS: dict[str, dict[str, Any]] = {
 
 @cache
 def honest(building: str, seed: int) -> Episode:
-    return explore(seed, start="random", max_steps=4 * STEPS, **BUILDINGS[building])
+    return explore(seed, start="random", max_steps=4 * STEPS, reward="terms", **BUILDINGS[building])
 
 
 @cache
 def tried(name: str, building: str, seed: int) -> Episode:
-    return attempt(name, seed, start="random", max_steps=STEPS, **BUILDINGS[building])
+    return attempt(name, seed, start="random", max_steps=STEPS, reward="terms", **BUILDINGS[building])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -66,7 +65,8 @@ def test_an_attempt_loses_where_maps_go_wrong_more_easily(name: str, building: s
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_driving_blind_until_the_filter_diverges_loses_all(seed: int) -> None:
-    keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
+    laser = {"sweeps": 1, "max_range_m": 2.5}
+    keywords = {"layout": "paper", "laser": laser, "odometry": {"scale": 8.0}, "reward": "terms"}
     slam = {"filter": {"diverged_sigma_m": 0.4}}
     lost = attempt("blind", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
     idle = attempt("stand", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
@@ -85,7 +85,7 @@ def test_breadth_first_earns_most_and_time_counts() -> None:
 
 
 def test_to_complete_earlier_earns_more() -> None:
-    keywords = {"layout": "two_rooms", "laser": {"sweeps": 1}}
+    keywords = {"layout": "two_rooms", "laser": {"sweeps": 1}, "reward": "terms"}
     gains = []
     for seed in range(6):
         soon, late = explore(seed, **keywords), explore(seed, waits=40, **keywords)
@@ -98,7 +98,7 @@ def test_to_complete_earlier_earns_more() -> None:
 
 
 def test_a_bigger_map_completes_for_more() -> None:
-    small, big = explore(0, layout="two_rooms", laser={"sweeps": 1}), honest("paper", 0)
+    small, big = explore(0, layout="two_rooms", laser={"sweeps": 1}, reward="terms"), honest("paper", 0)
     assert big.paid("completion") > 4.0 * small.paid("completion") > 0.0
     assert np.isclose(big.paid("completion"), 10.0 * big.free_m2 / 100.0, rtol=0.1)
 
@@ -107,14 +107,14 @@ POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_opt
 IN_TASK = {
     "layout": "paper",
     "laser": {"sweeps": 1, "max_range_m": 4.0},
-    "reward": ACTIVE["reward"] | dict.fromkeys(POTENTIALS, 1.0),
+    "reward": {"preset": "active_terms"} | dict.fromkeys(POTENTIALS, 1.0),
 }
 OPTIMALITY_NAT = 3.5  # by which an episode changes a criterion of optimality at most
 
 
 def paid_by_task(episode: Episode) -> float:
     """The return with the reward of the tasks of active SLAM."""
-    area = ACTIVE["reward"]["expected_area"] * episode.paid("expected_area")
+    area = REWARD_PRESETS["active_terms"]["expected_area"] * episode.paid("expected_area")
     return episode.paid() - episode.paid(*POTENTIALS) + area
 
 
@@ -132,3 +132,32 @@ def test_a_map_pays_more_than_any_attempt_and_optimality_pays_little(name: str, 
         assert given.paid(term) < 0.5 * explored.paid(term)
     for term in ("d_optimality", "a_optimality", "t_optimality"):
         assert max(abs(given.paid(term)), abs(explored.paid(term))) < OPTIMALITY_NAT
+
+
+METRICS = ("coverage", "correct_coverage")
+
+
+def scored(metric: str, name: str, seed: int) -> float:
+    """The return of an attempt, or of the honest explorer, under the preset of a metric."""
+    keywords = {"start": "random", "max_steps": 2 * STEPS, "reward": metric, **BUILDINGS["paper"]}
+    return (explore(seed, **keywords) if name == "explore" else attempt(name, seed, **keywords)).paid()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("metric", METRICS)
+def test_under_a_metric_every_attempt_earns_less_than_exploring(metric: str, seed: int) -> None:
+    honest = scored(metric, "explore", seed)
+    tries = {name: scored(metric, name, seed) for name in ("stand", "spin", "shuttle", "bump", "walk")}
+    assert max(tries.values()) < 0.9 * honest
+    assert tries["stand"] <= min(tries["walk"], tries["shuttle"]) + 0.1  # penalties are bounded by .1 each
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_a_diverged_filter_gives_back_what_it_had(metric: str) -> None:
+    laser = {"sweeps": 1, "max_range_m": 2.5}
+    keywords = {"layout": "paper", "laser": laser, "odometry": {"scale": 8.0}, "reward": metric, "start": "random"}
+    keywords |= {"max_steps": STEPS, "slam": {"filter": {"diverged_sigma_m": 0.4}}}
+    lost, idle = attempt("blind", 0, **keywords), attempt("stand", 0, **keywords)
+    assert lost.last["diverged"]
+    assert lost.paid(metric) < idle.paid(metric)
+    assert lost.rewards[-1][metric] < 0.0

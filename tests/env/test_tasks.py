@@ -44,9 +44,9 @@ def test_a_task_is_an_environment_with_goals_and_uncertainty(name: str) -> None:
 
 
 def test_fields_of_a_task_are_overridden_one_by_one() -> None:
-    config = make(laser={"beams": 360}, reward={"lost": -5.0}, rooms=4).unwrapped.config
+    config = make(laser={"beams": 360}, reward={"lost_share": -0.2}, rooms=4).unwrapped.config
     assert (config.laser.beams, config.laser.max_range_m) == (360, 2.5)
-    assert (config.reward.lost, config.reward.expected_area) == (-5.0, 0.1)
+    assert (config.reward.lost_share, config.reward.correct_coverage, config.reward.coverage) == (-0.2, 1.0, 0.0)
     assert config.layout["generate"]["rooms"] == 4
     assert config.layout["generate"]["loops"] == 2
     with pytest.raises(ConfigError, match="romms"):
@@ -81,7 +81,7 @@ def test_waiting_takes_its_steps_and_keeps_the_robot_where_it_is() -> None:
     observation, reward, _, _, info = env.step(int(wait[0]))
     assert (info["event"], info["periods"], info["period"]) == ("waited", 5, before + 5)
     assert info["metres"] == pytest.approx(metres, abs=0.5)  # until it stands
-    assert reward == pytest.approx(-0.025, abs=0.3)
+    assert reward == pytest.approx(0.0, abs=0.02)
     assert len(of_kind(WAIT, observation)) == 1
 
 
@@ -105,7 +105,7 @@ def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
 
 
 def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
-    env = make(max_steps=3)
+    env = make(max_steps=3, reward="active_terms")
     env.reset(seed=0, options={"building": 0})
     env.unwrapped._started().pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
     over = False

@@ -99,7 +99,7 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "pixmap that lies": ("plan.pgm", b"P5 4000 4000 255\n" + bytes(500), r"image: .* bytes of pixels, 16\d+ expected"),
     "decompression bomb": ("plan.png", png(4096, 4096, zlib.compress(bytes(4096 * 16385), 9), 6), r"one grey level"),
     "no pixels": ("plan.png", png(0, 0, ZEROS), r"image: .*no PNG, PGM, BMP or TIFF"),
-    "16 bits a pixel": ("plan.png", png(3, 1, zlib.compress(bytes(7)), 0, 16), r"image: .*mode I;16"),
+    "16 bits a pixel": ("plan.png", png(3, 1, zlib.compress(bytes(7)), 0, 16), r"image: .*mode I"),
     "text as image": ("plan.png", b"hello", r"image: .*no PNG, PGM, BMP or TIFF"),
     "other image format": ("plan.png", b"GIF89a" + bytes(50), r"image: .*no PNG, PGM, BMP or TIFF"),
     "endless header": ("plan.pgm", b"P5 " + b"#" * 5_000_000, r"image: .*damaged.*header"),

@@ -69,8 +69,8 @@ def shaken(**network):
 
 def test_a_task_sets_buildings_robot_and_reward_and_can_be_overridden():
     config = TrainConfig.build({"task": TASK, "env": {"max_steps": 700}, "buildings": {"spec": {"rooms": 4}}})
-    assert config.env.reward.expected_area == TASKS[TASK]["reward"]["expected_area"]
-    assert config.env.reward.completion == 0.0
+    assert config.env.reward.preset == TASKS[TASK]["reward"]["preset"]
+    assert config.env.reward.correct_coverage == 1.0
     assert (config.env.max_steps, config.buildings.spec["rooms"]) == (700, 4)
     assert config.buildings.spec["loops"] == TASKS[TASK]["loops"]
     assert config.score == "correct_over_steps"

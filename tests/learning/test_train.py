@@ -208,11 +208,12 @@ def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
     assert load(folder)
 
 
-def test_ctrl_c_saves_and_says_where(launcher, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
     process = start(launcher, "--config", str(config), "--out", str(folder))
     wait_for_checkpoint(process, Checkpoints(folder / "checkpoints", 3))
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     said, _ = process.communicate(timeout=300)
     assert process.returncode == 130, said
     assert f"--resume {folder}" in said.replace("\n", "")
@@ -267,7 +268,7 @@ def test_custom_rewards_are_part_of_the_return_and_have_a_column(monkeypatch):
 def test_a_divergence_is_an_end_for_the_learner_and_a_time_limit_is_none(algorithm):
     """With the value of the next state added, divergence was worth as much as keeping the map."""
     for fields, terminal in (({"slam": {"filter": {"diverged_sigma_m": 0.0012}}}, True), ({"max_steps": 2}, False)):
-        venv = make_many(quick(algorithm, env=QUICK["env"] | fields), 0)
+        venv = make_many(quick(algorithm, env=QUICK["env"] | {"reward": "terms"} | fields), 0)
         venv.reset()
         dones = np.zeros(2, np.bool_)
         for _ in range(20):

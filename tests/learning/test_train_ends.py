@@ -21,6 +21,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
+from mecp_env.core.cores import cores  # noqa: E402
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
 from mecp_env.learning import train, warm_start  # noqa: E402
 from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint, write_checkpoint  # noqa: E402
@@ -314,3 +315,9 @@ def test_a_table_with_a_torn_tail_keeps_its_whole_rows(tail, tmp_path):
         file.write(tail)
     table.cut(5)
     assert [row["decisions"] for row in table.rows()] == ["1", "2"]
+
+
+def test_a_learner_that_computes_while_environments_step_steps_none_itself():
+    venv = vectorise([partial(gym.make, "CartPole-v1")] * 2, computing=True)
+    assert len(venv.batch.pids) == min(2, cores())
+    venv.close()

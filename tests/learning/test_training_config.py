@@ -122,7 +122,7 @@ def test_options_stand_above_the_file(tmp_path):
     assert (config.algorithm, config.seed, config.ppo.epochs) == ("ppo", 5, 9)
 
 
-def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_little():
+def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
     configs = {name: TrainConfig.build({"algorithm": name}) for name in ALGORITHMS}
     assert {name: config.actions for name, config in configs.items()} == {
         "ppo": "velocity",
@@ -130,8 +130,8 @@ def test_each_algorithm_has_defaults_of_its_own_and_the_completion_is_worth_litt
         "recurrent_ppo": "velocity",
     }
     assert configs["ppo"].ppo.discount < 1.0 == configs["maskable_ppo"].ppo.discount
-    assert configs["ppo"].env.reward.contact == configs["recurrent_ppo"].env.reward.contact == -0.01
-    assert TrainConfig.build({"env": {"reward": {"time": -0.01}}}).env.reward.completion == 1.0
+    assert {config.env.reward.preset for config in configs.values()} == {"coverage"}
+    assert TrainConfig.build({"env": {"reward": {"time": -0.01}}}).env.reward.preset == "terms"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mecp_env.policies.coverage_curve import CoverageCurve, budget_m
+from mecp_env.core.budget import budget_m
+from mecp_env.policies.coverage_curve import CoverageCurve
 
 
 @pytest.fixture

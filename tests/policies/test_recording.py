@@ -86,8 +86,8 @@ def test_the_drives_of_a_policy_are_recorded_as_velocities() -> None:
     env = dataset.recover_environment()
     for seed, episode in enumerate(dataset.iterate_episodes()):
         env.reset(seed=seed, options={"building": seed})
-        poses = [env.step(action)[0][:13] for action in episode.actions[:-1]]
-        assert same(np.array(poses), episode.observations[1:-1, :13])
+        poses = [env.step(action)[0][:10] for action in episode.actions[:-1]]
+        assert same(np.array(poses), episode.observations[1:-1, :10])
         assert episode.infos["period"].tolist() == list(range(len(episode) + 1))
         assert set(episode.infos) == set(INFOS)
 
@@ -104,7 +104,7 @@ def test_the_format_does_not_change_what_a_policy_does() -> None:
 
 def test_a_task_is_recorded_with_its_robot_and_its_uncertainty() -> None:
     dataset = record("returning", "--task", "ActiveHalls-v0")
-    assert dataset.observation_space.shape == (128,)
+    assert dataset.observation_space.shape == (421,)
     assert dataset.env_spec.id == "mecp_env/ActiveHalls-v0"
 
 

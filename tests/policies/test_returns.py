@@ -34,7 +34,8 @@ def test_lost_episodes_are_compared_with_the_others_of_their_building() -> None:
     assert found["difference"]["value"] == pytest.approx(-17.5)
     assert found["ratio"]["value"] == pytest.approx(-0.4)
     assert found["correlation"]["n"] == 9
-    assert "| 2 buildings with both | -5.0 [-6.0, -4.0] | 12.5 [10.0, 15.0] |" in returns_table({"returns": found})
+    expected = "| 2 buildings with both | -5.000 [-6.000, -4.000] | 12.500 [10.000, 15.000] |"
+    assert expected in returns_table({"returns": found})
 
 
 def test_where_none_or_all_were_lost_there_is_nothing_to_compare() -> None:

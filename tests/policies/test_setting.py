@@ -124,7 +124,7 @@ def test_a_task_gives_its_robot_to_plans_below_what_policies_and_options_say(pla
     assert (config.laser.max_range_m, config.laser.beams) == (2.5, 360)
     assert (config.odometry.preset, config.observation.uncertainty) == ("skid_steer", True)
     assert (config.planning.known_ground.places, config.planning.known_ground.wait_steps) == (8, 7)
-    assert (config.estimator, config.max_steps, config.start, config.actions) == ("known", 90, "random", "velocity")
+    assert (config.estimator, config.max_steps, config.start, config.actions) == ("known", 90, "random", "goal")
     assert setting.where.startswith(f"{plans}, robot of ActiveHalls-v0, laser.beams 360")
 
 
@@ -179,7 +179,7 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
     (plans / "office.json").write_text("{}")  # the first one
     evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
     with pytest.raises(ValueError, match=r"office\.json"):
-        evaluation.check_buildings(Nearest())
+        evaluation.check_buildings([Nearest()])
 
 
 @pytest.mark.parametrize(

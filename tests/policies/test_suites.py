@@ -191,7 +191,8 @@ def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, caps
     line = "evaluate nearest --task ActiveCheapRobot-v0 --known --split validation --episodes 1 --max-steps 30 --out"
     assert cli.main([*line.split(), str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "The effect of known correspondences" in said
     assert "split of `ActiveCheapRobot-v0`" in said
+    assert "nearest, known correspondences" in said
+    assert "The effect of known correspondences" in (tmp_path / "page.md").read_text()
     assert cli.main(["evaluate", "nearest", "--task", "ActiveHall-v0"]) == 2
     assert "did you mean 'ActiveHalls-v0'" in capsys.readouterr().err

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import html
 from pathlib import Path
 from typing import Any
 
@@ -216,3 +219,30 @@ def test_a_browser_that_cannot_play_it_says_so(kept: tuple[Path, list[Any]], tmp
             browser.before_pages(script)
             browser.show(page)
             browser.wait(f"document.getElementById('trouble')?.textContent.includes({words!r})")
+
+
+@pytest.mark.parametrize("mark", ["{{player}}", "{{run}}", "{{style}}", "{{version}}", "{{title}}", r"\\1 \\g<0>"])
+def test_a_title_stays_as_it_is(mark: str, tmp_path: Path) -> None:
+    write_page({"frames": [1], "title": mark}, tmp_path / "p.html")
+    assert f'<h1 id="title">{html.escape(mark)}</h1>' in (tmp_path / "p.html").read_text()
+    assert read_page(tmp_path / "p.html")["title"] == mark
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b'{"frames":[1]}',
+        b'{"frames":[1],"title":5}',
+        b'{"frames":1,"title":"x"}',
+        b"[" * 300_000,
+        b" " * 200_000_000,
+        b'{"title":"x","frames":[' + b"[]," * 3_000_000 + b"[]]}",
+    ],
+    ids=["no title", "a number as title", "frames that are none", "nesting", "blanks", "lists"],
+)
+def test_a_page_of_another_hand_is_refused(raw: bytes, tmp_path: Path) -> None:
+    packed = base64.b64encode(gzip.compress(raw)).decode()
+    page = tmp_path / "p.html"
+    page.write_text(f'<script id="run" type="text/plain" data-version="1">{packed}</script>')
+    with pytest.raises(ReplayError, match=r"p\.html"):
+        read_page(page)

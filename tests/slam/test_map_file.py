@@ -238,7 +238,7 @@ def changed(slam_map: SlamMap, path: str, value: Any) -> Any:
         ("step_count", True, "map.step_count: expected int"),
         ("rooms.in_doorway", "yes", "map.rooms.in_doorway: expected bool, given 'yes'"),
         ("filter.slot_ids", {"@array": [np.arange(3), True]}, "map.map.features.rows: a landmark that is not in"),
-        ("map.features.rows", {"@array": [np.zeros(3), True]}, "map.map.features.rows: expected ndarray"),
+        ("map.features.rows", {"@array": [np.zeros(3), True]}, "map.map.features.rows: expected (?i:ndarray)"),
         ("config", {"@settings": ["mecp_env.slam.config:SlamConfig", {"speed": 1}]}, "SlamConfig.speed: no such field"),
         ("config", {"@settings": ["mecp_env.slam.config:GridConfig", {}]}, "SlamConfig"),
         ("grid", {"@object": ["os:system", {}]}, "state: 'os:system' is not a class of mecp_env"),

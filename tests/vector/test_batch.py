@@ -13,13 +13,14 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
 
+import mecp_env
 from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.processes import start_method
 from mecp_env.vector import BatchEnv
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, equal, make_small
+from tests.vector.helpers import LAYOUT, N, equal, make_by, make_small
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -164,6 +165,28 @@ def test_masks_of_all_goals_in_one_array() -> None:
     venv.close()
 
 
+@pytest.mark.parametrize("mode", ["batch", "sync", "async"])
+def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
+    venv = make_by(mode, LAYOUT, 2, actions="goal", observation="flat", max_steps=30, **SMALL)
+    observation, infos = venv.reset(seed=1)
+    valid = [k for k, name in enumerate(mecp_env.flat_names(actions="goal")) if name.endswith("_valid")]
+    ends = 0
+    for _ in range(8):
+        masks = infos["action_mask"]
+        assert (masks.dtype, masks.shape) == (np.int8, (2, 32))
+        assert infos["_action_mask"].all()
+        assert np.array_equal(masks, observation[:, valid])
+        actions = np.array([space_sample(venv, mask) for mask in masks])
+        observation, _, terminated, truncated, infos = venv.step(actions)
+        ends += int((terminated | truncated).sum())
+    assert ends > 0  # the mask of a new episode is that of its first observation
+    venv.close()
+
+
+def space_sample(venv: Any, mask: np.ndarray) -> int:
+    return int(venv.single_action_space.sample(mask=mask))
+
+
 def test_without_goals_there_are_no_masks(batch: BatchEnv) -> None:
     with pytest.raises(AttributeError, match="actions='goal'"):
         batch.action_masks()
@@ -199,6 +222,15 @@ def test_without_autoreset_what_is_over_waits_for_its_reset() -> None:
     venv.reset(options={"reset_mask": np.array([True, False, True])})
     with pytest.raises(ResetNeeded, match=r"environments \[1\]"):
         venv.step(STILL)
+    venv.close()
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_the_mode_and_the_base_class_are_found_where_other_libraries_look(mode: AutoresetMode) -> None:
+    """TorchRL reads `autoreset_mode`; skrl looks at the direct bases; Gymnasium's wrappers read the metadata."""
+    venv = make_small(1, workers=None, autoreset_mode=mode)
+    assert venv.autoreset_mode == venv.metadata["autoreset_mode"] == mode
+    assert gymnasium.vector.VectorEnv in type(venv).__bases__
     venv.close()
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
-from mecp_env.core import processes
+from mecp_env.core import worker_pool
 from mecp_env.core.errors import ActionError
 from mecp_env.vector import BatchEnv, WorkerDied, WorkerError
 from tests.env.helpers import make
@@ -191,7 +191,7 @@ def make_here(owner: int) -> Any:
 
 
 def test_closing_does_not_wait_for_a_step_that_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "STOP_S", 0.5)
+    monkeypatch.setattr(worker_pool, "STOP_S", 0.5)
     venv = make_small(wrappers=(Slow,))
     venv.reset(seed=1)
     pids = venv.pids

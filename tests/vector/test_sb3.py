@@ -170,3 +170,10 @@ def test_maskable_ppo_learns_on_the_batch_as_on_their_own_class() -> None:
         weights.append([parameter.detach().numpy().copy() for parameter in model.policy.parameters()])
         venv.close()
     assert equal(*weights)
+
+
+def test_films_of_the_batch_have_the_frame_rate_of_the_environment() -> None:
+    venv = make_batch(render_mode="rgb_array")
+    assert venv.metadata["render_fps"] == venv.get_attr("metadata")[0]["render_fps"] == 10
+    assert venv.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.SAME_STEP
+    venv.close()

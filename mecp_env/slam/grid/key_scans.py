@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import GridConfig
+from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.messages import MergedScan, Segments
 
 MOVED, CAME, WENT = (1 << bit for bit in range(3))  # what can happen to landmarks
@@ -24,6 +25,15 @@ def free_and_walls(scan: MergedScan, segments: Segments, config: GridConfig) -> 
     lines = (segments.points, segments.line, segments.first, segments.last, segments.roll)
     outline, strips = _free_and_walls(beams, lines, config.record)
     return outline, strips
+
+
+def seen_floor(scan: MergedScan, sensor: SensorModel) -> MergedScan:
+    """The scan as it clears floor: beams of a weak laser that do not return clear only what it sees for sure."""
+    most = sensor.free_without_return_m
+    if most >= scan.max_range_m:
+        return scan
+    empty = ~scan.hit & (scan.ranges >= scan.max_range_m)
+    return replace(scan, ranges=np.where(empty, most, scan.ranges))
 
 
 @compiled

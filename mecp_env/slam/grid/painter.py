@@ -28,6 +28,9 @@ class GridPainter:
     completed room, else UNKNOWN.
     """
 
+    completed: tuple[int, ...]  # rooms with nothing left to see
+    filled: tuple[int, ...]  # those whose pockets are painted
+
     def __init__(self, config: GridConfig) -> None:
         self.config = config
         self.canvas = Canvas(config.resolution_m, empty_grid(config.resolution_m))
@@ -38,8 +41,8 @@ class GridPainter:
         self.merges = 0
         self.partings = 0
         self.step = 0  # how often it painted
-        self.completed: tuple[int, ...] = ()  # rooms with nothing left to see
-        self.filled: tuple[int, ...] = ()  # those whose pockets are painted
+        self.completed = ()
+        self.filled = ()
         self.again = False  # the next scan is painted, wherever it is taken
 
     def paint(

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import Settings, as_many, as_range, guess
+from mecp_env.core.settings import Settings, as_many, as_range, guess, shown
 from mecp_env.world.config import ordered
 
 Difficulty = Literal["easy", "medium", "hard", "huge"]
@@ -67,9 +67,9 @@ class GeneratorSpec(Settings):
     @classmethod
     def preset(cls, difficulty: str = "medium", **fields: Any) -> Self:
         """The specification of a difficulty, with `fields` over it. Raises `ConfigError` for an unknown one."""
-        if difficulty not in DIFFICULTIES:
+        if not isinstance(difficulty, str) or difficulty not in DIFFICULTIES:
             known, nearest = ", ".join(DIFFICULTIES), guess(difficulty, DIFFICULTIES)
-            raise ConfigError(f"difficulty: {difficulty!r:.80} is not one of {known}{nearest}")
+            raise ConfigError(f"difficulty: {shown(difficulty)} is not one of {known}{nearest}")
         return cls(**(DIFFICULTIES[difficulty] | fields))
 
     def drawn_thickness_m(self, rng: np.random.Generator) -> float:
@@ -136,12 +136,12 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
 
 def unknown_split(split: object) -> str:
     """The message for an unknown split."""
-    return f"split: {split!r:.80} is not one of {', '.join(SPLITS)}{guess(split, SPLITS)}"
+    return f"split: {shown(split)} is not one of {', '.join(SPLITS)}{guess(split, SPLITS)}"
 
 
 def split_seed(split: str, index: int) -> int:
     """The seed of building `index` of a split. Raises `ConfigError` for an unknown split or an index outside."""
-    if split not in SPLITS:
+    if not isinstance(split, str) or split not in SPLITS:
         raise ConfigError(unknown_split(split))
     if not 0 <= index < len(SPLITS[split]):
         raise ConfigError(f"index: {index}, split {split!r} has {len(SPLITS[split])} buildings")

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import compose, to_map
-from mecp_env.slam.config import GridConfig
+from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.grid.door_sight import split_outline
+from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.messages import Cell, RoomGraph
 from tests.toy import HERE, LANDMARKS, Toy, free_iou, is_free, labels_at, layer_at, look
@@ -264,6 +265,21 @@ def test_an_empty_map_is_painted_before_there_are_landmarks() -> None:
     assert (painter.scans.anchor == -1).all()
     painter.paint(belief, beams, segments, belief.ids, (), graph)
     assert (painter.scans.anchor >= 0).all()
+
+
+def test_a_beam_without_return_clears_what_the_laser_is_sure_of() -> None:
+    beams, segments = look(np.array([1.0, 2.0, 0.0]))
+    empty = np.zeros(len(beams.hit), np.bool_)
+    empty[::3] = True
+    lost = replace(beams.with_hits(beams.hit & ~empty), ranges=np.where(empty, beams.max_range_m, beams.ranges))
+    sure = SensorModel(no_return="unknown").free_without_return_m
+    assert seen_floor(lost, SensorModel()) is lost
+    weak = seen_floor(lost, SensorModel(no_return="unknown"))
+    np.testing.assert_array_equal(weak.ranges, np.where(empty, sure, beams.ranges))
+    outlines = [free_and_walls(scan, segments, GridConfig())[0] for scan in (lost, weak)]
+    near = [(np.hypot(*outline.T) < sure + 1e-9).sum() for outline in outlines]
+    assert near[0] == 0
+    assert near[1] == empty.sum()
 
 
 def test_free_space_is_cut_at_a_door() -> None:

@@ -1,0 +1,117 @@
+"""What a control step costs in each format of the observation, and how many of the offered goals `flat` describes.
+
+One environment per format in one process, driven with the same random actions in short blocks that alternate, so that
+other load affects all formats alike. A ratio is taken within a round and compares the CPU time per control step with
+that of the format "dict"; "none" leaves the observation out, so that no format can be cheaper. In the paper's building
+and in generated ones of `Rooms-v0` (medium), with velocities and with goals (a valid row each time).
+
+Rows: the goals that `flat` describes at a decision, as a share of the rows that are offered there, in whole episodes of
+random goals.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import mecp_env
+from benchmarks.common import Figures, Gate, Options, estimate, share, table
+from mecp_env.env import MecpEnv
+from mecp_env.episode.observation_arrays import GOALS
+
+BUILDINGS: dict[str, dict[str, Any]] = {
+    "PaperMap": {"id": "mecp_env/PaperMap-v0"},
+    "Rooms, medium": {"id": "mecp_env/Rooms-v0", "difficulty": "medium"},
+}
+OFFERED = BUILDINGS | {
+    "Rooms, hard": {"id": "mecp_env/Rooms-v0", "difficulty": "hard"},
+    "ActiveHalls": {"id": "mecp_env/ActiveHalls-v0"},
+}
+FORMATS = ("dict", "flat", "image", "none")
+BLOCK = {"velocity": 100, "goal": 6}  # actions
+GATES = tuple(Gate(f"time/{name}, {actions}/flat", "bound", 1.0) for name in BUILDINGS for actions in BLOCK)
+
+
+def run(options: Options) -> Figures:
+    """All results: 30 rounds of blocks, and 10 episodes of each building (--quick: 4 and 1)."""
+    rounds, episodes = (4, 1) if options.quick else (30, 10)
+    times = {f"{name}, {actions}": compare(name, actions, rounds) for name in BUILDINGS for actions in BLOCK}
+    return {"time": times, "rows": {name: rows_described(name, episodes) for name in OFFERED}}
+
+
+def compare(name: str, actions: str, rounds: int) -> Figures:
+    """Milliseconds per control step of each format, and their ratios to "dict", over the rounds after the first."""
+    drivers = {word: Driver(name, actions, word) for word in FORMATS}
+    ms = [{word: driver.block_ms(BLOCK[actions]) for word, driver in drivers.items()} for _ in range(rounds + 1)][1:]
+    ratios = {word: estimate(np.array([one[word] / one["dict"] for one in ms])) for word in FORMATS[1:]}
+    return {"dict_ms": estimate(np.array([one["dict"] for one in ms])), **ratios}
+
+
+class Driver:
+    """An environment of a format, driven with random actions."""
+
+    def __init__(self, name: str, actions: str, observation: str) -> None:
+        self.env = make(name, actions=actions, observation="dict" if observation == "none" else observation)
+        self.base: Any = self.env.unwrapped
+        if observation == "none":
+            self.base.observation = dict
+        self.rng = np.random.default_rng(0)
+        self.choose: Callable[[], Any] = self.velocity if actions == "velocity" else self.goal
+        self.env.reset(seed=0)
+
+    def velocity(self) -> Any:
+        """Forward, with some turning."""
+        return self.rng.uniform([0.3, -0.4], [1.0, 0.4]).astype(np.float32)
+
+    def goal(self) -> int:
+        """One of the goals that are offered."""
+        return int(self.rng.integers(max(1, min(GOALS, len(self.base.goals)))))
+
+    def block_ms(self, actions: int) -> float:
+        """CPU time per control step of a block of actions, resets left out."""
+        spent_s, steps = 0.0, 0
+        for _ in range(actions):
+            action, start = self.choose(), time.process_time()
+            _, _, terminated, truncated, info = self.env.step(action)
+            spent_s, steps = spent_s + time.process_time() - start, steps + info.get("periods", 1)
+            if terminated or truncated:
+                self.env.reset()
+        return 1e3 * spent_s / steps
+
+
+def make(name: str, **fields: Any) -> gymnasium.Env[Any, Any]:
+    """The environment of a building, without Gymnasium's checks of each step."""
+    own = dict(OFFERED[name])
+    env: gymnasium.Env[Any, Any] = gymnasium.make(own.pop("id"), disable_env_checker=True, **own, **fields)
+    assert isinstance(env.unwrapped, MecpEnv)
+    return env.env  # without the check of the order of reset and step
+
+
+def rows_described(name: str, episodes: int) -> Figures:
+    """The share of offered rows whose column `valid` is 1, over all decisions of some episodes of random goals."""
+    env = make(name, actions="goal", observation="flat")
+    valid = [k for k, column in enumerate(mecp_env.flat_names(env)) if column.endswith("_valid")]
+    env.action_space.seed(0)
+    described, decisions = list[bool](), 0
+    for seed in range(episodes):
+        observation, info = env.reset(seed=seed)
+        over = False
+        while not over:
+            described += (observation[valid][info["action_mask"] == 1] == 1.0).tolist()
+            decisions += 1
+            observation, _, ended, cut, info = env.step(env.action_space.sample(mask=info["action_mask"]))
+            over = ended or cut
+    return {"described": share(described), "offered": len(described) / decisions, "decisions": decisions}
+
+
+def report(figures: Figures) -> str:
+    """A table of times and one of rows."""
+    times = [(name, *values.values()) for name, values in figures["time"].items()]
+    rows = [(name, *values.values()) for name, values in figures["rows"].items()]
+    heads = ["building, actions", "dict, ms per control step", *(f"{word} / dict" for word in FORMATS[1:])]
+    described = ["building", "share of offered rows described", "rows offered per decision", "decisions"]
+    return f"{__doc__}\n{table(heads, times)}\n\n{table(described, rows)}"

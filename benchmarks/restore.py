@@ -1,0 +1,157 @@
+"""Restore: states of episodes and maps at random moments come back to the bit, and go on alike.
+
+Each run is a random id, start, crowd, clutter, laser, odometry, observation, estimator, filter and associator, driven
+for a random number of steps of random actions: sometimes past the end of the episode, and sometimes while the pose is
+searched for.
+Then its state is read into a second environment and its map into a second pipeline. The state and the map must be
+those that were kept, and 3 more steps (or a `reset` after the end) must give the same results and the same state after
+them. Every failure is listed with what makes it again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import mecp_env
+from benchmarks.common import Figures, Gate, Options, in_parallel, table
+from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
+from mecp_env.slam import SlamPipeline
+from mecp_env.slam.config import METHODS
+from mecp_env.world.layout import LIBRARY
+
+RUNS, QUICK = 1000, 10
+MORE = 3  # steps after a state
+PLAN = LIBRARY / "furnished.json"
+FILE = FileKind("mecp_env state of the benchmark", 1, "0")
+GATES = (Gate("all/failed", "bound", 0.0),)
+
+LAYOUTS = ("two_rooms", "paper", "office")
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "actions": ("goal", "velocity"),
+    "crowd": ({}, {"people": 4}),
+    "clutter": ({}, {"movable_boxes": 3, "closed_doors": 1}),
+    "laser": ({}, {"preset": "urg04lx"}, {"preset": "lms200"}),
+    "odometry": ({}, {"preset": "turtlebot"}, {"preset": "skid_steer"}),
+    "observation": ({}, {"format": "flat"}, {"format": "image"}, {"uncertainty": True}),
+    "start": ("layout", "random"),
+    "estimator": ("slam", "slam", "known", "truth"),
+}
+FILTERS = ("riekf_submaps", "riekf", "ekf", "fej")
+
+
+def run(options: Options) -> Figures:
+    """How many runs came back, and the failures."""
+    numbers = [(number,) for number in range(QUICK if options.quick else RUNS)]
+    failures = [text for text in in_parallel(failure_of, str, numbers, options) if text]
+    return {"all": {"runs": len(numbers), "failed": len(failures)}, "failures": dict(enumerate(failures))}
+
+
+def setting_of(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
+    """A random id with its keywords."""
+    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
+    fields = {key: values[int(rng.integers(len(values)))] for key, values in CHOICES.items()}
+    slam = {"filter": {"kind": str(rng.choice(FILTERS))}, "association": {"method": str(rng.choice(METHODS.ours[:-1]))}}
+    fields |= {"slam": slam, "max_steps": int(rng.integers(5, 300))}
+    if name.endswith("Layout-v0"):
+        fields["layout"] = str(rng.choice(LAYOUTS))
+    return name, fields | ({"plan": str(PLAN)} if name.endswith("FloorPlan-v0") else {})
+
+
+def failure_of(unit: tuple[int]) -> str:
+    """What is wrong with the run of a number, empty when nothing is."""
+    (number,) = unit
+    rng = np.random.default_rng([39, number])
+    name, fields = setting_of(rng)
+    steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
+    try:
+        env, other = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
+        fault = fault_of(env, other, rng, steps, lost)
+    except Exception as error:  # any error is a finding
+        fault = f"{type(error).__name__}: {error}"
+    return f"{number}: {name} {fields} after {steps} steps{', lost' * lost}: {fault}" if fault else ""
+
+
+def fault_of(env: Any, other: Any, rng: np.random.Generator, steps: int, lost: bool) -> str:
+    """What differs between an environment after so many steps and another one that continues it."""
+    env.reset(seed=int(rng.integers(2**31)))
+    other.reset(seed=0)
+    own, others = env.unwrapped, other.unwrapped
+    going = drive(env, rng, steps)
+    if lost and going:
+        own._started().pipeline.lose_pose()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "state.zip"
+        save_snapshot(path, FILE, own.get_state())
+        others.set_state(load_snapshot(path, FILE))
+        if not same(others.get_state(), own.get_state()):
+            return "another state"
+        return map_fault(own, Path(folder) / "map.zip") or after_fault(env, other, rng, going)
+
+
+def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
+    """Take at most so many steps; False when the episode ended before."""
+    for _ in range(steps):
+        _, _, terminated, truncated, _ = env.step(action_of(env, rng))
+        if terminated or truncated:
+            return False
+    return True
+
+
+def action_of(env: Any, rng: np.random.Generator) -> Any:
+    """A goal that may be chosen, or a velocity."""
+    if env.unwrapped.config.actions != "goal":
+        return rng.uniform([0.0, -1.0], [1.0, 1.0]).astype(np.float32)
+    goals = np.flatnonzero(env.get_wrapper_attr("action_masks")())
+    return int(rng.choice(goals)) if len(goals) else 0
+
+
+def map_fault(env: Any, path: Path) -> str:
+    """What differs between the map that is saved and the one that is read; a map of ground truth is of no use."""
+    if env.config.estimator != "slam":
+        return ""
+    env.save_map(path)
+    again = SlamPipeline.from_map(path)
+    again.save_map(path.with_name("again.zip"))
+    return "" if path.read_bytes() == path.with_name("again.zip").read_bytes() else "another map"
+
+
+def after_fault(env: Any, other: Any, rng: np.random.Generator, going: bool) -> str:
+    """What differs in the steps that follow."""
+    if not going:
+        return "" if same(env.reset(), other.reset()) else "another reset"
+    for _ in range(MORE):
+        action = action_of(env, rng)
+        results = env.step(action), other.step(action)
+        if not same(*results):
+            return "another step"
+        if results[0][2] or results[0][3]:
+            break
+    return "" if same(env.unwrapped.get_state(), other.unwrapped.get_state()) else "another state after it"
+
+
+def same(first: Any, second: Any) -> bool:
+    """True when all values are equal to the bit, nan too."""
+    if isinstance(first, np.ndarray):
+        return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(same, first, second))
+    return type(first) is type(second) and repr(first) == repr(second)
+
+
+def faults(figures: Figures) -> list[str]:
+    """The failures."""
+    return list(figures["failures"].values())
+
+
+def report(figures: Figures) -> str:
+    """The counts, and every failure."""
+    counts = figures["all"]
+    found = "\n".join(f"- {text}" for text in faults(figures)) or "All came back to the bit."
+    return "\n\n".join([(__doc__ or "").strip(), table(list(counts), [tuple(counts.values())]), found])

@@ -1,0 +1,166 @@
+"""Returns: does what a policy is paid rank policies as the metric does?
+
+Each policy explores the same buildings of the split `test` from the same starts, with the default reward of the task.
+The metric is the mean over the step limit of coverage, or of correct coverage in the tasks of active SLAM. `tau` is
+Kendall's rank correlation of mean return and mean metric over the policies, `tau, apart` that over the pairs whose
+difference in the metric, paired by building, has an interval without 0. `r` is Pearson's correlation over all episodes
+of all policies. `random / nearest` is the return of the random policy as a share of that of `nearest`, beside the same
+share of the metric. The benchmark fails where a policy that is better by the metric is worse by the return, both with
+intervals without 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.stats import kendalltau
+
+from benchmarks.common import Figures, OptionError, Options, chosen, estimate, grouped, in_parallel, table
+from mecp_env.core.intervals import correlation, ratio
+from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.registry import make_policy, policy_checksum, source_of
+from mecp_env.policies.rollout import EpisodeTask, run_episode
+from mecp_env.policies.setting import Setting
+
+GOALS = ("random_goal", "nearest", "gain", "next_best_view", "maskable_ppo")
+ACTING = ("returning", "stachniss")  # read predictions, which only the tasks of active SLAM show
+VELOCITIES = ("standing", "random_walk")
+SETTINGS: dict[str, Setting] = {
+    "First": Setting("easy", "test", "slam", 500),
+    **{name: Setting(name, "test", "slam", 3000) for name in ("easy", "medium", "hard")},
+    **{name: Setting("", "test", "slam", fields["max_steps"], name) for name, fields in TASKS.items()},
+}
+SETS = tuple(SETTINGS)
+BUILDINGS, QUICK_BUILDINGS, MOST = 20, 2, 1000
+COVERAGE, CORRECT = "coverage_over_steps", "correct_over_steps"
+KEPT = ("reward", COVERAGE, CORRECT)
+REFERENCE, RANDOM = "nearest", "random_goal"
+
+Unit = tuple[str, str, str, int]  # setting, policy, its checksum, building
+
+
+def run(options: Options) -> Figures:
+    """The figures of each task."""
+    units = units_of(options)
+    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for (name, policy, _), episodes in grouped(units, in_parallel(episode, dict[str, float], units, options)).items():
+        found.setdefault(name, {})[policy] = episodes
+    return {"tasks": {name: summarise(name, policies) for name, policies in found.items()}}
+
+
+def units_of(options: Options) -> list[Unit]:
+    """All episodes. Raises `OptionError` for more buildings than the split has."""
+    if options.buildings > MOST:
+        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
+    count = options.buildings or (QUICK_BUILDINGS if options.quick else BUILDINGS)
+    counts = chosen(options.sets, dict.fromkeys(SETTINGS, count), MOST) or dict.fromkeys(SETTINGS, count)
+    return [
+        (name, policy, policy_checksum(policy), building)
+        for name, buildings in counts.items()
+        for policy in policies_of(name, options)
+        for building in range(buildings)
+    ]
+
+
+def policies_of(name: str, options: Options) -> tuple[str, ...]:
+    """The policies that apply in a task. Raises `ConfigError` for an unknown one."""
+    given = options.policies or (*GOALS, *(ACTING if name in TASKS else ()), *VELOCITIES)
+    for policy in given:
+        make_policy(policy)
+    return tuple(given)
+
+
+def metric_of(name: str) -> str:
+    """The headline metric of a task."""
+    return CORRECT if name in TASKS else COVERAGE
+
+
+def episode(unit: Unit) -> dict[str, float]:
+    """Return and metrics of one episode."""
+    name, policy, policy_sum, building = unit
+    task = EpisodeTask(policy, building, SETTINGS[name], checksum=policy_sum, source=source_of(policy))
+    figures = run_episode(task).figures
+    return {key: figures[key] for key in KEPT}
+
+
+def summarise(name: str, policies: Mapping[str, list[dict[str, float]]]) -> Figures:
+    """How return and metric agree in a task."""
+    returns, metric = (
+        {policy: np.array([each[key] for each in episodes]) for policy, episodes in policies.items()}
+        for key in ("reward", metric_of(name))
+    )
+    pairs = list(combinations(policies, 2))
+    apart = [pair for pair in pairs if is_apart(metric, pair)]
+    means = [(returns[policy].mean(), metric[policy].mean()) for policy in policies]
+    figures: Figures = {
+        "policies": {
+            policy: {"return": estimate(returns[policy]), "metric": estimate(metric[policy])} for policy in policies
+        },
+        "tau": float(kendalltau(*zip(*means, strict=True))[0]) if len(means) > 1 else 1.0,
+        "tau_apart": agreement(returns, metric, apart),
+        "pairs_apart": [len(apart), len(pairs)],
+        "r": correlation(np.stack(list(returns.values())), np.stack(list(metric.values()))),
+        "contradictions": [
+            list(pair) for pair in apart if is_apart(returns, pair) and not agree(returns, metric, pair)
+        ],
+    }
+    if REFERENCE in policies and RANDOM in policies:
+        figures["random_of_nearest"] = ratio(returns[RANDOM], returns[REFERENCE])
+        figures["random_of_nearest_metric"] = ratio(metric[RANDOM], metric[REFERENCE])
+    return figures
+
+
+def is_apart(values: Mapping[str, Any], pair: tuple[str, str]) -> bool:
+    """True where the paired difference of two policies has a 95 % interval without 0; one building has no interval."""
+    difference = estimate(values[pair[0]] - values[pair[1]])
+    return difference["n"] > 1 and bool(difference["low"] > 0.0 or difference["high"] < 0.0)
+
+
+def agree(returns: Mapping[str, Any], metric: Mapping[str, Any], pair: tuple[str, str]) -> bool:
+    """True where return and metric put two policies in the same order."""
+    of_return, of_metric = (values[pair[0]].mean() - values[pair[1]].mean() for values in (returns, metric))
+    return bool(of_return * of_metric > 0.0)
+
+
+def agreement(returns: Mapping[str, Any], metric: Mapping[str, Any], pairs: Sequence[tuple[str, str]]) -> float:
+    """Kendall's tau over some pairs; 1 without one."""
+    signs = [1.0 if agree(returns, metric, pair) else -1.0 for pair in pairs]
+    return float(np.mean(signs)) if signs else 1.0
+
+
+def faults(figures: Figures) -> list[str]:
+    """The pairs that the return puts in the wrong order."""
+    return [
+        f"{name}: the metric puts {first} and {second} in another order than the return"
+        for name, task in figures["tasks"].items()
+        for first, second in task["contradictions"]
+    ]
+
+
+def report(figures: Figures) -> str:
+    """How they agree in each task, and the returns of all policies."""
+    tasks = figures["tasks"]
+    heads = ["task", "tau", "tau, apart", "pairs apart", "r", "random / nearest: return", "metric"]
+    none = {"value": None}
+    rows = [
+        [
+            *(name, task["tau"], task["tau_apart"], "{} of {}".format(*task["pairs_apart"]), task["r"]),
+            *(task.get("random_of_nearest", none), task.get("random_of_nearest_metric", none)),
+        ]
+        for name, task in tasks.items()
+    ]
+    names = list(dict.fromkeys(policy for task in tasks.values() for policy in task["policies"]))
+    by_policy = [[policy, *(cell(task["policies"].get(policy)) for task in tasks.values())] for policy in names]
+    returns = table(["return / metric", *tasks], by_policy)
+    return f"{__doc__}\n{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
+
+
+def cell(found: Mapping[str, Any] | None) -> str:
+    """Mean return with its interval, and mean metric."""
+    if found is None:
+        return "-"
+    paid, metric = found["return"], found["metric"]
+    return f"{paid['value']:.3f} [{paid['low']:.3f}, {paid['high']:.3f}] / {metric['value']:.3f}"

@@ -1,0 +1,157 @@
+"""The stamps of a recording: those of its messages, or the order of the file where they are of no use."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.errors import LogError
+from mecp_env.logs.recording import Recording, Sweep
+
+Clock = Literal["message", "received"]
+LATEST_S = 1e11  # no stamp is later: the year 5138
+USEFUL_SHARE = 0.75  # of the stamps ascend, and
+DISTINCT_SHARE = 0.02  # of them differ, at least; otherwise the order of the file counts
+UNUSABLE = "stamps of the messages are equal, missing or not ascending: the order of the file counts"
+RECEIVED = "--clock received: the order of the file counts (in a bag, the times when messages were received)"
+
+
+def set_stamps(recording: Recording, clock: Clock) -> None:
+    """Give the sweeps of each laser ascending stamps, and poses those of the same clock.
+
+    Raises `LogError` without any sweep.
+    """
+    carried = all(sweep.T_odom_robot is not None for sweep in recording.sweeps)
+    useful = _all_useful(recording, carried)
+    if clock == "received" or not useful:
+        recording.notes.append(RECEIVED if clock == "received" else UNUSABLE)
+        _take_order(recording)
+    recording.counts["scans without a useful stamp, in the order of the file"] += (not useful) * len(recording.sweeps)
+    found = [sweep for sweeps in _by_laser(recording) for sweep in _sorted_out(sweeps, carried, recording.counts)]
+    if not found:
+        raise LogError(f"no scan that can be used ({listed(recording)})")
+    recording.sweeps = found
+
+
+def _all_useful(recording: Recording, carried: bool) -> bool:
+    """True where the stamps of all lasers are of use, and those of the poses that sweeps do not carry."""
+    poses = [] if carried else [np.array(recording.odometry.t, np.float64)]
+    return all(map(are_useful, (*map(_stamps, _by_laser(recording)), *poses)))
+
+
+def _by_laser(recording: Recording) -> list[list[Sweep]]:
+    lasers = sorted({sweep.laser for sweep in recording.sweeps})
+    return [[sweep for sweep in recording.sweeps if sweep.laser == laser] for laser in lasers]
+
+
+def _stamps(sweeps: list[Sweep]) -> Array:
+    return np.array([sweep.t for sweep in sweeps], np.float64)
+
+
+def listed(recording: Recording) -> str:
+    """What has been counted so far, in words."""
+    return ", ".join(f"{n} {what}" for what, n in (+recording.counts).items()) or "nothing else is in it"
+
+
+def are_useful(stamps: Array) -> bool:
+    """True unless too many of the stamps (n,) are equal, impossible or out of order."""
+    if len(stamps) < 3:
+        return not len(stamps) or (bool((abs(stamps) < LATEST_S).all()) and len(np.unique(stamps)) == len(stamps))
+    kept = stamps[_non_descending_rows(stamps)]
+    return len(kept) >= USEFUL_SHARE * len(stamps) and len(np.unique(kept)) > max(1.0, DISTINCT_SHARE * len(stamps))
+
+
+def ascending_rows(t: Array) -> Ints:
+    """Rows of the longest ascending subsequence of t (n,): one wrong stamp costs one row, wherever it points."""
+    return _longest(t, equal=False)
+
+
+def _non_descending_rows(t: Array) -> Ints:
+    return _longest(t, equal=True)
+
+
+def _longest(t: Array, equal: bool) -> Ints:
+    """Rows of the longest subsequence of t (n,) that ascends, or does not descend where equal stamps count as well."""
+    ends: list[float] = []  # of the best subsequence of each length, the last stamp
+    last: list[int] = []  # and its row
+    before, find = np.full(len(t), -1), bisect_right if equal else bisect_left
+    for row in np.flatnonzero(abs(t) < LATEST_S).tolist():
+        length = find(ends, t[row])
+        before[row] = last[length - 1] if length else -1
+        ends[length : length + 1], last[length : length + 1] = [float(t[row])], [row]
+    rows = [last[-1]] if last else []
+    while rows and before[rows[-1]] >= 0:
+        rows.append(int(before[rows[-1]]))
+    return np.array(rows[::-1], np.int64)
+
+
+def _take_order(recording: Recording) -> None:
+    """Put the order of the file in place of all stamps."""
+    recording.sweeps = [replace(sweep, t=sweep.order) for sweep in recording.sweeps]
+    for track in (recording.odometry, recording.reference):
+        track.t = list(track.order)
+
+
+def _sorted_out(sweeps: list[Sweep], carried: bool, counts: Counter[str]) -> list[Sweep]:
+    """Sweeps with ascending stamps: one that carries its pose keeps its place in the file, others out of order go."""
+    stamps = _stamps(sweeps)
+    rows = _non_descending_rows(stamps)
+    out = len(stamps) - len(rows)
+    counts["scans with an impossible stamp, or out of order" + (", placed by their lines" if carried else "")] += out
+    if carried and len(rows):
+        stamps, rows = _filled(stamps, rows), np.arange(len(stamps))
+    sound = len(rows)
+    rows = rows[~_repeats(sweeps, stamps, rows)]
+    counts["scans that repeat the one before"] += sound - len(rows)
+    counts["scans with the stamp of another"] += len(rows) - len(np.unique(stamps[rows]))
+    t = _spread(stamps[rows])
+    kept = np.diff(t, prepend=-np.inf) > 0.0
+    return [replace(sweeps[row], t=at) for row, at in zip(rows[kept].tolist(), t[kept].tolist(), strict=True)]
+
+
+def _filled(stamps: Array, rows: Ints) -> Array:
+    """Stamps (n,) with those outside `rows` between their neighbours, or behind the last and before the first."""
+    step = _spacing(stamps[rows])
+    place = np.arange(len(stamps), dtype=np.float64)
+    found = np.interp(place, rows, stamps[rows])
+    found += step * (np.minimum(place - rows[0], 0.0) + np.maximum(place - rows[-1], 0.0))
+    found[rows] = stamps[rows]
+    return found
+
+
+def _spacing(stamps: Array) -> float:
+    """The usual time between two of them; 1 where there is none."""
+    steps = np.diff(stamps)
+    return float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
+
+
+def _repeats(sweeps: list[Sweep], stamps: Array, rows: Ints) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """True for each of the rows whose stamp and readings are those of the row before."""
+    same = np.zeros(len(rows), np.bool_)
+    for k in np.flatnonzero(np.diff(stamps[rows]) == 0.0).tolist():
+        a, b = sweeps[rows[k]], sweeps[rows[k + 1]]
+        same[k + 1] = np.array_equal(a.ranges, b.ranges, equal_nan=True) and _same_pose(a, b)
+    return same
+
+
+def _same_pose(a: Sweep, b: Sweep) -> bool:
+    return all(
+        (p is None and q is None) or (p is not None and q is not None and np.array_equal(p, q, equal_nan=True))
+        for p, q in ((a.T_odom_robot, b.T_odom_robot), (a.T_odom_laser, b.T_odom_laser))
+    )
+
+
+def _spread(stamps: Array) -> Array:
+    """Stamps (n,) that do not descend, with equal ones spread evenly up to the next."""
+    if not len(stamps):
+        return stamps
+    values, first, count = np.unique(stamps, return_index=True, return_counts=True)
+    ends = np.append(values[1:], values[-1] + _spacing(values))
+    place = np.arange(len(stamps)) - np.repeat(first, count)
+    spread: Array = stamps + np.repeat((ends - values) / count, count) * place
+    return np.maximum.accumulate(spread)

@@ -1,0 +1,89 @@
+"""Is the laser mounted as the log says? Its scans and the odometry must agree about turns and headings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.trajectories import between, composed
+from mecp_env.logs.log import Log
+from mecp_env.logs.registration import registered_path
+
+MOST_SCANS = 600  # that are registered
+LEAST_TURN_RAD, MOST_TURN_RAD = math.radians(1.0), math.radians(40.0)  # of one step that counts as a turn
+TURNS_RAD, TURNS = 2.0 * math.pi, 12  # of all turns together, and their number: then there is enough to compare
+OPPOSITE = -0.8  # the correlation of turns from here down is that of a mirrored laser
+LEAST_MOVE_M, STRAIGHT_RAD = 0.02, math.radians(5.0)  # of one step that counts as straight on
+MOVES, AGREE = 8, 0.8  # steps straight on, whose directions must agree so well
+LEAST_YAW_RAD = math.radians(15.0)
+
+
+def laser_fault(log: Log) -> str | None:
+    """What is wrong with the laser, with the option that mends it; None where scans and odometry agree, or too few do.
+
+    The check needs a few turns, or some metres straight on.
+    """
+    if log.T_odom_robot is None or not np.isfinite(log.T_odom_robot).all():
+        return None
+    rows = _moving(log.T_odom_robot)
+    odometry = between(log.T_odom_robot[rows[:-1]], log.T_odom_robot[rows[1:]])
+    path = composed(registered_path(log, rows.tolist()), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
+    scans = between(path[:-1], path[1:])  # of the laser, in its frame
+    mirrored = _are_opposite(odometry[:, 2], scans[:, 2])
+    yaw = _yaw(odometry, scans, -log.T_robot_laser[2], mirrored)
+    turned, degrees = abs(yaw) > LEAST_YAW_RAD, _whole_degrees(yaw)
+    options = ["--mirror"] * mirrored + [f"--laser-yaw-deg {degrees}"] * turned
+    if not options:
+        return None
+    faults = ["mirrored (turns by scans and by odometry are opposite)"] * mirrored
+    faults += [f"turned by {degrees} deg on the robot"] * turned
+    return f"the laser seems to be {' and '.join(faults)}: try {' '.join(options)}"
+
+
+def _whole_degrees(angle: float) -> int:
+    """In (-180, 180]."""
+    degrees = round(math.degrees(angle))
+    return 180 if degrees == -180 else degrees
+
+
+def _moving(T_odom_robot: Array) -> Ints:
+    """Rows of the scans between which the robot moves, up to a few turns."""
+    rows, turned, turns = [0], 0.0, 0
+    for row in range(1, len(T_odom_robot)):
+        x, y, turn = between(T_odom_robot[rows[-1]], T_odom_robot[row]).tolist()
+        if math.hypot(x, y) < LEAST_MOVE_M and abs(turn) < LEAST_TURN_RAD:
+            continue
+        rows.append(row)
+        turned, turns = turned + abs(turn), turns + (abs(turn) > LEAST_TURN_RAD)
+        if len(rows) == MOST_SCANS or (turned > TURNS_RAD and turns > TURNS and row > MOVES * TURNS):
+            break
+    return np.array(rows, np.int64)
+
+
+def _are_opposite(odometry: Array, scans: Array) -> bool:
+    """True where turns (n,) rad by the odometry and by scans have opposite signs."""
+    turns = (abs(odometry) > LEAST_TURN_RAD) & (abs(odometry) < MOST_TURN_RAD)
+    if turns.sum() < TURNS // 2 or abs(odometry[turns]).sum() < 0.25 * TURNS_RAD:
+        return False
+    a, b = odometry[turns], scans[turns]
+    size = math.sqrt(float((a * a).sum() * (b * b).sum()))
+    return size > 0.0 and float((a * b).sum()) < OPPOSITE * size
+
+
+def _yaw(odometry: Array, scans: Array, heading: float, mirrored: bool) -> float:
+    """rad by which the heading of the laser must be larger, so that both drive in the same direction; 0 if unknown.
+
+    `heading` is that of the robot in the frame of the laser, as the log says.
+    """
+    a = (odometry[:, 0] + 1j * odometry[:, 1]) * np.exp(1j * heading)
+    b = scans[:, 0] + 1j * scans[:, 1]
+    moves: Bools = (abs(a) > LEAST_MOVE_M) & (abs(odometry[:, 2]) < STRAIGHT_RAD) & (abs(b) > 0.5 * LEAST_MOVE_M)
+    if moves.sum() < MOVES:
+        return 0.0
+    a, b = a[moves], (b.conj() if mirrored else b)[moves]
+    common, size = complex((a.conj() * b).sum()), float((abs(a) * abs(b)).sum())
+    if abs(common) < AGREE * size or not 0.5 < abs(b).sum() / abs(a).sum() < 2.0:
+        return 0.0
+    return -math.atan2(common.imag, common.real)

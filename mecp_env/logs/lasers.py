@@ -1,0 +1,113 @@
+"""Several lasers as one scanner at the robot's centre: sweeps that were taken at nearly the same time, merged."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.trajectories import between, interpolated
+from mecp_env.logs.clock import ascending_rows
+from mecp_env.logs.readings import Readings
+from mecp_env.logs.recording import Geometry, Sweep, Track
+
+JOINED_M, JOINED_STEPS = 0.1, 6.0  # neighbouring hits nearer than this, or than so many times their spacing, are one
+# surface, which fills the beams between them
+MOST_TURN_RAD = math.radians(5.0)  # between two sweeps: after a larger turn the second is left out
+WIDEST = 64  # beams that two neighbouring hits fill at most
+
+
+def one_scanner(
+    lasers: Sequence[tuple[list[Sweep], Readings]], mounts: Sequence[Array], odometry: Track, counts: Counter[str]
+) -> list[Sweep]:
+    """The sweeps of the laser that has the most, each with those of the others that were taken nearest to it.
+
+    `mounts` (3,) m, rad of each laser. Beams that no laser covers have no return.
+    """
+    base = max(range(len(lasers)), key=lambda laser: len(lasers[laser][0]))
+    step = min(float(np.diff(readings.bearings).min()) for _, readings in lasers)
+    beams = round(2.0 * math.pi / step)
+    geometry = Geometry(beams, 2.0 * math.pi / beams - math.pi, 2.0 * math.pi / beams)
+    t = np.array([sweep.t for sweep in lasers[base][0]])
+    views = [
+        (readings, mount, *_partners(t, sweeps, odometry))
+        for (sweeps, readings), mount in zip(lasers, mounts, strict=True)
+    ]
+    merged = list[Sweep]()
+    for row, stamp in enumerate(t.tolist()):
+        ranges = np.full(beams, np.inf)
+        for readings, mount, partner, motion in views:
+            if partner[row] >= 0:
+                points = _points(readings, int(partner[row]), mount, motion[row])
+                _rasterise(points, ranges)
+            else:
+                counts["scans without one of another laser at the same time"] += 1
+        merged.append(Sweep(stamp, ranges, geometry))
+    return merged
+
+
+def _partners(t: Array, sweeps: list[Sweep], odometry: Track) -> tuple[Ints, Array]:
+    """For each stamp of t (n,) the nearest sweep (n,), -1 where none is near, and the robot's motion to it (n,3)."""
+    other = np.array([sweep.t for sweep in sweeps])
+    after = np.searchsorted(other, t).clip(1, max(len(other) - 1, 1)) if len(other) > 1 else np.zeros(len(t), np.int64)
+    before = np.maximum(after - 1, 0)
+    partner = np.where(abs(other[before] - t) <= abs(other[after] - t), before, after)
+    motion = _motion(t, other[partner], odometry)
+    period = float(np.median(np.diff(t))) if len(t) > 1 else math.inf
+    near = (abs(other[partner] - t) <= 0.51 * period) & (abs(motion[:, 2]) <= MOST_TURN_RAD)
+    return np.where(near, partner, -1), motion
+
+
+def _motion(t: Array, other: Array, odometry: Track) -> Array:
+    """(n,3) the robot's pose at the stamps `other` (n,) in its frame at t (n,), by the odometry."""
+    rows = ascending_rows(np.array(odometry.t, np.float64))
+    if len(rows) < 2:
+        return np.zeros((len(t), 3))
+    stamps, poses = np.array(odometry.t)[rows], np.array(odometry.poses)[rows]
+    return between(interpolated(stamps, poses, t), interpolated(stamps, poses, other))
+
+
+def _points(readings: Readings, row: int, mount: Array, motion: Array) -> Array:
+    """(B,2) m in the robot's frame, nan where nothing returned."""
+    ranges, angles = readings.ranges[row], readings.bearings + mount[2]
+    x, y = mount[0] + ranges * np.cos(angles), mount[1] + ranges * np.sin(angles)
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    return np.stack((motion[0] + c * x - s * y, motion[1] + s * x + c * y), axis=1)
+
+
+def _rasterise(points: Array, ranges: Array) -> None:
+    """Bring the ranges (B,) of a scanner at the origin down to the points (n,2), and to the surfaces between them."""
+    step = 2.0 * math.pi / len(ranges)
+    hits = points[np.isfinite(points[:, 0])]
+    joined = _surfaces(points, ranges, step)
+    alone = hits[~joined[np.isfinite(points[:, 0])]]
+    place = np.rint(np.arctan2(alone[:, 1], alone[:, 0]) / step).astype(np.int64)
+    np.minimum.at(ranges, (place + len(ranges) // 2 - 1) % len(ranges), np.hypot(*alone.T))
+
+
+def _surfaces(points: Array, ranges: Array, step: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Write the surfaces between neighbouring points; true for each point (n,) on one."""
+    a, b = points[:-1], points[1:]
+    length = np.hypot(*(b - a).T)
+    usual = JOINED_STEPS * step * np.hypot(*a.T)
+    near = np.flatnonzero(length < np.maximum(JOINED_M, usual))
+    joined = np.zeros(len(points), np.bool_)
+    joined[near], joined[near + 1] = True, True
+    a, b = a[near], b[near]
+    first, turn = np.arctan2(a[:, 1], a[:, 0]), np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+    low, high = np.minimum(first, first + turn), np.maximum(first, first + turn)
+    begin, end = np.ceil(low / step - 1e-9).astype(np.int64), np.floor(high / step + 1e-9).astype(np.int64)
+    count = (end - begin + 1).clip(0, WIDEST)
+    owner = np.repeat(np.arange(len(near)), count)
+    beam = begin[owner] + np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    direction = np.stack((np.cos(beam * step), np.sin(beam * step)), axis=1)
+    along = (b - a)[owner]
+    across = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (a[owner, 0] * along[:, 1] - a[owner, 1] * along[:, 0]) / across
+    sound = np.isfinite(reach) & (reach > 0.0)
+    np.minimum.at(ranges, (beam[sound] + len(ranges) // 2 - 1) % len(ranges), reach[sound])
+    return joined

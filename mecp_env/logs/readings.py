@@ -1,0 +1,135 @@
+"""The readings of one laser on its beams, with nan for all that measure nothing."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.errors import LogError
+from mecp_env.core.trajectories import wrapped
+from mecp_env.logs.recording import Budget, Geometry, Sweep
+
+LONGEST_M = 1000.0  # no laser measures farther
+LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
+BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
+FEWEST_BEAMS, NARROWEST_DEG = 8, 10.0
+SAMPLE = 2_000_000  # readings that are searched for codes, at most
+CODES, BELOW = 16, 20  # distinct readings at the top that may be codes, each compared with so many below
+FEWEST_CODES, TIMES = 5, 5.0  # a code comes at least so often, and so many times as often as readings below
+
+
+class Readings(NamedTuple):
+    """What the sweeps of a laser measure."""
+
+    ranges: Array  # (n,B) m, nan: no return
+    bearings: Array  # (B,) rad, ascending in (-pi, pi]
+    limit_m: float  # all readings are below
+
+
+def clean(
+    sweeps: list[Sweep], counts: Counter[str], budget: Budget, max_range_m: float | None, view_deg: float | None
+) -> Readings:
+    """The readings within a field of view; from `max_range_m` on they are no returns. Raises `LogError`."""
+    geometry = _most_common(sweeps)
+    order, bearings = _ascending(geometry, view_deg)
+    if sum(sweep.ranges.size for sweep in sweeps) < len(sweeps) * len(order):  # many sweeps have fewer beams
+        budget.take(8 * len(sweeps) * len(order))
+    ranges = _on_beams(sweeps, geometry, order, counts)
+    limit = max_range_m or _limit(ranges, geometry.max_range_m)
+    _blank(ranges, limit, geometry.min_range_m, counts)
+    return Readings(ranges, bearings, limit)
+
+
+def _most_common(sweeps: list[Sweep]) -> Geometry:
+    """The geometry that most sweeps have."""
+    rounded = [_rounded(sweep.geometry) for sweep in sweeps]
+    return sweeps[rounded.index(Counter(rounded).most_common(1)[0][0])].geometry
+
+
+def _rounded(geometry: Geometry) -> Geometry:
+    """The same for all sweeps of a laser, whatever the last digits are."""
+    return geometry._replace(start_rad=round(geometry.start_rad, 4), step_rad=round(geometry.step_rad, 6))
+
+
+def _ascending(geometry: Geometry, field_of_view_deg: float | None) -> tuple[Ints, Array]:
+    """The readings that are used (B,), and their bearings (B,) rad, ascending. Raises `LogError`."""
+    beams, step = geometry.beams, abs(geometry.step_rad)
+    if not beams * step > 0.0 or not math.isfinite(beams * step):
+        raise LogError(f"laser: {beams} beams {geometry.step_rad:g} rad apart")
+    once = wrapped(geometry.angles[: round(2.0 * math.pi / step)])  # the last beam of a circle may repeat the first
+    once[once == -math.pi] = math.pi
+    order = np.argsort(once)
+    order = order[abs(once[order]) <= math.radians(0.5 * (field_of_view_deg or 360.0)) + 1e-9]
+    bearings = once[order]
+    span = math.degrees(float(np.ptp(bearings))) if len(bearings) else 0.0
+    if len(bearings) < FEWEST_BEAMS or span < NARROWEST_DEG or not (np.diff(bearings) > 0.0).all():
+        raise LogError(
+            f"laser: {len(bearings)} beams over {span:g} deg, at least {FEWEST_BEAMS} over {NARROWEST_DEG:g} expected"
+        )
+    return order, bearings
+
+
+def _on_beams(sweeps: list[Sweep], geometry: Geometry, order: Ints, counts: Counter[str]) -> Array:
+    """(n,B) m of all sweeps: those of another geometry give each beam the nearest of theirs."""
+    ranges, usual = np.empty((len(sweeps), len(order))), _rounded(geometry)
+    for row, sweep in enumerate(sweeps):
+        if _rounded(sweep.geometry) == usual:
+            ranges[row] = sweep.ranges[order]
+        else:
+            counts["scans with other beams, resampled"] += 1
+            ranges[row] = _resampled(sweep, geometry)[order]
+    return ranges
+
+
+def _resampled(sweep: Sweep, geometry: Geometry) -> Array:
+    """(B,) m at the bearings of a geometry; nan where the sweep has no beam within a step."""
+    step = sweep.geometry.step_rad or math.inf
+    place = wrapped(geometry.angles - sweep.geometry.start_rad) / step
+    place = np.where(place < -0.5, place + 2.0 * math.pi / abs(step), place)  # behind the first beam: the other way
+    beam = np.rint(place).clip(-1, sweep.geometry.beams).astype(np.int64)
+    there = (beam >= 0) & (beam < sweep.geometry.beams)
+    return np.where(there, sweep.ranges[np.where(there, beam, 0)], np.nan)
+
+
+def _limit(ranges: Array, stated: float) -> float:
+    """m from which on a reading is no return: a code, or by the log, a common limit, or the largest reading."""
+    values, times = np.unique(_sample(ranges), return_counts=True)
+    if not len(values):
+        raise LogError("laser: no reading above 0 m")
+    code, top = _least_code(values, times), float(values[-1])
+    if 0.0 < stated <= LONGEST_M:
+        return min(code, BELOW_LIMIT * stated)
+    near = [limit for limit in LIMITS_M if BELOW_LIMIT * limit <= top <= 1.001 * limit]
+    return min(code, BELOW_LIMIT * near[0] if near else float(np.nextafter(top, math.inf)))
+
+
+def _sample(ranges: Array) -> Array:
+    """(m,) some of the readings that measure something: all, or those of every so many sweeps."""
+    some = ranges[:: 1 + ranges.size // SAMPLE]
+    return some[(some > 0.0) & (some <= LONGEST_M)]
+
+
+def _least_code(values: Array, times: Ints) -> float:
+    """The least of the readings at the top that repeat exactly, as a device reports where nothing returns.
+
+    `values` (v,) ascend, `times` (v,) is how often each comes; infinity where there is no code.
+    """
+    least = math.inf
+    for place in range(len(values) - 1, max(len(values) - 1 - CODES, BELOW), -1):
+        usual = float(np.median(times[place - BELOW : place]))
+        if times[place] >= max(FEWEST_CODES, TIMES * usual):
+            least = float(values[place])
+    return least
+
+
+def _blank(ranges: Array, limit: float, least: float, counts: Counter[str]) -> None:
+    """Put nan for all readings (n,B) that measure nothing."""
+    near = (ranges <= 0.0) | (ranges < least)
+    far = ~near & ~(ranges < limit)
+    counts["readings below the least range"] += int(near.sum())
+    counts["readings without a return"] += int(far.sum())
+    ranges[near | far] = np.nan

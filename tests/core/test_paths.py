@@ -1,0 +1,43 @@
+"""Files are written whole; what killed writes left is removed, and nothing else."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mecp_env.core.paths import DAY_S, machine, naming, remove_leftovers, write_atomic
+
+
+def test_a_killed_write_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", "pass"])
+    ended.wait()
+    left = tmp_path / f".a.json.{machine()}-{ended.pid}.tmp"
+    running = tmp_path / f".a.json.{machine()}-{os.getppid()}.tmp"
+    elsewhere = tmp_path / ".a.json.00000000-1.tmp"
+    old = tmp_path / ".b.json.12.tmp"
+    foreign = tmp_path / ".notes.tmp"
+    for path in (left, running, elsewhere, old, foreign):
+        path.write_bytes(b"half")
+    long_ago = old.stat().st_mtime - 2 * DAY_S
+    os.utime(old, (long_ago, long_ago))
+    write_atomic(tmp_path / "a.json", b"whole")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.json", running.name, elsewhere.name, foreign.name}
+
+
+def test_a_folder_is_looked_at_once(tmp_path: Path) -> None:
+    remove_leftovers(tmp_path)
+    left = tmp_path / f".a.json.{machine()}-999999999.tmp"
+    left.write_bytes(b"half")
+    write_atomic(tmp_path / "a.json", b"whole")
+    assert left.exists()
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"run\.gif") as caught, naming(tmp_path / "run.gif"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename == str(tmp_path / "run.gif")

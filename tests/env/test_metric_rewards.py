@@ -1,0 +1,122 @@
+"""Rewards whose sum is a metric: they equal it, for any policy, building and end; shaping sums to nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from mecp_env.config import EnvConfig, RewardConfig
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.metric_rewards import NEAR_M, MetricMemory, coverage, metric_terms, nearness, start_metrics
+from mecp_env.episode.potentials import BLOCK_CELLS, RewardInputs, expected_correct_m2
+from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from tests.env.helpers import make
+
+FREE_M2 = 50.0
+TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
+
+
+def run(env: gymnasium.Env, seed: int = 0, steps: int = 10**6) -> tuple[list[float], dict[str, Any]]:
+    """Rewards of a random walk, and the last info."""
+    env.reset(seed=seed)
+    rng, rewards, over = np.random.default_rng(seed), [], False
+    while not over and len(rewards) < steps:
+        action = rng.uniform(-1.0, 1.0, 2).astype(np.float32)
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        over = terminated or truncated
+    return rewards, info
+
+
+@pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
+@pytest.mark.parametrize("shaping", [0.0, 0.3])
+@pytest.mark.parametrize("end", [{}, {"coverage": 0.6}])
+def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
+    env = make(layout="two_rooms", max_steps=60, end=end, reward={"preset": metric, "shaping": shaping, **TRUTH})
+    for seed in range(3):
+        rewards, info = run(env, seed)
+        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
+        assert 0.0 < sum(rewards) <= 1.0
+
+
+def test_the_belief_pays_nearly_what_the_truth_pays() -> None:
+    by_belief, by_truth = (
+        run(make(layout="paper", max_steps=150, reward={"preset": "coverage", **TRUTH, "source": source}))[0]
+        for source in ("belief", "truth")
+    )
+    assert sum(by_belief) == pytest.approx(sum(by_truth), rel=0.1)
+
+
+def test_rewards_are_those_of_the_formula() -> None:
+    config, shares, limit = RewardConfig(preset="coverage"), [0.1, 0.3, 0.2, 0.5], 3
+    memory = MetricMemory()
+    start_metrics(memory, inputs_of(shares[0], 1.0), config)
+    paid = [
+        metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)["coverage"]
+        for step, share in enumerate(shares[1:], start=1)
+    ]
+    assert paid == pytest.approx([0.1 + 0.2 * 2 / 3, -0.1 * 1 / 3, 0.0])
+    assert sum(paid) == pytest.approx(np.mean(shares[:limit]))
+
+
+def test_floor_beyond_the_building_counts_once() -> None:
+    memory = MetricMemory(floor_m2=2.0 * FREE_M2)
+    inputs = inputs_of(None, 1.0)
+    assert coverage(memory, inputs) == 1.0
+    assert coverage(memory, inputs._replace(diverged=True)) == 0.0
+
+
+def test_nearness_of_the_nearest_goal() -> None:
+    inputs = inputs_of(0.0, 1.0)
+    assert nearness(inputs) == 0.0
+    near = inputs._replace(p_goals=np.array([[3.0, 4.0], [30.0, 0.0]]))
+    assert nearness(near) == pytest.approx(np.exp(-5.0 / NEAR_M))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_expected_correct_area_against_a_plain_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    label = rng.integers(0, 4, (21, 37)).astype(np.uint8)
+    origin, side = rng.uniform(-5, 5, 2), 0.1
+    p_map, spread = rng.uniform(-5, 5, (6, 2)), rng.uniform(0.001, 0.3, 6)
+    belief = Belief(np.zeros(3), np.eye(3) * 1e-4, np.arange(6), p_map, spread[:, None, None] * np.eye(2))
+    room = np.zeros(label.shape, np.int16)
+    inputs = RewardInputs(belief, SemanticGrid(label, label > 0, room, origin, side, 1))
+    expected = 0.0
+    for i, j in np.argwhere((label == Cell.FREE) | (label == Cell.DOOR)):
+        block = np.array([j // BLOCK_CELLS, i // BLOCK_CELLS]) + 0.5
+        nearest = np.argmin(np.hypot(*(p_map - origin - block * BLOCK_CELLS * side).T))
+        expected += side**2 * erf(0.25 / np.sqrt(2.0 * spread[nearest]))
+    assert expected_correct_m2(inputs) == pytest.approx(expected)
+    assert expected_correct_m2(inputs._replace(diverged=True)) == 0.0
+
+
+def test_presets_and_what_contradicts_them() -> None:
+    assert EnvConfig().reward == EnvConfig(reward="coverage").reward
+    assert EnvConfig.build(reward={"area": 0.2}).reward.preset == "terms"  # weights alone
+    assert EnvConfig.build(reward={"contact_share": -0.2}).reward.preset == "coverage"
+    assert EnvConfig.build({"reward": "correct_coverage"}, reward="terms").reward.completion == 10.0
+    for name, value in (("area", 0.2), ("contact", -1.0), ("correct_coverage", 0.5)):
+        with pytest.raises(ConfigError, match=rf"(?s){name}.*'coverage'"):
+            EnvConfig(reward={"preset": "coverage", name: value})
+    with pytest.raises(ConfigError, match="did you mean 'coverage'"):
+        EnvConfig(reward="covrage")
+
+
+@pytest.mark.parametrize("preset", ["coverage", "correct_coverage", "terms", "active_terms"])
+def test_a_preset_survives_json(preset: str) -> None:
+    config = EnvConfig(reward=preset)
+    assert EnvConfig.build(config.to_dict()) == config
+
+
+def inputs_of(share: float | None, budget: float) -> RewardInputs:
+    """Inputs with a true coverage, or the belief's."""
+    empty = np.zeros((8, 8), np.uint8)
+    grid = SemanticGrid(empty, empty > 0, np.zeros((8, 8), np.int16), np.zeros(2), 0.5, 1)
+    belief = Belief(np.zeros(3), np.eye(3) * 1e-4, np.arange(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    shares = None if share is None else (share, share)
+    return RewardInputs(belief, grid, true_shares=shares, free_area_m2=FREE_M2, budget=budget)

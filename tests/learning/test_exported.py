@@ -1,0 +1,137 @@
+"""TorchScript and ONNX files with a JSON file beside them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+from mecp_env.core.errors import ConfigError  # noqa: E402
+from mecp_env.policies.policy import Policy  # noqa: E402
+from mecp_env.policies.registry import make_policy, policy_checksum  # noqa: E402
+from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
+from mecp_env.policies.setting import Setting  # noqa: E402
+
+EASY = Setting("easy", "validation", "slam", 15)
+
+
+class Flat(torch.nn.Module):  # type: ignore[misc, name-defined]
+    """As many numbers as there are actions, the last the largest."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.count = count
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        return torch.arange(self.count, dtype=torch.float32)[None] + 0.0 * seen.to(torch.float32).sum()
+
+
+class Poses(torch.nn.Module):  # type: ignore[misc, name-defined]
+    """A velocity from the part `pose`."""
+
+    def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
+        return seen["pose"][:, :2] * 100.0 + 5.0
+
+
+def script(folder: Path, module: Any, **fields: Any) -> str:
+    """A TorchScript file with its JSON."""
+    path = folder / "mine.pt"
+    torch.jit.script(module).save(str(path))
+    path.with_suffix(".json").write_text(json.dumps(fields))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("module", "fields", "last"),
+    [
+        (Flat(5), {"observation": "flat", "actions": "discrete"}, 4),
+        (Flat(32), {"observation": "image", "actions": "goal"}, 0),  # the last row that the mask allows
+        (Poses(), {"actions": "velocity"}, 1.0),  # cut to its bound
+    ],
+)
+def test_a_script_is_scored_on_what_its_json_names(
+    module: Any, fields: dict[str, Any], last: Any, tmp_path: Path
+) -> None:
+    path = script(tmp_path, module, **fields)
+    policy: Policy = make_policy(path, trust=True)
+    env = gymnasium.make("mecp_env/Rooms-v0", difficulty="easy", **options_of(policy))
+    mask = np.arange(32) == 0 if fields["actions"] == "goal" else None
+    assert np.all(policy.act(env.reset(seed=0)[0], mask) == last)
+    assert run_episode(EpisodeTask(path, 0, EASY, trust=True)).figures["periods"] > 0
+
+
+def test_a_drawn_action_follows_from_the_seed(tmp_path: Path) -> None:
+    policy = make_policy(
+        script(tmp_path, Flat(5), observation="flat", actions="discrete", deterministic=False), trust=True
+    )
+    drawn = []
+    for seed in (1, 1, 2):
+        policy.reset(seed)
+        drawn.append([policy.act(np.zeros(104, np.float32)) for _ in range(30)])  # type: ignore[arg-type]
+    assert drawn[0] == drawn[1] != drawn[2]
+    assert len(set(drawn[0])) > 1
+
+
+def test_a_script_needs_trust_its_json_and_the_right_outputs(tmp_path: Path) -> None:
+    path = script(tmp_path, Flat(7), observation="flat", actions="discrete")
+    with pytest.raises(ConfigError, match="use --trust"):
+        make_policy(path)
+    with pytest.raises(ConfigError, match=r"returned 7 numbers .*, expected 5 numbers"):
+        make_policy(path, trust=True).act(np.zeros(104, np.float32))  # type: ignore[arg-type]
+    before = policy_checksum(path)
+    for text, message in (
+        ('{"actions": "gaol"}', "did you mean 'goal'"),
+        ('{"actions": "goal", "observatoin": 1}', "did you mean 'observation'"),
+        ("[1]", "expected an object"),
+        ("{", "not JSON"),
+    ):
+        Path(path).with_suffix(".json").write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            make_policy(path, trust=True)
+    assert policy_checksum(path) != before
+    Path(path).with_suffix(".json").unlink()
+    with pytest.raises(ConfigError, match=r"mine\.json is missing beside it"):
+        make_policy(path, trust=True)
+    Path(path).write_bytes(b"no archive")
+    with pytest.raises(ConfigError, match="cannot be loaded as TorchScript"):
+        make_policy(path, trust=True)
+
+
+class Session:
+    """Stands for an inference session: returns as many numbers as the file's text says."""
+
+    def __init__(self, path: str, providers: list[str]) -> None:
+        self.count = int(Path(path).read_text())
+
+    def get_inputs(self) -> list[Any]:
+        return [SimpleNamespace(name="seen")]
+
+    def run(self, outputs: None, inputs: dict[str, Any]) -> list[Any]:
+        assert inputs["seen"].shape[0] == 1
+        return [np.arange(self.count, dtype=np.float32)[None]]
+
+
+def test_onnx_runs_in_onnxruntime_without_trust(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "mine.onnx"
+    path.write_text("5")
+    path.with_suffix(".json").write_text('{"observation": "flat", "actions": "discrete"}')
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ConfigError, match="needs onnxruntime"):
+        make_policy(str(path))
+    module: Any = ModuleType("onnxruntime")
+    module.InferenceSession = Session
+    monkeypatch.setitem(sys.modules, "onnxruntime", module)
+    assert make_policy(str(path)).act(np.zeros(104, np.float32)) == 4  # type: ignore[arg-type]
+    assert run_episode(EpisodeTask(str(path), 0, EASY)).figures["decisions"] > 0
+    path.write_text("none")
+    with pytest.raises(ConfigError, match="cannot be loaded as ONNX"):
+        make_policy(str(path))

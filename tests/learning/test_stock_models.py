@@ -1,0 +1,179 @@
+"""Models of Stable-Baselines3 of every observation format and action space are scored as they were trained."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+stock = pytest.importorskip("stable_baselines3")
+contrib = pytest.importorskip("sb3_contrib")
+
+from gymnasium import spaces  # noqa: E402
+
+from mecp_env.core.errors import ConfigError  # noqa: E402
+from mecp_env.learning.files import WeightError  # noqa: E402
+from mecp_env.learning.fits import fit, space_of  # noqa: E402
+from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
+from mecp_env.policies.setting import Setting  # noqa: E402
+
+EASY = Setting("easy", "validation", "slam", 20)
+HALLS = Setting("", "validation", "slam", 12, "ActiveHalls-v0")
+FORMATS, ACTIONS = ("flat", "image", "dict"), ("goal", "discrete", "velocity")
+NETS = {"flat": "Mlp", "image": "Cnn", "dict": "MultiInput"}
+ALGORITHMS = {"PPO": stock.PPO, "MaskablePPO": contrib.MaskablePPO, "RecurrentPPO": contrib.RecurrentPPO}
+SMALL = {"net_arch": [4], "features_extractor_kwargs": {}}
+QUICK = {("PPO", "flat", "goal"), ("MaskablePPO", "image", "goal"), ("RecurrentPPO", "dict", "velocity")}
+ALL = [case for case in product(ALGORITHMS, FORMATS, ACTIONS) if case[0] != "MaskablePPO" or case[2] != "velocity"]
+
+
+def saved(algorithm: str, env: Any, path: Path, net: str) -> str:
+    """The file of an untrained small model of an environment."""
+    features = {"MultiInput": {"cnn_output_dim": 4}, "Cnn": {"features_dim": 4}, "Mlp": {}}[net]
+    lstm = {"lstm_hidden_size": 4} if algorithm == "RecurrentPPO" else {}
+    keywords = {"net_arch": [4], "features_extractor_kwargs": features, **lstm}
+    policy = f"{net}{'Lstm' if lstm else ''}Policy"
+    ALGORITHMS[algorithm](policy, env, n_steps=2, batch_size=2, device="cpu", policy_kwargs=keywords).save(path)
+    return str(path)
+
+
+def model_of(case: tuple[str, str, str], path: Path, env_id: str = "mecp_env/Rooms-v0", **fields: Any) -> str:
+    """The file of a model that was trained on a format with some actions."""
+    algorithm, form, actions = case
+    observation = {"format": form} | fields.pop("observation", {})
+    env = gymnasium.make(env_id, actions=actions, observation=observation, **fields)
+    return saved(algorithm, env, path, NETS[form])
+
+
+@pytest.mark.parametrize(
+    "case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.slow) for case in ALL]
+)
+def test_a_model_of_every_format_and_action_space_is_scored(case: tuple[str, str, str], tmp_path: Path) -> None:
+    model = model_of(case, tmp_path / "model.zip")
+    policy = load(model, trust=True)
+    asked = options_of(policy)
+    assert (policy.actions, asked["actions"]) == (case[2], case[2])
+    assert asked["observation"].get("format", "dict") == case[1]
+    figures = run_episode(EpisodeTask(model, 0, EASY, trust=True)).figures
+    assert figures["periods"] >= EASY.max_steps or figures["terminated"]
+    assert np.isfinite(figures["log_det_mean"])
+
+
+@pytest.mark.parametrize("uncertainty", [False, True])
+def test_the_columns_of_a_flat_model_decide_what_a_task_shows_it(uncertainty: bool, tmp_path: Path) -> None:
+    fields = {"observation": {"uncertainty": uncertainty}}
+    model = model_of(("MaskablePPO", "flat", "goal"), tmp_path / "model.zip", "mecp_env/ActiveHalls-v0", **fields)
+    assert load(model, trust=True).settings["observation"]["uncertainty"] == uncertainty
+    assert run_episode(EpisodeTask(model, 0, HALLS, trust=True)).figures["decisions"] > 0
+
+
+def test_tables_of_rooms_are_what_a_model_of_velocities_sees_in_a_task(tmp_path: Path) -> None:
+    """A task adds columns of goals and `localisation`, which the model does not know."""
+    model = model_of(("PPO", "dict", "velocity"), tmp_path / "model.zip")
+    assert run_episode(EpisodeTask(model, 0, HALLS, trust=True)).figures["decisions"] == HALLS.max_steps
+
+
+def test_the_order_of_flat_goals_is_that_of_the_training(tmp_path: Path) -> None:
+    """Below goal actions the rows of a flat observation are in the order of the goals, not nearest first."""
+    policy = load(model_of(("PPO", "flat", "goal"), tmp_path / "model.zip"), trust=True)
+    mine = gymnasium.make("mecp_env/Rooms-v0", difficulty="easy", **options_of(policy))
+    theirs = gymnasium.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal", observation="flat")
+    assert mine.unwrapped.config.actions == "goal"  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(mine.reset(seed=3)[0], theirs.reset(seed=3)[0])
+
+
+def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> None:
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    make = lambda: gymnasium.make("mecp_env/Rooms-v0", actions="discrete", observation="flat")  # noqa: E731
+    env = VecNormalize(DummyVecEnv([make]), clip_obs=2.0)
+    env.obs_rms.mean[:] = 5.0
+    model = saved("PPO", env, tmp_path / "model.zip", "Mlp")
+    plain = load(model, trust=True)
+    env.save(str(tmp_path / "model_vecnormalize.pkl"))
+    policy = load(model, trust=True)
+    seen: list[Any] = []
+    policy.model.algorithm.predict = lambda batch, *args, **kwargs: (seen.append(batch), ([0], None))[1]  # type: ignore[union-attr]
+    observation = make().reset(seed=0)[0]
+    assert policy.act(observation) == 0
+    np.testing.assert_allclose(
+        seen[0][0], np.clip((observation - 5.0) / np.sqrt(1.0 + env.epsilon), -2.0, 2.0), rtol=1e-4
+    )
+    assert plain.model.statistics is None  # type: ignore[union-attr]
+    (tmp_path / "model_vecnormalize.pkl").write_bytes(b"no pickle")
+    with pytest.raises(WeightError, match=r"model_vecnormalize\.pkl: cannot be loaded"):
+        load(model, trust=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("algorithm", "actions"), [("A2C", "goal"), ("DQN", "discrete"), ("SAC", "velocity")])
+def test_other_algorithms_of_stable_baselines_are_told_apart(algorithm: str, actions: str, tmp_path: Path) -> None:
+    env = gymnasium.make("mecp_env/Rooms-v0", actions=actions, observation="flat")
+    memory = {} if algorithm == "A2C" else {"buffer_size": 10}
+    model = getattr(stock, algorithm)("MlpPolicy", env, device="cpu", **memory)
+    model.save(tmp_path / "model.zip")
+    policy = load(tmp_path / "model.zip", trust=True)
+    assert type(policy.model.algorithm) is type(model)  # type: ignore[union-attr]
+    assert env.action_space.contains(np.asarray(policy.act(env.reset(seed=0)[0]), env.action_space.dtype))
+
+
+@pytest.mark.parametrize(
+    ("observations", "actions", "message"),
+    [
+        (
+            spaces.Box(-1, 1, (90,)),
+            spaces.Discrete(32),
+            r"\(90,\).*the nearest is observation=.*'flat'.*'uncertainty': False",
+        ),
+        (spaces.Box(0, 255, (12, 64, 64), np.uint8), spaces.Discrete(5), r"\(12, 64, 64\).*nearest is .*'image'"),
+        (spaces.Discrete(4), spaces.Discrete(5), r"Discrete\(4\), which no environment has"),
+        (spaces.Box(-1, 1, (104,)), spaces.Discrete(6), r"Discrete\(6\).*nearest is actions='discrete'"),
+        (spaces.Box(-1, 1, (104,)), spaces.Discrete(30), r"Discrete\(30\).*nearest is actions='goal'"),
+        (spaces.Box(-1, 1, (104,)), spaces.Box(-2, 2, (3,)), r"Box\(-2.*nearest is actions='velocity'"),
+        (spaces.Dict(pos=spaces.Box(-1, 1, (4,))), spaces.Discrete(5), "part 'pos'.*did you mean 'pose'"),
+        (
+            spaces.Dict(goals=spaces.Box(-1, 1, (8, 9))),
+            spaces.Discrete(5),
+            r"goals \(8, 9\), environments have \(32, 9\)",
+        ),
+    ],
+)
+def test_spaces_of_no_environment_name_both_sides_and_the_nearest(
+    observations: Any, actions: Any, message: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"policy: mine was trained .*{message}"):
+        fit(observations, actions, "mine")
+
+
+def test_images_with_channels_last_and_parts_of_a_dict_fit() -> None:
+    last = fit(spaces.Box(0, 255, (64, 64, 3), np.uint8), spaces.Discrete(5), "mine")
+    assert (last.format, last.channels_last) == ("image", True)
+    parts = space_of("discrete", map=True)
+    some = fit(spaces.Dict({name: parts[name] for name in ("pose", "map")}), spaces.Discrete(5), "mine")  # type: ignore[index]
+    assert some.settings == {"observation": {"map": True}}
+
+
+def test_a_model_draws_its_actions_where_the_file_beside_it_says_so(tmp_path: Path) -> None:
+    env = gymnasium.make("mecp_env/First-v0")
+    observation, _ = env.reset(seed=0)
+    path = Path(model_of(("PPO", "flat", "discrete"), tmp_path / "model.zip"))
+    assert len(set(choices(path, observation))) == 1
+    path.with_suffix(".json").write_text('{"deterministic": false}')
+    drawn = choices(path, observation)
+    assert len(set(drawn)) > 2
+    assert drawn == choices(path, observation)  # from the seed of the episode
+    path.with_suffix(".json").write_text('{"determinstic": false}')
+    with pytest.raises(ConfigError, match="did you mean 'deterministic'"):
+        load(path, trust=True)
+
+
+def choices(path: Path, observation: Any) -> list[int]:
+    """What a model does in the same place, many times."""
+    policy = load(path, trust=True)
+    policy.reset(3)
+    return [int(policy.act(observation)) for _ in range(30)]

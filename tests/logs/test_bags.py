@@ -1,0 +1,123 @@
+"""What bags of other robots have: odometry among the frames, several lasers, other clocks, rotations of zeros."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import LogError
+from mecp_env.logs import Log, ReadOptions, read_log
+from tests.logs.bags import BagWriter, sweep
+from tests.logs.files import MOUNT, SIDE, drive
+
+pytest.importorskip("rosbags")
+FRONT, REAR = np.array([0.25, 0.0, 0.0]), np.array([-0.25, 0.0, np.pi])
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a"])
+@pytest.mark.parametrize(
+    ("parent", "child"), [("odom", "base_link"), ("/odom", "base_footprint"), ("r/odom", "r/base_link")]
+)
+def test_odometry_of_the_frames(tmp_path: Path, name: str, parent: str, child: str) -> None:
+    bag = BagWriter(tmp_path / name)
+    t, poses, ranges = drive()
+    for stamp, pose, one in zip(t, poses, ranges, strict=True):
+        bag.frame(stamp, "map", parent, np.zeros(3))
+        bag.frame(stamp, parent, child, pose)
+        bag.frame(stamp, child, "laser", MOUNT)
+        bag.scan(stamp, one)
+    log = read_log(bag.close())
+    np.testing.assert_allclose(log.T_odom_robot, poses, atol=1e-5)
+    np.testing.assert_allclose(log.T_robot_laser, MOUNT, atol=1e-5)
+    assert any(f"{parent.strip('/')} -> {child}" in note for note in log.notes)
+
+
+def test_odometry_of_a_message_counts_before_that_of_the_frames(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.frame(stamp, "odom", "base_link", 2.0 * pose)
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one)
+    np.testing.assert_allclose(read_log(bag.close()).T_odom_robot, drive()[1], atol=1e-5)
+
+
+def test_without_odometry_topics_types_and_frames_are_listed(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, _, one in zip(*drive(), strict=True):
+        bag.frame(stamp, "map", "laser", MOUNT)
+        bag.scan(stamp, one)
+    log = read_log(bag.close())
+    assert log.T_odom_robot is None
+    assert all(word in log.notes[0] for word in ("/scan", "sensor_msgs/msg/LaserScan", "map -> laser"))
+
+
+def two_lasers(path: Path, topics: tuple[str, str], frames: bool = True, late: float = 0.0) -> Path:
+    bag = BagWriter(path)
+    for stamp, pose, _ in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        for name, mount, topic, after in (("front", FRONT, topics[0], 0.0), ("rear", REAR, topics[1], late)):
+            if frames:
+                bag.frame(stamp, "base_link", name, mount, "/tf_static")
+            at = pose + after / 0.25 * np.array([0.05, 0.0, 0.02])
+            bag.scan(stamp + after, sweep(at, mount), name, topic)
+    return bag.close()
+
+
+def check_room(log: Log) -> None:
+    """Every hit of the merged scanner lies on a wall of the room."""
+    assert log.field_of_view_deg == 360.0
+    for record in log:
+        x, y, heading = record.T_odom_robot
+        angles = heading + log.bearings
+        ranges = np.where(record.scan.hit[0], record.scan.ranges[0], np.nan)
+        px, py = x + ranges * np.cos(angles), y + ranges * np.sin(angles)
+        off = np.minimum(abs(abs(px) - SIDE / 2), abs(abs(py) - SIDE / 2))
+        assert np.isfinite(off).mean() > 0.9
+        assert np.nanmedian(off) < 0.005
+        assert np.nanquantile(off, 0.95) < 0.08  # a surface between two hits cuts the corner of the room
+
+
+@pytest.mark.parametrize(
+    ("topics", "late"), [(("/scan", "/scan"), 0.0), (("/scan", "/scan"), 0.02), (("/a", "/b"), 0.0)]
+)
+def test_several_lasers_are_one_scanner(tmp_path: Path, topics: tuple[str, str], late: float) -> None:
+    path = two_lasers(tmp_path / "a.bag", topics, late=late)
+    log = read_log(path, ReadOptions(scan_topic=topics if topics[0] != topics[1] else None))
+    assert len(log) == len(drive()[0])
+    check_room(log)
+
+
+def test_lasers_whose_frames_are_unknown_are_named(tmp_path: Path) -> None:
+    path = two_lasers(tmp_path / "a.bag", ("/scan", "/scan"), frames=False)
+    with pytest.raises(LogError, match=r"front, rear.*--scan-frame"):
+        read_log(path)
+    with pytest.raises(LogError, match=r"'fron'; did you mean 'front'"):
+        read_log(path, ReadOptions(scan_frame="fron"))
+    assert read_log(path, ReadOptions(scan_frame="rear")).counts["scans of another frame"] == len(drive()[0])
+
+
+def test_clocks_that_differ(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one, t=stamp + 97554.0)
+    path = bag.close()
+    with pytest.raises(LogError, match=r"scans from 97654.*odometry from 100.*--clock received"):
+        read_log(path)
+    log = read_log(path, ReadOptions(clock="received"))
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=1e-5)
+
+
+def test_quaternions_of_zeros_are_named(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for n, (stamp, pose, one) in enumerate(zip(*drive(), strict=True)):
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one)
+        rotation = bag.messages[-2][3].pose.pose.orientation
+        if n == 3:
+            rotation.x = rotation.y = rotation.z = rotation.w = 0.0
+    log = read_log(bag.close())
+    assert log.counts["messages with a quaternion of zeros"] == 1
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=5e-3)

@@ -1,0 +1,76 @@
+"""Plain tables: `.csv` with named columns, and BreezySLAM's `.dat`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mecp_env.core.errors import LogError
+from mecp_env.logs import ReadOptions, read_log
+from mecp_env.logs.tables import AXLE_M, TICKS, WHEEL_M
+from tests.logs.files import BEAMS, BEARINGS, drive
+
+
+def csv(path: Path, names: str, separator: str = ",", skip: int = 0) -> Path:
+    rows = [[t, *pose, *one][skip:] for t, pose, one in zip(*drive(), strict=True)]
+    lines = [names.replace(",", separator), *(separator.join(f"{x:.6f}" for x in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+DEGREES = ",".join(f"{angle:g}" for angle in np.degrees(BEARINGS))
+NAMES = ",".join(f"r{beam}" for beam in range(BEAMS))
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_csv(tmp_path: Path, separator: str) -> None:
+    log = read_log(csv(tmp_path / "a.csv", f"t,x,y,heading,{DEGREES}", separator))
+    t, poses, ranges = drive()
+    np.testing.assert_allclose(log.t, t)
+    np.testing.assert_allclose(log.T_odom_robot, poses, atol=1e-6)
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
+    np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
+
+
+def test_csv_without_odometry_or_bearings(tmp_path: Path) -> None:
+    log = read_log(csv(tmp_path / "a.csv", f"x,y,theta,{NAMES}", skip=1), ReadOptions(field_of_view_deg=180.0))
+    assert len(log) == 12
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-6)
+    with pytest.raises(LogError, match="--field-of-view-deg"):
+        read_log(tmp_path / "a.csv")
+    path = tmp_path / "b.csv"
+    path.write_text("\n".join(["t," + DEGREES, *(f"{n}," + ",".join(["2.5"] * BEAMS) for n in range(3))]))
+    assert read_log(path).T_odom_robot is None
+
+
+def test_damaged_rows_are_named(tmp_path: Path) -> None:
+    path = csv(tmp_path / "a.csv", f"t,x,y,heading,{DEGREES}")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:3], "1,2,x", *lines[3:]]))
+    log = read_log(path)
+    assert (len(log), log.counts["damaged rows"]) == (12, 1)
+    assert any(note.startswith("row 4 ") for note in log.notes)
+
+
+@pytest.mark.parametrize("text", ["", "a,b,c\n1,2,3\n", "1,2,3\n4,5,6\n", "t,x,y,heading\n", "t,x,y,heading,0,1\n"])
+def test_what_is_no_table_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(LogError, match=r"a\.csv"):
+        read_log(tmp_path / "a.csv")
+
+
+def test_dat(tmp_path: Path) -> None:
+    rows, metre = [], TICKS / (np.pi * WHEEL_M)  # ticks of a metre
+    for n in range(10):
+        left, right = round(0.1 * n * metre), round(0.1 * n * metre + 0.05 * n * AXLE_M * metre)
+        rows.append(" ".join(map(str, [100_000 * n, 0, left, right, *[0] * 20, *[2000] * 680, 0, 0, 7])))
+    (tmp_path / "a.dat").write_text(" \n".join(rows) + " \n")
+    log = read_log(tmp_path / "a.dat")
+    np.testing.assert_allclose(log.t, 0.1 * np.arange(10))
+    np.testing.assert_allclose(log.T_odom_robot[:, 2], 0.05 * np.arange(10), atol=2e-3)
+    assert np.hypot(*np.diff(log.T_odom_robot[:, :2], axis=0).T) == pytest.approx(0.1 + 0.025 * AXLE_M, abs=2e-3)
+    assert log.ranges.shape == (10, 682)
+    assert np.isnan(log.ranges[:, -2:]).all()
+    assert log.field_of_view_deg == pytest.approx(240.0)

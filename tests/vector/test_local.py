@@ -1,0 +1,234 @@
+"""A batch whose calling process steps environments itself: all of them, or the first slice beside its workers."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.vector import AutoresetMode
+
+from mecp_env.core.errors import ActionError
+from mecp_env.core.local_worker import LocalWorker
+from mecp_env.core.processes import WorkerError
+from mecp_env.vector import BatchEnv, hosted
+from tests.processes import gone_within, needs_linux
+from tests.vector.helpers import LAYOUT, N, make_by, make_small
+from tests.vector.test_async import histories
+from tests.vector.test_batch import set_state
+from tests.vector.test_trajectories import KINDS, equal, take, take_in_one_process
+
+STILL = np.zeros((N, 2), np.float32)
+CORES = [1, 2]  # all here; one slice here, the other in a worker
+
+
+@pytest.fixture(params=CORES, ids=["alone", "with a worker"])
+def own(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The number of cores that a batch counts."""
+    cores: int = request.param
+    monkeypatch.setattr(hosted, "cores", lambda: cores)
+    return cores
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("kind", ["velocity", "discrete"])
+def test_trajectories_are_those_of_gymnasiums_own_class(own: int, kind: str, mode: AutoresetMode) -> None:
+    name, keywords = KINDS[kind]
+    venv = gymnasium.make_vec(name, N, context="fork", autoreset_mode=mode, **keywords)
+    assert isinstance(venv, BatchEnv)
+    assert len(venv.pids) == own - 1
+    assert equal(take(venv, mode), take_in_one_process(kind, mode))
+    venv.close()
+
+
+def test_send_and_recv_give_each_environment_what_workers_give(own: int) -> None:
+    found = []
+    for keywords in ({"workers": None, "batch_size": 2}, {"workers": 2, "batch_size": N}):
+        venv = make_small(max_steps=5, **keywords)
+        found.append(histories(venv, 8))
+        venv.close()
+    assert equal(*found)
+
+
+def test_a_group_and_masks_are_received(own: int) -> None:
+    venv = make_small(workers=None, actions="goal")  # goals have processes only, unless there is one environment
+    assert len(venv.pids) == min(N, 2 * own)
+    venv.close()
+    venv = make_small(1, workers=None, actions="goal")
+    assert venv.pids == []
+    venv.async_reset(seed=1)
+    place, (observation, *_, infos) = venv.recv_group([[0]])
+    assert (place, infos[0]["period"]) == (0, 0)
+    assert np.array_equal(venv.action_masks(), observation["goals"][:, :, 8] == 1.0)
+    venv.close()
+
+
+@pytest.mark.parametrize("bad", [0, 2])
+def test_an_exception_keeps_its_type_and_the_batch_goes_on_after_a_reset(own: int, bad: int) -> None:
+    venv = make_small(workers=None)
+    first = venv.reset(seed=1)[0]
+    actions = STILL.copy()
+    actions[bad] = 0.3, np.nan
+    with pytest.raises(ActionError, match=r"action\[turn\]: nan") as caught:
+        venv.step(actions)
+    assert f"in environment {bad} of the batch" in caught.value.__notes__[0]
+    with pytest.raises(ResetNeeded):
+        venv.step(STILL)
+    assert np.array_equal(venv.reset(seed=1)[0]["landmarks"], first["landmarks"])
+    venv.send(actions)
+    with pytest.raises(ActionError, match="nan"):
+        venv.recv()
+    assert venv.recv()[-1]["env_id"].tolist() == [env for env in range(N) if env != bad]
+    venv.reset(seed=1)
+    assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
+    venv.close()
+
+
+@needs_linux
+def test_closing_closes_the_environments_and_ends_the_workers(own: int) -> None:
+    venv = make_small(workers=None, wrappers=(Counted,))
+    pids, before = venv.pids, len(CLOSED)
+    venv.reset(seed=1)
+    venv.step_async(STILL)
+    venv.close()
+    venv.close()
+    assert len(CLOSED) - before == (N if own == 1 else 1)  # those that this process steps
+    assert gone_within(pids, 5.0)
+    with pytest.raises(ClosedEnvironmentError):
+        venv.step(STILL)
+
+
+CLOSED: list[Any] = []
+
+
+class Counted(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Notes that it is closed."""
+
+    def close(self) -> None:
+        CLOSED.append(self)
+        super().close()
+
+
+def test_actions_may_be_overwritten_once_they_are_sent(own: int) -> None:
+    rows = []
+    for later in (0.5, -0.5):
+        venv = make_small(workers=None)
+        venv.reset(seed=1)
+        actions = STILL + np.float32(0.5)
+        venv.step_async(actions)
+        actions[:] = later
+        rows.append(venv.step_wait())
+        venv.close()
+    assert equal(*rows)
+
+
+def test_calls_reach_the_environments_and_generators_are_copies(own: int) -> None:
+    venv = make_small(workers=None)
+    venv.reset(seed=4)
+    venv.set_attr("mark", [1, 2, 3])
+    assert venv.get_attr("mark") == (1, 2, 3)
+    drawn = [generator.integers(2**40) for generator in venv.np_random]
+    assert [generator.integers(2**40) for generator in venv.np_random] == drawn
+    states = venv.call("get_state")
+    row = venv.step(STILL + 0.5)
+    venv.each(set_state, [(state,) for state in states])
+    assert equal(venv.step(STILL + 0.5), row)
+    venv.close()
+
+
+def test_a_number_of_workers_is_that_of_processes(own: int) -> None:
+    venv = make_small(workers=1)
+    assert len(venv.pids) == 1
+    venv.close()
+
+
+def test_a_single_environment_needs_no_process_even_in_a_worker() -> None:
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=step_and_tell, args=(theirs,), daemon=True)
+    process.start()
+    assert ours.recv() == [1]
+    process.join()
+
+
+def step_and_tell(pipe: Any) -> None:
+    venv = make_small(1, workers=None)
+    venv.reset(seed=1)
+    pipe.send(venv.step(STILL[:1])[-1]["period"].tolist())
+
+
+class Target:
+    """Works as an interrupted, or a long, call would."""
+
+    place = "the hall"
+
+    def interrupt(self) -> None:
+        raise KeyboardInterrupt
+
+    def count(self, numbers: list[int]) -> Iterator[int]:
+        yield from numbers
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_after_an_interruption_the_answer_is_a_failure_and_the_next_question_is_answered() -> None:
+    worker = LocalWorker(Target(), "worker 0")
+    worker.ask("interrupt")
+    with pytest.raises(KeyboardInterrupt):
+        worker.answer()
+    failure = worker.answer()
+    assert isinstance(failure.error, WorkerError)
+    assert "worker 0 was interrupted" in str(failure.error)
+    worker.ask("count", [1, 2])
+    assert [worker.answer() for _ in range(3)] == [1, 2, None]
+
+
+class Interrupted(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Ctrl-C comes where an action turns to the right."""
+
+    def step(self, action: Any) -> Any:
+        if action[1] < 0.0:
+            raise KeyboardInterrupt
+        return super().step(action)
+
+
+def test_after_an_interrupted_step_the_batch_must_be_reset(own: int) -> None:
+    venv = make_small(workers=None, wrappers=(Interrupted,))
+    venv.reset(seed=1)
+    actions = STILL.copy()
+    actions[0, 1] = -0.5
+    venv.step_async(actions)
+    with pytest.raises(KeyboardInterrupt):
+        venv.step_wait()
+    with pytest.raises(WorkerError, match="interrupted"):
+        venv.step_wait()
+    with pytest.raises(ResetNeeded):
+        venv.step(STILL)
+    venv.reset(seed=1)
+    assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
+    venv.close()
+
+
+def test_an_environment_that_cannot_be_made_leaves_nothing_behind(own: int) -> None:
+    before = multiprocessing.active_children()
+    with pytest.raises(ValueError, match="no such building") as caught:
+        BatchEnv([Maker(), *[Maker(late=True)] * 2], context="fork")
+    assert "of the batch" in caught.value.__notes__[0]
+    assert multiprocessing.active_children() == before
+
+
+class Maker:
+    """Makes an environment; with `late`, fails."""
+
+    def __init__(self, late: bool = False) -> None:
+        self.late = late
+
+    def __call__(self) -> Any:
+        if self.late:
+            raise ValueError("no such building")
+        return make_by("sync", LAYOUT, 1, **KINDS["velocity"][1]).envs[0]
