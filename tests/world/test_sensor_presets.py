@@ -138,7 +138,7 @@ def test_an_unknown_preset_is_refused_with_all_names(section: str, known: dict[s
 def test_presets_work_in_every_environment(env_id: str) -> None:
     keywords = (
         NEEDED.get(env_id, {})
-        | {"actions": "velocity"}
+        | {"actions": "velocity", "observation": "dict"}
         | {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "turtlebot"}}
     )
     env = gymnasium.make(env_id, **keywords)
