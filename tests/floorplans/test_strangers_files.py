@@ -27,7 +27,7 @@ def test_unknown_of_nav2_is_not_floor(tmp_path: Path) -> None:
     assert layout.rooms == load_plan(pair(tmp_path, free_thresh=0.196)).rooms
 
 
-@pytest.mark.parametrize("written", ["maps/map.pgm", "~/map.pgm", "/home/robot/map.pgm", r"C:\maps\map.pgm"])
+@pytest.mark.parametrize("written", ["maps/map.pgm", "~/map.pgm", "/maps/robot/map.pgm", r"C:\maps\map.pgm"])
 def test_an_image_of_that_name_beside_the_yaml_is_taken(written: str, tmp_path: Path) -> None:
     path = pair(tmp_path)
     path.write_text(path.read_text().replace("map.pgm", written.replace("\\", "\\\\")))
