@@ -49,6 +49,7 @@ LABELS = {
     "coverage_over_steps": "coverage, mean over the step limit, %",
     "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
 }
+NAMES = {"ppo": "PPO", "maskable_ppo": "MaskablePPO"}
 RATES = {"ppo": 5e-4, "maskable_ppo": 3e-3}
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
     "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
@@ -200,7 +201,7 @@ def draw(args: Args, folders: Sequence[Path], references: Mapping[str, float]) -
     axes = figure.subplots()
     steps = np.linspace(0.0, min(curve["steps"][-1] for curve in curves), 100)
     values = 100.0 * np.array([np.interp(steps, curve["steps"], curve[args.metric]) for curve in curves])
-    name, minutes = args.algorithm.replace("_", " "), np.mean([curve["minutes"][-1] for curve in curves])
+    name, minutes = NAMES[args.algorithm], np.mean([curve["minutes"][-1] for curve in curves])
     seeds = f"{len(curves)} seeds" if len(curves) > 1 else "one seed"
     axes.plot(steps / 1000.0, values.mean(axis=0), color="C0", label=f"stock {name}, {seeds}, {minutes:.0f} min each")
     axes.fill_between(steps / 1000.0, values.min(axis=0), values.max(axis=0), color="C0", alpha=0.2)
