@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, OptionError, Options, chosen, estimate, grouped, in_parallel, table
+from benchmarks.common import Figures, Gate, OptionError, Options, chosen, estimate, grouped, in_parallel, table
 from mecp_env.core.intervals import correlation, ratio
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
@@ -37,6 +37,7 @@ SETS = tuple(SETTINGS)
 BUILDINGS, QUICK_BUILDINGS, MOST = 20, 2, 1000
 COVERAGE, CORRECT = "coverage_over_steps", "correct_over_steps"
 KEPT = ("reward", COVERAGE, CORRECT)
+GATES = tuple(Gate(f"tasks/{name}/tau_apart", "share", 0.1) for name in ("medium", "ActiveHalls-v0"))
 REFERENCE, RANDOM = "nearest", "random_goal"
 
 Unit = tuple[str, str, str, int]  # setting, policy, its checksum, building

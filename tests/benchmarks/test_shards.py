@@ -46,6 +46,8 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
     "loop": ({"quick": True}, {"loop.SEEDS": {"two_rooms": 2}, "loop.FIRST_SCAN": 2}),
     "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 1, "view_180_deg": 1}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
+    "restore": ({"quick": True}, {"restore.QUICK": 2}),
+    "returns": ({"sets": ("First:2",), "policies": ("nearest",)}, {}),
     "structures": (
         {"sets": ("two_rooms:2",)},
         {

@@ -171,12 +171,12 @@ def test_changes_in_words() -> None:
 def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
     plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (plans / "paper.json").write_text("{}")
+    (plans / "paper.json").write_text('{"name": 3, "rooms": []}')
     assert evaluate(tmp_path, "--plans", plans) == 1
     said = capsys.readouterr()
     assert "paper.json" in said.err
     assert "3 episodes in 3 buildings" in said.out
-    (plans / "office.json").write_text("{}")  # the first one
+    (plans / "office.json").write_text('{"name": 3, "rooms": []}')  # the first one
     evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
     with pytest.raises(ValueError, match=r"office\.json"):
         evaluation.check_buildings([Nearest()])

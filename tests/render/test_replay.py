@@ -16,7 +16,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.browser import Browser, chromium
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.rollout import masks
+from mecp_env.policies.rollout import masks_of
 from mecp_env.render.replay import Recorder, ReplayError, changes, read_page, recorder, write_page
 from mecp_env.wrappers import RecordReplay
 
@@ -51,7 +51,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
     policy, over = Nearest(), False
     policy.reset(0)
     while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks(env)))
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks_of(env)()))
         over = terminated or truncated
     env.close()
     return folder / "episode-0000.html", env.views
