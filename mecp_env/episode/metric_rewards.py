@@ -70,7 +70,7 @@ def metric_terms(memory: MetricMemory, inputs: RewardInputs, config: RewardConfi
     """
     found = shares(memory, inputs, config)
     terms = {
-        name: memory.owed.pop(name, 0.0) + inputs.budget * (share - memory.shares[name])
+        name: memory.owed.pop(name, 0.0) + inputs.budget * (share - memory.shares.get(name, 0.0))
         for name, share in found.items()
     }
     memory.shares = found
