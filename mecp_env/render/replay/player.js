@@ -325,7 +325,7 @@
         const sigma = Math.sqrt(Math.max(row[3], row[5])) / 10;
         belief.target(point, `landmark ${row[0]}: sigma ${sigma.toFixed(1)} cm`);
       }
-      belief.specks(places, 1.8, INK.landmark);
+      for (const point of places) belief.mark(point, "circle", 2.4, "landmark");
       drawCorners(frame, from);
       drawGoals(frame);
       for (const [room, spot] of labels(frame, map)) belief.text(`room ${room}`, spot, INK.ink);
