@@ -148,7 +148,10 @@ def _name_room(axes: Axes, room: PlanRoom, points_per_m: float) -> None:
     ink = unit(palette.mix(palette.ROOMS[room.colour % len(palette.ROOMS)], palette.INK, 0.6))
     angle = math.radians(room.label_turn_deg)
     up = np.array([-math.sin(angle), math.cos(angle)])
-    for words, lift, points in ((sanitised(room.name), 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, max(0.75 * size, SMALLEST_PT))):
+    for words, lift, points in (
+        (sanitised(room.name), 0.55, size),
+        (f"{room.area_m2:.1f} m²", -0.55, max(0.75 * size, SMALLEST_PT)),
+    ):
         dx, dy = lift * size * up
         text = axes.annotate(words, room.label, (dx, dy), textcoords="offset points", fontsize=points, color=ink)
         text.set(ha="center", va="center_baseline", rotation=room.label_turn_deg, rotation_mode="anchor")
@@ -174,7 +177,10 @@ def _legend(plans: Sequence[FloorPlan]) -> list[Patch | Line2D]:
     most_starts = max(len(plan.starts) for plan in plans)
     entries = (
         (any(len(plan.doors) for plan in plans), Line2D([], [], color=unit(palette.DOOR), linewidth=2.0, label="door")),
-        (any(len(plan.obstacles) for plan in plans), Patch(facecolor=unit(WOOD), edgecolor=WOOD_EDGE, label="obstacle")),
+        (
+            any(len(plan.obstacles) for plan in plans),
+            Patch(facecolor=unit(WOOD), edgecolor=WOOD_EDGE, label="obstacle"),
+        ),
         (most_starts > 0, Line2D([], [], color=blue, label="first start", **looks)),
         (most_starts > 1, Line2D([], [], color=(1.0, 1.0, 1.0), label="other start", **looks)),
     )

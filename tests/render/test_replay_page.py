@@ -87,7 +87,8 @@ CONTRASTS = """(() => {
     if (!walk.currentNode.textContent.trim() || !element.getClientRects().length || element.closest("script")) continue;
     let ground = element;
     while (getComputedStyle(ground).backgroundColor === "rgba(0, 0, 0, 0)") ground = ground.parentElement;
-    found.push([walk.currentNode.textContent.trim(), getComputedStyle(element).color, getComputedStyle(ground).backgroundColor]);
+    const words = walk.currentNode.textContent.trim();
+    found.push([words, getComputedStyle(element).color, getComputedStyle(ground).backgroundColor]);
   }
   return found;
 })()"""
