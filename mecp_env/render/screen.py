@@ -25,8 +25,8 @@ LEGEND: Legend = (
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
-PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "dot"),)
-MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "dot"),)
+PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "square"),)
+MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "square"),)
 
 
 class ScreenConfig(Settings):
@@ -83,6 +83,8 @@ class Screen:
         for name, colour, kind in legend:
             if kind == "dot":
                 brush.dot((x + 6, y + 6), 3.5, colour)
+            elif kind == "square":
+                brush.square((x + 6, y + 6), 4.0, colour, 1.5)
             else:
                 brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
             x += 18 + brush.text(name, (x + 18, y), 16, palette.MUTED) + 18
