@@ -64,8 +64,9 @@ def curves_figure(title: str, period_s: float, moments: Sequence[Moment]) -> Fig
 
 
 def _draw_band(axes: Axes) -> None:
+    values = np.asarray(axes.lines[0].get_ydata(), float)
     axes.set_yscale("log", nonpositive="clip")
-    axes.set_ylim(LEAST_NEES, max(MOST_NEES, axes.dataLim.ymax))
+    axes.set_ylim(LEAST_NEES, max([MOST_NEES, *values[np.isfinite(values)]]))
     axes.yaxis.set_major_formatter("{x:g}")
     if is_drawn(axes.lines[0]):
         axes.axhspan(*NEES_BAND, color=unit(palette.BEAM), alpha=0.25, lw=0, label="95 % of a consistent filter")
