@@ -38,8 +38,9 @@ def draw_training(folder: Path) -> Path | None:
     )
     if not updates:
         return None
-    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
-    for axes, (name, title, factor) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
+    panels = [panel for panel in PANELS if len(measured(updates, panel[0])[1])] or PANELS[:1]
+    figure = Figure(figsize=(3.5 * len(panels), 3.4), layout="constrained")
+    for axes, (name, title, factor) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         decisions, values = measured(updates, name)
         axes.plot(decisions, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
         axes.plot(decisions, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")

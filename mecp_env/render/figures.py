@@ -22,6 +22,7 @@ from mecp_env.render.view import SceneView, loops, signed_area, summary
 
 DPI = 220  # a figure has at least twice the pixels of the place where a page shows it
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
+BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 ASIDE_M, BELOW_M = 0.5, 1.0  # around the building: the scale bar is below it
 TRUTH_GREY = (0.72, 0.73, 0.75)
 TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
@@ -124,10 +125,11 @@ def _name_rooms(axes: Axes, view: SceneView) -> None:
 
 
 def _draw_scale(axes: Axes, bounds: Array) -> None:
-    """A bar of two metres below the building's right corner."""
+    """A bar below the building's right corner, about a tenth of it long."""
+    length = max((bar for bar in BARS_M if bar <= (bounds[1, 0] - bounds[0, 0]) / 8.0), default=BARS_M[0])
     right, y = bounds[1, 0], bounds[0, 1] - 0.45
-    axes.plot([right - 2.0, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
-    axes.text(right - 1.0, y - 0.1, "2 m", ha="center", va="top", fontsize=9)
+    axes.plot([right - length, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
+    axes.text(right - 0.5 * length, y - 0.1, f"{length:g} m", ha="center", va="top", fontsize=9)
 
 
 def _plain(axes: Axes, bounds: Array) -> None:

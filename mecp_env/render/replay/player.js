@@ -103,6 +103,13 @@
       this.context.putImageData(this.image, 0, 0);
       this.walls = this.wallLines();
     }
+    middles(rooms, colours) { // for each room that has cells of its colour, the one of them that is nearest to their mean
+      return rooms.map((room) => {
+        const cells = [...this.codes.keys()].filter((i) => this.codes[i] === 4 + room % colours).map((i) => [i % this.width + 0.5, Math.floor(i / this.width) + 0.5]);
+        const mean = [0, 1].map((k) => cells.reduce((sum, p) => sum + p[k], 0) / cells.length), off = ([x, y]) => Math.hypot(x - mean[0], y - mean[1]);
+        return [room, cells.reduce((best, p) => best && off(best) <= off(p) ? best : p, null)];
+      }).filter(([, place]) => place);
+    }
     beside(cell) { // what a wall is drawn upon: the floor next to it
       return [1, -1, this.width, -this.width].map((step) => this.codes[cell + step]).find((code) => code > OCCUPIED) || UNKNOWN;
     }
@@ -400,7 +407,7 @@
       });
     }
 
-    function labels(frame, map) { // the middle of the largest polygon of each room
+    function labels(frame, map) { // the middle of the largest polygon of each room, or of its cells
       const best = new Map();
       for (const [room, ...ids] of map.polygons) {
         const ring = ids.map((id) => frame.known.get(id)).filter(Boolean).map(mapPoint);
@@ -408,7 +415,8 @@
         const size = areaOf(ring);
         if (!best.has(room) || size > best.get(room)[0]) best.set(room, [size, centroid(ring)]);
       }
-      return [...best].map(([room, [, middle]]) => [room, middle]);
+      const cells = grid.middles(map.rooms.filter((room) => !best.has(room)), run.rooms.length);
+      return [...best].map(([room, [, middle]]) => [room, middle]).concat(cells.map(([room, [x, y]]) => [room, toWorld([origin[0] + cell * x, origin[1] + cell * y])]));
     }
 
     function drawMarks() {
