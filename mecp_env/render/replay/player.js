@@ -6,6 +6,7 @@
   const EVENTS = { door: ["door", "triangle"], loop: ["polygon", "diamond"], lost: ["hit", "cross"] };
   const ROOM_TINT = 0.2, ROOM_VEIL = 0.16; // of a room's colour in its cells, and in its polygons on top of them
   const UNKNOWN = 0, OCCUPIED = 1; // codes of cells
+  const REACH = 3; // cells around a wall cell that say where its wall is
   const KNOWN_GROUND = 4; // goals from this kind on
   const CHI2_95 = Math.sqrt(5.991), NEES_BAND = [0.216, 9.348]; // 95 % of a chi-square of 3 degrees of freedom
 
@@ -81,6 +82,8 @@
       this.context = this.canvas.getContext("2d");
       this.image = this.context.createImageData(this.width, this.height);
       this.codes = new Uint8Array(this.width * this.height);
+      this.wallCells = new Set();
+      this.places = new Map(); // of the wall cells on their walls, as far as they are known
       this.theme();
     }
     theme() {
@@ -90,55 +93,72 @@
     }
     show(index) { // the map of a frame; going back begins again, which takes milliseconds
       if (index === this.at) return;
-      if (index < this.at || this.at < 0) {
-        this.codes.fill(UNKNOWN);
-        this.at = -1;
-      }
+      if (index < this.at || this.at < 0) this.clear();
+      const changed = new Set();
       for (let k = this.at + 1; k <= index; k++) {
         const cells = this.run.frames[k].cells || [];
-        for (let i = 0; i < cells.length; i += 3) this.codes.fill(cells[i + 2], cells[i], cells[i] + cells[i + 1]);
+        for (let i = 0; i < cells.length; i += 3) for (let j = 0; j < cells[i + 1]; j++) this.set(cells[i] + j, cells[i + 2], changed);
       }
       this.at = index;
-      for (let i = 0; i < this.codes.length; i++) this.paint(i, this.codes[i] === OCCUPIED ? this.beside(i) : this.codes[i]);
+      if (!changed.size && this.walls) return;
+      for (const cell of changed) for (const step of [0, 1, -1, this.width, -this.width]) this.paint(cell + step);
       this.context.putImageData(this.image, 0, 0);
       this.walls = this.wallLines();
     }
+    clear() {
+      this.codes.fill(UNKNOWN);
+      this.wallCells.clear();
+      this.places.clear();
+      for (let cell = 0; cell < this.codes.length; cell++) this.paint(cell);
+      this.at = -1;
+      this.walls = null;
+    }
+    set(cell, code, changed) {
+      if (this.codes[cell] === code) return;
+      if (this.codes[cell] === OCCUPIED || code === OCCUPIED) {
+        for (let y = -REACH; y <= REACH; y++) for (let x = -REACH; x <= REACH; x++) this.places.delete(cell + y * this.width + x);
+        code === OCCUPIED ? this.wallCells.add(cell) : this.wallCells.delete(cell);
+      }
+      this.codes[cell] = code;
+      changed.add(cell);
+    }
     middles(rooms, colours) { // for each room that has cells of its colour, the one of them that is nearest to their mean
       return rooms.map((room) => {
-        const cells = [...this.codes.keys()].filter((i) => this.codes[i] === 4 + room % colours).map((i) => [i % this.width + 0.5, Math.floor(i / this.width) + 0.5]);
+        const cells = [], code = 4 + room % colours;
+        for (let i = 0; i < this.codes.length; i++) if (this.codes[i] === code) cells.push([i % this.width + 0.5, Math.floor(i / this.width) + 0.5]);
         const mean = [0, 1].map((k) => cells.reduce((sum, p) => sum + p[k], 0) / cells.length), off = ([x, y]) => Math.hypot(x - mean[0], y - mean[1]);
         return [room, cells.reduce((best, p) => best && off(best) <= off(p) ? best : p, null)];
       }).filter(([, place]) => place);
     }
-    beside(cell) { // what a wall is drawn upon: the floor next to it
-      return [1, -1, this.width, -this.width].map((step) => this.codes[cell + step]).find((code) => code > OCCUPIED) || UNKNOWN;
+    shown(cell) { // what is painted: below a wall, the floor next to it
+      const code = this.codes[cell];
+      return code !== OCCUPIED ? code : [1, -1, this.width, -this.width].map((step) => this.codes[cell + step]).find((beside) => beside > OCCUPIED) || UNKNOWN;
     }
-    paint(cell, code) {
+    paint(cell) {
+      if (cell < 0 || cell >= this.codes.length) return;
       const row = this.height - 1 - Math.floor(cell / this.width), at = 4 * (row * this.width + (cell % this.width));
-      const [red, green, blue] = this.colours[code], data = this.image.data;
-      [data[at], data[at + 1], data[at + 2], data[at + 3]] = [red, green, blue, 255];
+      const colour = this.colours[this.shown(cell)], data = this.image.data;
+      data[at] = colour[0]; data[at + 1] = colour[1]; data[at + 2] = colour[2]; data[at + 3] = 255;
     }
     occupied(x, y) { return x >= 0 && y >= 0 && x < this.width && y < this.height && this.codes[y * this.width + x] === OCCUPIED; }
     wallLines() { // pairs of points in cells: from each occupied cell to its neighbours, each moved onto the line of its wall
-      const places = new Map(), lines = [];
-      const place = (x, y) => {
+      const lines = [], place = (x, y) => {
         const cell = y * this.width + x;
-        if (!places.has(cell)) places.set(cell, this.onWall(x, y));
-        return places.get(cell);
+        if (!this.places.has(cell)) this.places.set(cell, this.onWall(x, y));
+        return this.places.get(cell);
       };
-      this.codes.forEach((code, cell) => {
-        if (code !== OCCUPIED) return;
+      for (const cell of this.wallCells) {
         const x = cell % this.width, y = Math.floor(cell / this.width), right = this.occupied(x + 1, y), up = this.occupied(x, y + 1);
         if (right) lines.push([place(x, y), place(x + 1, y)]);
         if (up) lines.push([place(x, y), place(x, y + 1)]);
         if (!right && !up && this.occupied(x + 1, y + 1)) lines.push([place(x, y), place(x + 1, y + 1)]);
         if (!up && !this.occupied(x - 1, y) && this.occupied(x - 1, y + 1)) lines.push([place(x, y), place(x - 1, y + 1)]);
-      });
+      }
       return lines;
     }
     onWall(x, y) { // the middle of a cell, projected onto the line through the occupied cells around it, where they form one
       let [n, sx, sy, xx, xy, yy] = [0, 0, 0, 0, 0, 0];
-      for (let j = -3; j <= 3; j++) for (let i = -3; i <= 3; i++) {
+      for (let j = -REACH; j <= REACH; j++) for (let i = -REACH; i <= REACH; i++) {
         if (!this.occupied(x + i, y + j)) continue;
         n += 1; sx += i; sy += j; xx += i * i; xy += i * j; yy += j * j;
       }
