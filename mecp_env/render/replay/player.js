@@ -459,12 +459,13 @@
       return [["Scan", `${frame.corners.length} corners: ${parts.join(", ") || "none"}${why.length ? ` (${why.join("; ")})` : ""}.`], ["Polygon", polygon], ["Pose", state]];
     }
     function write(sentences) {
-      $("decision").replaceChildren(...sentences.map(([head, text]) => {
+      $("decision").textContent = "";
+      for (const [head, text] of sentences) {
         const row = document.createElement("div"), bold = document.createElement("b");
         bold.textContent = head + "  ";
         row.append(bold, text);
-        return row;
-      }));
+        $("decision").append(row);
+      }
     }
     // Nothing below or beside a text moves as the run plays: there is space for the longest.
     const clock = (frame) => `${(frame.time / 100).toFixed(1)} s, step ${frame.step} of ${frames[count - 1].step}`;
@@ -581,8 +582,8 @@
       [goal(false), "goal, filled: chosen", "star", "goal", hollow], [goal(true), "goal on known ground", "hexagon", "place", hollow],
       [some((f) => f.moving.length), "pedestrian, box", "square", "mover"], [some((f) => f.truth), "true position", "circle", "ink", hollow],
       [some((f) => f.truth), "true path", "line", "truth"], [true, "estimated path", "line", "estimate"], [some((f) => f.ranges), "laser hit", "square", "hit"],
-      [kinds.has("door"), "mark: door found", ...EVENTS.door.toReversed()], [kinds.has("loop"), "mark: loop closed", ...EVENTS.loop.toReversed()],
-      [kinds.has("lost"), "mark: pose lost or found", ...EVENTS.lost.toReversed()],
+      [kinds.has("door"), "mark: door found", EVENTS.door[1], EVENTS.door[0]], [kinds.has("loop"), "mark: loop closed", EVENTS.loop[1], EVENTS.loop[0]],
+      [kinds.has("lost"), "mark: pose lost or found", EVENTS.lost[1], EVENTS.lost[0]],
     ];
     for (const [, words, shape, ink, looks] of items.filter(([shown]) => shown)) {
       const item = document.createElement("li");
