@@ -164,7 +164,7 @@ def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
     """Write each picture into the folder as PNG and SVG, without date and random ids."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in pictures.items():
-        save_figure(picture, folder / f"{name}.png", dpi=200)
+        save_figure(picture, folder / f"{name}.png", dpi=185)
         with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
             picture.savefig(folder / f"{name}.svg", dpi=200, metadata={"Date": None, "Creator": None})
 

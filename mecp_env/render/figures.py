@@ -125,8 +125,8 @@ def _name_rooms(axes: Axes, view: SceneView) -> None:
 
 
 def _draw_scale(axes: Axes, bounds: Array) -> None:
-    """A bar below the building's right corner, about a tenth of it long."""
-    length = max((bar for bar in BARS_M if bar <= (bounds[1, 0] - bounds[0, 0]) / 8.0), default=BARS_M[0])
+    """A bar below the building's right corner, at most a quarter of it long."""
+    length = max((bar for bar in BARS_M if bar <= (bounds[1, 0] - bounds[0, 0]) / 4.5), default=BARS_M[0])
     right, y = bounds[1, 0], bounds[0, 1] - 0.45
     axes.plot([right - length, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
     axes.text(right - 0.5 * length, y - 0.1, f"{length:g} m", ha="center", va="top", fontsize=9)
