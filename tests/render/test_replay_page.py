@@ -109,6 +109,20 @@ def test_a_browser_shows_text_with_contrast(page: Path, theme: str) -> None:
     assert (max(grounds) < 150) == (theme == "dark")
 
 
+@needs_browser
+def test_the_maps_follow_a_change_of_the_theme(page: Path) -> None:
+    corner = "Array.from(document.getElementById('belief').getContext('2d').getImageData(2, 2, 1, 1).data).slice(0, 3)"
+    with Browser() as browser:
+        browser.theme("light")
+        browser.show(page)
+        browser.wait(DRAWN)
+        light, before = browser.ask(corner), browser.ask("Number(document.body.dataset.drawn)")
+        browser.theme("dark")
+        browser.wait(f"Number(document.body.dataset.drawn) > {before}")
+        dark = browser.ask(corner)
+    assert sum(light) > sum(dark) + 200
+
+
 def drawn(run: dict[str, Any], path: Path, fragment: str = "") -> np.ndarray:
     """(h,w,3) the belief of a run as a browser draws it."""
     write_page(run, path)
