@@ -203,13 +203,15 @@ def draw(args: Args, folders: Sequence[Path], references: Mapping[str, float]) -
     values = 100.0 * np.array([np.interp(steps, curve["steps"], curve[args.metric]) for curve in curves])
     name, minutes = NAMES[args.algorithm], np.mean([curve["minutes"][-1] for curve in curves])
     seeds = f"{len(curves)} seeds" if len(curves) > 1 else "one seed"
-    axes.plot(steps / 1000.0, values.mean(axis=0), color="C0", label=f"stock {name}, {seeds}, {minutes:.0f} min each")
-    axes.fill_between(steps / 1000.0, values.min(axis=0), values.max(axis=0), color="C0", alpha=0.2)
+    axes.plot(
+        steps / 1000.0, values.mean(axis=0), color="#0072b2", label=f"stock {name}, {seeds}, {minutes:.0f} min each"
+    )
+    axes.fill_between(steps / 1000.0, values.min(axis=0), values.max(axis=0), color="#0072b2", alpha=0.2)
     for (text, value), style in zip(references.items(), ("--", "-.", ":"), strict=False):
         axes.axhline(100.0 * value, color="0.3", linestyle=style, label=text)
     axes.set(xlabel="thousand control steps", ylabel=LABELS[args.metric], ylim=(0, 102))
     axes.legend(loc="lower right")
-    figure.savefig(args.out / "curve.png", dpi=150)
+    figure.savefig(args.out / "curve.png", dpi=250)
 
 
 def main(args: Args) -> None:

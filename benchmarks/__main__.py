@@ -13,6 +13,7 @@ from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from PIL import Image
 
 from benchmarks.common import (
     RECORDS,
@@ -105,6 +106,7 @@ HERE_ONLY = (
     "soak",
 )  # times and memory of this machine; maps beside results
 OVER_POLICIES = ("uncertainty", "returns")  # --task, --policies, --buildings
+COLOURS = 128  # of a committed picture: lines and areas need no more
 RECORD = "record"  # makes what others replay, and has no figures
 WITH_RECORDS = (
     "association",
@@ -164,7 +166,10 @@ def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
     """Write each picture into the folder as PNG and SVG, without date and random ids."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in pictures.items():
-        save_figure(picture, folder / f"{name}.png", dpi=100)
+        save_figure(picture, folder / f"{name}.png", dpi=200)
+        with Image.open(folder / f"{name}.png") as drawn:
+            few = drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        few.save(folder / f"{name}.png", optimize=True)
         with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
             picture.savefig(folder / f"{name}.svg", dpi=200, metadata={"Date": None, "Creator": None})
 

@@ -64,6 +64,10 @@ class Browser:
         """Open a page."""
         self._call("Page.navigate", url=path.absolute().as_uri() + fragment)
 
+    def theme(self, name: str) -> None:
+        """Prefer the theme `light` or `dark`."""
+        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
+
     def before_pages(self, script: str) -> None:
         """Run a script before those of every page that is opened from now on."""
         self._call("Page.addScriptToEvaluateOnNewDocument", source=script)

@@ -257,9 +257,11 @@ def report(figures: Figures) -> str:
 
 def figure(figures: Figures) -> Figure:
     """NEES over time of each filter and model, with the band of a consistent filter."""
-    drawn = Figure(figsize=(3.6 * len(figures) + 0.4, 3.8), layout="constrained")
-    all_axes = drawn.subplots(1, len(figures), sharey=True, squeeze=False)[0]
-    for axes, (model, rows) in zip(all_axes, figures.items(), strict=True):
+    across = min(len(figures), 2)
+    down = -(-len(figures) // across)
+    drawn = Figure(figsize=(4.2 * across, 3.4 * down + 0.6), layout="constrained")
+    all_axes = drawn.subplots(down, across, sharey=True, squeeze=False).ravel()
+    for axes, (model, rows) in zip(all_axes, figures.items(), strict=False):
         n = rows[BASE]["nees"]["n"]
         at = np.arange(1, MOMENTS + 1) / MOMENTS
         axes.fill_between(at, *band(n), color="0.85", label="95 % of a consistent filter")
@@ -272,7 +274,10 @@ def figure(figures: Figures) -> Figure:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-    all_axes[0].set_ylabel("mean NEES of the pose")
+    for axes in all_axes[len(figures) :]:
+        axes.remove()
+    for axes in all_axes[::across]:
+        axes.set_ylabel("mean NEES of the pose, no unit")
     handles = all_axes[0].get_legend_handles_labels()
-    drawn.legend(*handles, loc="outside lower center", ncols=6, frameon=False)
+    drawn.legend(*handles, loc="outside lower center", ncols=4, frameon=False)
     return drawn

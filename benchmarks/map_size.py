@@ -156,10 +156,10 @@ def report(figures: Figures) -> str:
 
 def figure(figures: Figures) -> Figure:
     """Milliseconds by the number of landmarks, both on a logarithmic scale."""
-    drawn = Figure(figsize=(10.5, 5.2), layout="constrained")
+    drawn = Figure(figsize=(10.0, 6.2), layout="constrained")
     for axes, (part, rows) in zip(drawn.subplots(1, 2), figures.items(), strict=True):
         counts = list(next(iter(rows.values())))
         draw_bands(axes, Panel(counts, {name: [of[count] for count in counts] for name, of in rows.items()}))
-        axes.set(title=part, xlabel="landmarks", ylabel="ms", yscale="log")
-        axes.legend(fontsize=7, frameon=False, handlelength=3.0)
+        axes.set(title=part, xlabel="landmarks, count", ylabel="time, ms", yscale="log")
+        axes.legend(fontsize=9, frameon=False, handlelength=3.0)
     return drawn

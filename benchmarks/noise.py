@@ -207,10 +207,11 @@ def report(figures: Figures) -> str:
 
 def figure(figures: Figures) -> Figure:
     """Pose RMSE of every variant by the sensors."""
+    measured = [name for name in VARIANTS if all(name in cell for cell in figures.values())]
     panels = {
         title: Panel(
             [label for cell, label in cells.items() if cell in figures],
-            {name: [figures[cell][name]["rmse_m"] for cell in cells if cell in figures] for name in VARIANTS},
+            {name: [figures[cell][name]["rmse_m"] for cell in cells if cell in figures] for name in measured},
         )
         for title, cells in AXES.items()
     }

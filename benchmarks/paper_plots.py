@@ -165,7 +165,8 @@ def hierarchy_figure(world: World, output: SlamOutput) -> Figure:
     rooms, middles = rings_by_room(world, output), dict[int, Array]()
     for number, (room, rings) in enumerate(sorted(rooms.items())):
         tone = TONES[number % len(TONES)]
-        axes.add_collection(PolyCollection(rings, facecolors=(*rgb(tone), 0.05), edgecolors=tone, linewidths=0.8))
+        axes.add_collection(PolyCollection(rings, facecolors=light(tone), edgecolors="none", zorder=0.6))
+        axes.add_collection(PolyCollection(rings, facecolors="none", edgecolors=tone, linewidths=0.8))
         largest = max(rings, key=lambda ring: float(np.ptp(ring, axis=0).prod()))
         points = np.unique(np.vstack(rings).round(6), axis=0)
         label = f"vertex of room {room}"
@@ -180,9 +181,9 @@ def hierarchy_figure(world: World, output: SlamOutput) -> Figure:
     return figure
 
 
-def rgb(tone: str) -> tuple[float, float, float]:
-    """A colour "#rrggbb" as three numbers."""
-    red, green, blue = (int(tone[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
+def light(tone: str) -> tuple[float, float, float]:
+    """A colour "#rrggbb", nearly white but opaque: areas that overlap do not add up."""
+    red, green, blue = (0.85 + 0.15 * int(tone[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
     return red, green, blue
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import sys
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +20,7 @@ from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import read_config
 from mecp_env.policies.registry import WEIGHTS
+from mecp_env.render.palette import MARKERS
 
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 SCORES = {"auc": "area under coverage over metres", "correct_over_steps": "correct coverage over steps"}
@@ -133,8 +135,8 @@ def draw(runs: list[RunResult], picture: Path) -> None:
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    for run in runs:
-        (line,) = axes.plot(run.decisions, run.area, marker="o", markersize=3, label=run.folder.name)
+    for run, marker in zip(runs, cycle(MARKERS)):
+        (line,) = axes.plot(run.decisions, run.area, marker=marker, markersize=4, label=run.folder.name)
         error = run.error if run.score == "auc" else 0.0 * run.error
         axes.fill_between(run.decisions, run.area - error, run.area + error, alpha=0.15, color=line.get_color())
     axes.axhline(runs[0].area[0], color="0.5", linestyle="--", linewidth=1, label="untrained (its prior)")
@@ -143,7 +145,7 @@ def draw(runs: list[RunResult], picture: Path) -> None:
     axes.set_title(f"{runs[0].algorithm}: band is one standard error over the buildings", fontsize=10)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
-    figure.savefig(picture, dpi=110)
+    figure.savefig(picture, dpi=220)
 
 
 if __name__ == "__main__":

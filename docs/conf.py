@@ -13,6 +13,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 import environment_pages  # noqa: E402
 from field_tables import comments  # noqa: E402
 from pydantic import BaseModel  # noqa: E402
+from wide_tables import fit_tables  # noqa: E402
 
 import mecp_env  # noqa: E402
 
@@ -40,6 +41,7 @@ html_theme = "furo"
 html_title = "mecp_env"
 html_additional_pages = {"index": "to_the_start.html"}
 html_show_sphinx = False
+html_static_path, html_css_files = ["_static"], ["tables.css"]
 
 BELOW = {  # a page with a list -> the pages of that list
     "docs/decisions/README": "docs/decisions/0*.md",
@@ -78,5 +80,6 @@ def setup(app: Any) -> None:
     """Write what follows from the code before anything is read."""
     app.connect("builder-inited", lambda app: environment_pages.write(ROOT / "docs/environments"))
     app.connect("source-read", add_toctree)
+    app.connect("doctree-read", fit_tables)
     app.connect("autodoc-process-docstring", add_fields)
     app.connect("autodoc-skip-member", skip_pydantic)

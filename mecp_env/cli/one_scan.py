@@ -42,7 +42,7 @@ class OneScan(WithModules):
         from mecp_env.cli.exploration import Run  # pictures and physics are loaded only here
         from mecp_env.env import MecpEnv
         from mecp_env.render.figures import save
-        from mecp_env.render.stages import stage_figures
+        from mecp_env.render.stages import DPI, stage_figures
         from mecp_env.slam.frontend.clustering import cluster_beams
 
         run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
@@ -51,7 +51,7 @@ class OneScan(WithModules):
         self.out.mkdir(parents=True, exist_ok=True)
         for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
             path = self.out / f"{number}-{name}.png"
-            save(figure, path, dpi=80)
+            save(figure, path, dpi=DPI)
             echo(path)
         return 0
 

@@ -28,7 +28,7 @@ class Draw(Command):
 
     worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
-    dpi: Annotated[int, Field(ge=30, le=600)] = 150  # pixels per inch of a PNG, 30 to 600
+    dpi: Annotated[int, Field(ge=30, le=600)] = 200  # pixels per inch of a PNG, 30 to 600
     reading: ReadingOptions = field(default_factory=Reading)
 
     def run(self, line: Sequence[str]) -> int:
@@ -51,7 +51,7 @@ def title(word: str) -> str:
     return Path(word).stem if Path(word).exists() else word
 
 
-def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 150) -> Path:
+def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 200) -> Path:
     """Draw buildings, each with its title, on a sheet and save it; `path` itself, whose folder is made."""
     from mecp_env.floorplans.plan_view import floor_plan
     from mecp_env.render.plan_figures import save_plans

@@ -20,6 +20,7 @@ CLEAR_M = 0.06  # between a name and walls or furniture
 START_M = 0.45  # names keep so far from a start
 TURNED = 1.3  # a name without enough space is turned where it can be so many times as large
 ENOUGH_M = 1.3  # height of name and area for which there is enough space
+HALVINGS = 6  # of the interval in which the size of a name is searched
 COLOURS = (0, 1, 2, 3, 4, 5, 7, 8)  # of the palette; brown is the furniture's
 
 Label = tuple[tuple[float, float], float, float]
@@ -89,7 +90,18 @@ def _space(free: BaseGeometry, aspect: float, turn_deg: float) -> Label:
     places = squeezed.buffer(-enough, quad_segs=4)
     middle, _ = nearest_points(places, squeezed.centroid) if not places.is_empty else (Point(largest.coords[0]), None)
     place = rotate(Point(middle.x * aspect, middle.y), turn_deg, origin=(0.0, 0.0))
-    return (place.x, place.y), math.sqrt(2.0) * float(squeezed.boundary.distance(middle)), turn_deg
+    return (place.x, place.y), _side(squeezed, middle), turn_deg
+
+
+def _side(free: BaseGeometry, middle: Point) -> float:
+    """The side of the largest upright square around a point, m: between that in its circle and that around it."""
+    radius = float(free.boundary.distance(middle))
+    least, most = math.sqrt(2.0) * radius, 2.0 * radius
+    for _ in range(HALVINGS):
+        half = 0.25 * (least + most)
+        square = shapely.box(middle.x - half, middle.y - half, middle.x + half, middle.y + half)
+        least, most = (2.0 * half, most) if free.contains(square) else (least, 2.0 * half)
+    return least
 
 
 def _colours(rooms: tuple[Polygon, ...]) -> list[int]:

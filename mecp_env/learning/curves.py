@@ -9,18 +9,21 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from mecp_env.core.array_types import Array
 from mecp_env.learning.run_log import EVALUATION, TRAINING, CsvTable
+from mecp_env.render.legends import drawn
 
 CURVES = "curves.png"
-PANELS = (  # column, title, factor
-    ("reward", "return", 1.0),
+PANELS = (  # column, label with its unit, factor
+    ("reward", "return, no unit", 1.0),
     ("correct_coverage", "correct coverage at the end, %", 100.0),
-    ("lost", "lost, %", 100.0),
+    ("lost", "lost episodes, %", 100.0),
 )
 SMOOTHED = 7  # updates in a running mean; the episodes of a single one are few
-TRAINED, VALIDATED = "#1f5ac8", "#e08c00"
+TRAINED, VALIDATED = "#0072b2", "#d55e00"  # of Okabe and Ito
+DPI = 200
 
 
 def draw_training(folder: Path) -> Path | None:
@@ -35,16 +38,17 @@ def draw_training(folder: Path) -> Path | None:
     )
     if not updates:
         return None
-    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
-    for axes, (name, title, factor) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
+    panels = [panel for panel in PANELS if len(measured(updates, panel[0])[1])] or PANELS[:1]
+    figure = Figure(figsize=(3.5 * len(panels), 3.4), layout="constrained")
+    for axes, (name, title, factor) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         decisions, values = measured(updates, name)
         axes.plot(decisions, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
         axes.plot(decisions, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
         decisions, values = measured(evaluations, name)
-        axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=5, label="validation")
+        axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
         dress(axes, title)
-    figure.axes[0].legend(frameon=False, fontsize=8)
-    figure.savefig(folder / CURVES, dpi=110, metadata={"Software": None})
+    figure.legend(**drawn(figure.axes[0]), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.savefig(folder / CURVES, dpi=DPI, metadata={"Software": None})
     return folder / CURVES
 
 
@@ -63,9 +67,11 @@ def running_mean(values: Array) -> Array:
 
 
 def dress(axes: Axes, title: str) -> None:
-    """Title, label and grid."""
-    axes.set_title(title, loc="left", fontsize=10)
-    axes.set_xlabel("decisions", fontsize=9)
-    axes.tick_params(labelsize=8)
+    """Labels and grid."""
+    axes.set_ylabel(title, fontsize=10)
+    axes.set_xlabel("decisions, thousand", fontsize=10)
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}")
+    axes.tick_params(labelsize=9)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)

@@ -11,10 +11,11 @@ import pygame
 
 from mecp_env.core.array_types import Array, Bytes
 from mecp_env.core.text import sanitised
-from mecp_env.render.palette import INK, RGB
+from mecp_env.render.palette import INK, PAPER, RGB
 
 Place = Sequence[float] | Array
 
+HALO = tuple((dx, dy) for dx in (-1.5, 0.0, 1.5) for dy in (-1.5, 0.0, 1.5) if dx or dy)  # px around a letter
 FINER = 2  # pixels of the surface a pixel of the picture: smooth lines and text
 
 
@@ -130,6 +131,13 @@ class Brush:
         drawn = font.render(sanitised(words), True, colour)
         self.canvas.blit(drawn, (FINER * place[0] - align * drawn.get_width(), FINER * place[1]))
         return float(drawn.get_width() / FINER)
+
+    def label(self, words: str, place: Place, size: int) -> None:
+        """Dark words around `place` with a light halo: readable on whatever is below them."""
+        left, top = place[0], place[1] - 0.35 * size
+        for dx, dy in HALO:
+            self.text(words, (left + dx, top + dy), size, PAPER, align=0.5)
+        self.text(words, (left, top), size, INK, align=0.5)
 
     @staticmethod
     def _fine(box: Box) -> tuple[int, int]:

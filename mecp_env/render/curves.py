@@ -8,14 +8,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from mecp_env.core.text import sanitised
 from mecp_env.render import palette
+from mecp_env.render.legends import drawn, is_drawn
 from mecp_env.render.palette import unit
 from mecp_env.render.view import SceneView
 
 NEES_BAND = 0.216, 9.348  # 95 % of a chi-square of 3 degrees of freedom
-LEAST_NEES = 0.02
+LEAST_NEES, MOST_NEES = 0.02, 30.0  # of the axis, which a larger value makes longer
+NEES, COUNTS = "NEES, no unit", "on the map, count"
 
 Moment = Mapping[str, float]
 
@@ -26,39 +29,55 @@ def moment_of(view: SceneView) -> Moment:
     return {**view.metrics, "sigma3_m": 3.0 * math.sqrt(max(float(np.linalg.eigvalsh(cov)[-1]), 0.0))}
 
 
+Line = tuple[str, str, palette.RGB, float]  # metric, its name, colour, factor
+PANELS: dict[str, tuple[Line, ...]] = {  # the label of the y axis, and what is over time
+    "position, cm": (("pose_error_m", "error", palette.HIT, 100.0), ("sigma3_m", "3 sigma", palette.FAINT, 100.0)),
+    NEES: (("nees", "NEES of the pose, 3 expected", palette.ESTIMATE, 1.0),),
+    "floor, %": (
+        ("correct_coverage", "correct coverage", palette.GOAL, 100.0),
+        ("coverage", "coverage", palette.FAINT, 100.0),
+    ),
+    COUNTS: (
+        ("landmarks", "landmarks", palette.LANDMARK, 1.0),
+        ("doors_found", "doors found", palette.DOOR, 1.0),
+        ("rooms_found", "rooms found", palette.ESTIMATE, 1.0),
+    ),
+}
+DASHES = ("-", "--", ":")
+
+
 def curves_figure(title: str, period_s: float, moments: Sequence[Moment]) -> Figure:
     """The curves of a run whose steps are `period_s` apart, from the first one on."""
     figure = Figure(figsize=(11.0, 6.0), layout="constrained")
-    position, nees, floor, landmarks = figure.subplots(2, 2, sharex=True).ravel()
     t = period_s * np.arange(len(moments))
-
-    def draw(axes: Axes, name: str, colour: palette.RGB, label: str, factor: float = 1.0) -> None:
-        axes.plot(
-            t, [factor * moment.get(name, math.nan) for moment in moments], color=unit(colour), lw=1.2, label=label
-        )
-
-    draw(position, "sigma3_m", palette.FAINT, "3 sigma", 100.0)
-    draw(position, "pose_error_m", palette.HIT, "error", 100.0)
-    draw(floor, "coverage", palette.FAINT, "coverage", 100.0)
-    draw(floor, "correct_coverage", palette.GOAL, "correct coverage", 100.0)
-    draw(landmarks, "landmarks", palette.LANDMARK, "landmarks")
-    draw(landmarks, "rooms_found", palette.ROOMS[0], "rooms found")
-    draw(landmarks, "doors_found", palette.DOOR, "doors found")
-    nees.axhspan(*NEES_BAND, color=unit(palette.BEAM), alpha=0.25, lw=0, label="95 % of a consistent filter")
-    nees.semilogy(t, [max(m.get("nees", math.nan), LEAST_NEES) for m in moments], color=unit(palette.ESTIMATE), lw=1.0)
-    words = {
-        position: "position, cm",
-        nees: "NEES of the pose (3 expected)",
-        floor: "floor, %",
-        landmarks: "on the map",
-    }
-    for axes, name in words.items():
-        axes.set_title(name, loc="left", fontsize=10)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(alpha=0.25)
-        axes.legend(frameon=False, fontsize=8)
-        axes.tick_params(labelsize=8)
-    for axes in (floor, landmarks):
-        axes.set_xlabel("s", fontsize=9)
+    for axes, (label, lines) in zip(figure.subplots(2, 2, sharex=True).ravel(), PANELS.items(), strict=True):
+        for (name, words, colour, factor), dashes in zip(lines, DASHES, strict=False):
+            values = factor * np.array([moment.get(name, math.nan) for moment in moments], float)
+            axes.plot(t, values, dashes, color=unit(colour), lw=1.3, label=words)
+        if label == NEES:
+            _draw_band(axes)
+        if label == COUNTS:
+            axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        _dress(axes, label)
     figure.suptitle(sanitised(title), x=0.01, ha="left", fontsize=12, parse_math=False)
     return figure
+
+
+def _draw_band(axes: Axes) -> None:
+    values = np.asarray(axes.lines[0].get_ydata(), float)
+    axes.set_yscale("log", nonpositive="clip")
+    axes.set_ylim(LEAST_NEES, max([MOST_NEES, *values[np.isfinite(values)]]))
+    axes.yaxis.set_major_formatter("{x:g}")
+    if is_drawn(axes.lines[0]):
+        axes.axhspan(*NEES_BAND, color=unit(palette.BEAM), alpha=0.25, lw=0, label="95 % of a consistent filter")
+
+
+def _dress(axes: Axes, label: str) -> None:
+    axes.set_ylabel(label, fontsize=9)
+    axes.set_xlabel("time, s", fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25)
+    axes.tick_params(labelsize=8)
+    names = drawn(axes)
+    if names["handles"]:
+        axes.legend(**names, frameon=False, fontsize=8)

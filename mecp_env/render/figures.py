@@ -16,15 +16,19 @@ from matplotlib.patheffects import withStroke
 from mecp_env.core.array_types import Array
 from mecp_env.core.text import sanitised
 from mecp_env.render import palette, shapes
+from mecp_env.render.legends import drawn
 from mecp_env.render.palette import unit
 from mecp_env.render.view import SceneView, loops, signed_area, summary
 
+DPI = 220  # a figure has at least twice the pixels of the place where a page shows it
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
+BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+ASIDE_M, BELOW_M = 0.5, 1.0  # around the building: the scale bar is below it
 TRUTH_GREY = (0.72, 0.73, 0.75)
 TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
 
 
-def save(figure: Figure, path: Path, dpi: int = 150) -> None:
+def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """Write a figure as PNG without the date, so that the same figure gives the same file."""
     with boxes_for_missing_glyphs():
         figure.savefig(path, dpi=dpi, metadata={"Software": None})
@@ -41,13 +45,15 @@ def boxes_for_missing_glyphs() -> Iterator[None]:
 def map_figure(view: SceneView) -> Figure:
     """The map at the end of an episode: rooms, doors, landmarks, both paths, over the truth or the mapped walls."""
     width, height = view.bounds[1] - view.bounds[0]
-    figure = Figure(figsize=(11.0, 11.0 * height / width + 1.6), layout="constrained")
+    figure = Figure(
+        figsize=(11.0, 11.0 * (height + BELOW_M + ASIDE_M) / (width + 2.0 * ASIDE_M) + 0.9), layout="constrained"
+    )
     axes = figure.add_subplot()
     known = len(view.segments) > 0
     (_draw_truth if known else _draw_mapped_walls)(axes, view)
     _draw_rooms(axes, view)
     _draw_doors(axes, view)
-    path = "true path" if known else "reference path" if len(view.path_world) else None
+    path = "true path" if known else "reference path"
     axes.plot(*view.path_world.T, color=unit(TRUE_PATH), linewidth=4.0, label=path)
     estimated = view.to_world(view.path_map).T
     axes.plot(*estimated, color=unit(palette.ESTIMATE), linewidth=1.1, label="estimated path")
@@ -58,7 +64,7 @@ def map_figure(view: SceneView) -> Figure:
     caption = sanitised("    ".join([view.title, *(f"{name} {value}" for name, value in summary(view.metrics))]))
     size = min(13.0, max(7.0, CAPTION_POINTS / len(caption)))
     figure.suptitle(caption, x=0.01, ha="left", fontsize=size, parse_math=False)
-    figure.legend(loc="outside lower left", ncols=8, frameon=False, fontsize=9, columnspacing=1.5)
+    figure.legend(**drawn(axes), loc="outside lower left", ncols=8, frameon=False, fontsize=9, columnspacing=1.5)
     return figure
 
 
@@ -86,17 +92,20 @@ def _draw_rooms(axes: Axes, view: SceneView) -> None:
     known = shapes.polygon_rings(view)
     rings = [ring for ring, _ in known]
     light = [unit(palette.mix(colour, palette.FREE, 0.75)) for _, colour in known]  # many are no darker than one
-    edges = [(*unit(colour), 0.3) for _, colour in known]
-    axes.add_collection(PolyCollection(rings, facecolors=light, zorder=1.2))
+    edges = [unit(palette.mix(colour, palette.FREE, 0.45)) for _, colour in known]
+    axes.add_collection(
+        PolyCollection(rings, facecolors=light, edgecolors=edges, zorder=1.2, label="polygons of a room")
+    )
     looks: dict[str, Any] = {"facecolors": "none", "edgecolors": edges, "linewidths": 0.7, "zorder": 1.5}
-    axes.add_collection(PolyCollection(rings, label="polygons of a room", **looks))
+    axes.add_collection(PolyCollection(rings, **looks))
 
 
 def _draw_doors(axes: Axes, view: SceneView) -> None:
     faces, candidates = shapes.door_lines(view)
     colour = unit(palette.DOOR)
     axes.add_collection(LineCollection(faces, colors=colour, linewidths=3.0, label="door"))
-    axes.add_collection(LineCollection(candidates, colors=colour, linewidths=1.5, linestyles=":"))
+    dotted: dict[str, Any] = {"linewidths": 1.5, "linestyles": ":", "label": "door candidate"}
+    axes.add_collection(LineCollection(candidates, colors=colour, **dotted))
 
 
 def _draw_landmarks(axes: Axes, view: SceneView) -> None:
@@ -116,14 +125,15 @@ def _name_rooms(axes: Axes, view: SceneView) -> None:
 
 
 def _draw_scale(axes: Axes, bounds: Array) -> None:
-    """A bar of two metres below the building's right corner."""
+    """A bar below the building's right corner, at most a quarter of it long."""
+    length = max((bar for bar in BARS_M if bar <= (bounds[1, 0] - bounds[0, 0]) / 4.5), default=BARS_M[0])
     right, y = bounds[1, 0], bounds[0, 1] - 0.45
-    axes.plot([right - 2.0, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
-    axes.text(right - 1.0, y - 0.1, "2 m", ha="center", va="top", fontsize=9)
+    axes.plot([right - length, right], [y, y], color=unit(palette.INK), linewidth=2.5, solid_capstyle="butt")
+    axes.text(right - 0.5 * length, y - 0.1, f"{length:g} m", ha="center", va="top", fontsize=9)
 
 
 def _plain(axes: Axes, bounds: Array) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.set_xlim(bounds[0, 0] - 0.5, bounds[1, 0] + 0.5)
-    axes.set_ylim(bounds[0, 1] - 1.0, bounds[1, 1] + 0.5)
+    axes.set_xlim(bounds[0, 0] - ASIDE_M, bounds[1, 0] + ASIDE_M)
+    axes.set_ylim(bounds[0, 1] - BELOW_M, bounds[1, 1] + ASIDE_M)

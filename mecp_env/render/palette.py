@@ -6,7 +6,8 @@ RGB = tuple[int, int, int]
 
 PAPER: RGB = (250, 250, 248)
 INK: RGB = (38, 44, 54)
-FAINT: RGB = (140, 146, 156)
+MUTED: RGB = (86, 94, 107)  # of text beside what matters more
+FAINT: RGB = (118, 125, 136)  # of lines and marks, not of text
 SOLID: RGB = (70, 77, 90)
 FREE: RGB = (255, 255, 255)
 UNSEEN: RGB = (224, 227, 231)
@@ -35,6 +36,19 @@ ROOMS: tuple[RGB, ...] = (
     (105, 140, 60),
     (90, 105, 120),
 )
+
+
+# Okabe and Ito's colours, which the colour-blind can tell apart, the darkest first; lines have a marker and dashes too.
+SERIES: tuple[RGB, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (38, 44, 54),
+    (230, 159, 0),
+    (86, 180, 233),
+)
+MARKERS = "osD^vPX"
 
 
 def room_colour(room: int) -> RGB:

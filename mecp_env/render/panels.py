@@ -40,7 +40,7 @@ def draw_nothing(brush: Brush, view: SceneView, box: Box) -> None:
     """An empty half in the place of the world."""
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [box.width, box.height] + np.array([box.left, box.top])
     brush.area(corners, palette.UNSEEN)
-    brush.text("hidden", (box.middle[0], box.middle[1] - 10), 28, palette.FAINT, align=0.5)
+    brush.text("hidden", (box.middle[0], box.middle[1] - 10), 28, palette.MUTED, align=0.5)
 
 
 def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
@@ -59,9 +59,8 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
     for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
         brush.dot(pixel, 2.2, palette.LANDMARK)
     _draw_goals(brush, view, camera)
-    for room, p_map in shapes.room_labels(view.slam_output).items():
-        colour = palette.mix(palette.room_colour(room), palette.INK, 0.4)
-        brush.text(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18, colour, align=0.5)
+    for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
+        brush.label(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18)
     belief = view.slam_output.belief
     ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.magnification(belief))
     brush.ring(camera.pixels(view.to_world(ring)), palette.LANDMARK)

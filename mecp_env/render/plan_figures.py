@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path as FilePath
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -26,11 +27,12 @@ from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
 from mecp_env.render.palette import unit
 
 FORMATS = (".png", ".svg")
-ALONE_IN, ON_SHEET_IN = (9.6, 7.6), (4.2, 3.5)  # width and height that a plan may have, inches
+ALONE_IN, ON_SHEET_IN = (7.1, 6.2), (3.5, 3.4)  # width and height that a plan may have, inches
 LEAST_IN = 5.2  # width of the drawing of one building, so that its title fits
-MARGIN_IN, HEAD_IN, FOOT_IN = 0.3, 0.9, 0.4  # beside a plan, above and below it, for the legend
-MOST_ON_SHEET = 100
-LARGEST_PT, SMALLEST_PT = 11.0, 4.0  # of a room's name
+MARGIN_IN, HEAD_IN, FOOT_IN = 0.3, 0.85, 0.4  # beside a plan, above and below it, for the legend
+MOST_ON_SHEET, TWO_COLUMNS = 100, 8  # plans on a sheet; up to so many it is as wide as a column of text
+LARGEST_PT, SMALLEST_PT = 11.0, 6.0  # of a room's name; 6 pt are 8 px on a page, whose inch has 96
+DPI = 200  # twice that of a page
 POINTS_PER_INCH = 72.0
 WOOD: palette.RGB = (212, 200, 184)
 WOOD_EDGE = unit(palette.mix(WOOD, palette.INK, 0.45))
@@ -50,7 +52,7 @@ def check_count(count: int) -> None:
         raise ConfigError(f"{count} buildings cannot be drawn on one sheet, from 1 to {MOST_ON_SHEET} can")
 
 
-def save_plans(plans: Sequence[FloorPlan], path: FilePath, dpi: int = 150) -> None:
+def save_plans(plans: Sequence[FloorPlan], path: FilePath, dpi: int = DPI) -> None:
     """Draw plans and write them as PNG or SVG, by the ending of `path`; without date."""
     check_format(path)
     with mpl.rc_context({"svg.hashsalt": "mecp_env"}), boxes_for_missing_glyphs():
@@ -62,17 +64,15 @@ def save_plans(plans: Sequence[FloorPlan], path: FilePath, dpi: int = 150) -> No
 def plans_figure(plans: Sequence[FloorPlan]) -> Figure:
     """One plan, or several in rows. Raises `ConfigError` for none, or more than fit on a sheet."""
     check_count(len(plans))
-    columns = math.ceil(math.sqrt(len(plans)))
-    rows = math.ceil(len(plans) / columns)
-    width, height = ON_SHEET_IN if len(plans) > 1 else _snug(plans[0])
-    size = columns * (width + MARGIN_IN), rows * (height + HEAD_IN) + FOOT_IN
-    figure = Figure(size, facecolor="white", layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.12))
-    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    columns, width, heights = _sheet(plans)
+    figure = Figure((columns * (width + MARGIN_IN), sum(heights) + FOOT_IN), facecolor="white")
+    figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1))
+    places = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights).ravel()
     for axes, plan in zip(places, plans, strict=False):
-        _draw_plan(axes, plan, *((14.0, 9.0) if len(plans) == 1 else (10.0, 7.0)))
+        _draw_plan(axes, plan, *((13.0, 8.5) if len(plans) == 1 else (9.5, 6.5)))
     for axes in places[len(plans) :]:
         axes.remove()
-    figure.legend(handles=_legend(), loc="outside lower left", ncols=4, frameon=False, fontsize=8)
+    figure.legend(handles=_legend(plans), loc="outside lower left", ncols=4, frameon=False, fontsize=7.5)
     figure.draw_without_rendering()  # now the scale of each plan is known
     for axes, plan in zip(places, plans, strict=False):
         left, right = axes.transData.transform([(0.0, 0.0), (1.0, 0.0)])
@@ -81,11 +81,21 @@ def plans_figure(plans: Sequence[FloorPlan]) -> Figure:
     return figure
 
 
-def _snug(plan: FloorPlan) -> tuple[float, float]:
-    """The room that a plan by itself takes up, inches."""
+def _sheet(plans: Sequence[FloorPlan]) -> tuple[int, float, list[float]]:
+    """Columns of a sheet, the width of a plan in them, and the height of each row, inches."""
+    if len(plans) == 1:
+        width, height = _snug(plans[0], ALONE_IN)
+        return 1, max(width, LEAST_IN), [height + HEAD_IN]
+    columns = 2 if len(plans) <= TWO_COLUMNS else math.ceil(math.sqrt(len(plans)))
+    rows = [plans[first : first + columns] for first in range(0, len(plans), columns)]
+    return columns, ON_SHEET_IN[0], [HEAD_IN + max(_snug(plan, ON_SHEET_IN)[1] for plan in row) for row in rows]
+
+
+def _snug(plan: FloorPlan, most: tuple[float, float]) -> tuple[float, float]:
+    """Width and height of a plan that is as large as there is space, inches."""
     width, height = plan.bounds[1] - plan.bounds[0]
-    scale = min(ALONE_IN[0] / width, ALONE_IN[1] / height)
-    return max(scale * width, LEAST_IN), scale * height
+    scale = min(most[0] / width, most[1] / height)
+    return scale * width, scale * height
 
 
 def _draw_plan(axes: Axes, plan: FloorPlan, big: float, small: float) -> None:
@@ -108,7 +118,7 @@ def _draw_plan(axes: Axes, plan: FloorPlan, big: float, small: float) -> None:
     _draw_bar(axes, plan.bounds)
     name = axes.set_title(sanitised(plan.name), loc="left", fontsize=big, fontweight="bold", pad=2.2 * small)
     name.set(color=unit(palette.INK), parse_math=False)
-    grey = unit(palette.mix(palette.INK, palette.FREE, 0.4))
+    grey = unit(palette.MUTED)
     above = axes.annotate(plan.summary, (0, 1), (0, 0.8 * small), xycoords="axes fraction", textcoords="offset points")
     above.set(color=grey, fontsize=small)
 
@@ -138,7 +148,10 @@ def _name_room(axes: Axes, room: PlanRoom, points_per_m: float) -> None:
     ink = unit(palette.mix(palette.ROOMS[room.colour % len(palette.ROOMS)], palette.INK, 0.6))
     angle = math.radians(room.label_turn_deg)
     up = np.array([-math.sin(angle), math.cos(angle)])
-    for words, lift, points in ((sanitised(room.name), 0.55, size), (f"{room.area_m2:.1f} m²", -0.55, 0.75 * size)):
+    for words, lift, points in (
+        (sanitised(room.name), 0.55, size),
+        (f"{room.area_m2:.1f} m²", -0.55, max(0.75 * size, SMALLEST_PT)),
+    ):
         dx, dy = lift * size * up
         text = axes.annotate(words, room.label, (dx, dy), textcoords="offset points", fontsize=points, color=ink)
         text.set(ha="center", va="center_baseline", rotation=room.label_turn_deg, rotation_mode="anchor")
@@ -150,24 +163,28 @@ def _draw_bar(axes: Axes, bounds: Array) -> None:
     length = max((bar for bar in BARS_M if bar <= (bounds[1, 0] - bounds[0, 0]) / 3.0), default=BARS_M[0])
     looks = {"frameon": False, "size_vertical": 0.015 * length, "color": unit(palette.INK), "pad": 0.6}
     place = {"bbox_to_anchor": (1.0, 0.0), "bbox_transform": axes.transAxes, "borderpad": 0.0}
-    small = FontProperties(size=8)
+    small = FontProperties(size=7.5)
     bar = AnchoredSizeBar(
         axes.transData, length, f"{length:g} m", "upper right", **looks, **place, fontproperties=small
     )
     axes.add_artist(bar)
 
 
-def _legend() -> list[Patch | Line2D]:
+def _legend(plans: Sequence[FloorPlan]) -> list[Patch | Line2D]:
+    """Entries for what the plans have."""
     blue = unit(palette.ESTIMATE)
-    dots = [
-        Line2D([], [], color=inside, marker="o", markeredgecolor=blue, markersize=7, linestyle="none", label=name)
-        for inside, name in ((blue, "first start"), ((1.0, 1.0, 1.0), "other start"))
-    ]
-    return [
-        Line2D([], [], color=unit(palette.DOOR), linewidth=2.0, label="door"),
-        Patch(facecolor=unit(WOOD), edgecolor=WOOD_EDGE, label="obstacle"),
-        *dots,
-    ]
+    looks: dict[str, Any] = {"marker": "o", "markeredgecolor": blue, "markersize": 7, "linestyle": "none"}
+    most_starts = max(len(plan.starts) for plan in plans)
+    entries = (
+        (any(len(plan.doors) for plan in plans), Line2D([], [], color=unit(palette.DOOR), linewidth=2.0, label="door")),
+        (
+            any(len(plan.obstacles) for plan in plans),
+            Patch(facecolor=unit(WOOD), edgecolor=WOOD_EDGE, label="obstacle"),
+        ),
+        (most_starts > 0, Line2D([], [], color=blue, label="first start", **looks)),
+        (most_starts > 1, Line2D([], [], color=(1.0, 1.0, 1.0), label="other start", **looks)),
+    )
+    return [entry for drawn, entry in entries if drawn]
 
 
 def _path(shape: Shape) -> Path:

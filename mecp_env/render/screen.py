@@ -25,8 +25,8 @@ LEGEND: Legend = (
     ("goal", palette.GOAL, "dot"),
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
-PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "dot"),)
-MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "dot"),)
+PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "square"),)
+MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "square"),)
 
 
 class ScreenConfig(Settings):
@@ -58,8 +58,8 @@ class Screen:
             (draw_nothing if hide_world else draw_world)(brush, view, world)
         with brush.inside(belief):
             draw_belief(brush, view, belief)
-        brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.FAINT)
-        brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.FAINT)
+        brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.MUTED)
+        brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.MUTED)
         self._header(brush, view)
         places = PLACE_LEGEND if (view.goal_kinds >= KNOWN_GROUND).any() else ()
         scale = f"landmark, 95 % ellipse x {magnification(view.slam_output.belief):.0f}", palette.LANDMARK, "dot"
@@ -76,16 +76,18 @@ class Screen:
         x = float(self.config.width_px - MARGIN)
         for name, value in reversed(summary(view.metrics)):
             x -= brush.text(value, (x, 11), 22, align=1.0) + 5
-            x -= brush.text(name, (x, 13), 18, palette.FAINT, align=1.0) + 16
+            x -= brush.text(name, (x, 13), 18, palette.MUTED, align=1.0) + 16
 
     def _legend(self, brush: Brush, legend: Legend) -> None:
         x, y = float(MARGIN), self.config.height_px - FOOTER + 6
         for name, colour, kind in legend:
             if kind == "dot":
                 brush.dot((x + 6, y + 6), 3.5, colour)
+            elif kind == "square":
+                brush.square((x + 6, y + 6), 4.0, colour, 1.5)
             else:
                 brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
-            x += 18 + brush.text(name, (x + 18, y), 16, palette.FAINT) + 18
+            x += 18 + brush.text(name, (x + 18, y), 16, palette.MUTED) + 18
 
 
 def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str, scan: bool = False) -> Bytes:
@@ -97,5 +99,5 @@ def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str, 
         if scan:
             draw_scan(brush, view, box)
     brush.text(title, (SMALL_MARGIN, 6), 22)
-    brush.text(caption, (SMALL_MARGIN, 25), 17, palette.FAINT)
+    brush.text(caption, (SMALL_MARGIN, 25), 17, palette.MUTED)
     return brush.image()

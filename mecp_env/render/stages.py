@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from mecp_env.core.array_types import Array
 from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.render import palette, shapes
+from mecp_env.render.legends import drawn
 from mecp_env.render.palette import unit
 from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason, SlamOutput
 
 KINDS = {CornerKind.CROSSING: ("o", "crossing"), CornerKind.FREE_END: ("s", "free end"), CornerKind.JAMB: ("D", "jamb")}
 EDGES = {EdgeLabel.WALL: palette.SOLID, EdgeLabel.GAP: palette.DOOR, EdgeLabel.OPEN: palette.GOAL}
 DECISIONS = {
-    Decision.LANDMARK: palette.ESTIMATE,
-    Decision.PROVISIONAL: palette.DOOR,
-    Decision.NEW: palette.GOAL,
-    Decision.IGNORED: palette.FAINT,
+    Decision.LANDMARK: (palette.ESTIMATE, "o"),
+    Decision.PROVISIONAL: (palette.DOOR, "^"),
+    Decision.NEW: (palette.GOAL, "D"),
+    Decision.IGNORED: (palette.FAINT, "x"),
 }
+DASHES = {EdgeLabel.WALL: "-", EdgeLabel.GAP: (0, (2, 1)), EdgeLabel.OPEN: (0, (5, 2))}
+WIDTH_IN = 7.6  # as wide as the text of a page, whose inch has 96 px
+DPI = 200
+READABLE_PT = 6.0  # size of a mark in a legend
 
 
 def stage_figures(output: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
@@ -42,17 +48,20 @@ def stage_figures(output: SlamOutput, clusters: Clusters) -> dict[str, Figure]:
 def _figure(draw: Callable[[Axes, SlamOutput], None], output: SlamOutput) -> Figure:
     hits = _hits(output)
     low, high = np.percentile(hits, 3.0, axis=0) - 0.8, np.percentile(hits, 97.0, axis=0) + 0.8
-    figure = Figure(figsize=(8.0, 8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 0.5), layout="constrained")
+    height = WIDTH_IN * (high[1] - low[1]) / (high[0] - low[0]) + 1.0
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
     axes = figure.add_subplot()
     draw(axes, output)
-    axes.plot(0.0, 0.0, marker=(3, 0, -90), color=unit(palette.INK), markersize=14)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=8, colors=unit(palette.FAINT))
+    axes.plot(0.0, 0.0, marker=(3, 0, -90), color=unit(palette.INK), markersize=11, linestyle="none", label="robot")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set_xlabel("x, m", fontsize=9)
+    axes.set_ylabel("y, m", fontsize=9)
+    axes.tick_params(labelsize=8, colors=unit(palette.MUTED))
     axes.spines[:].set_visible(False)
     axes.grid(alpha=0.25)
-    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    legend = figure.legend(**drawn(axes), loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    for line in legend.get_lines():
+        line.set_markersize(max(line.get_markersize(), READABLE_PT))
     return figure
 
 
@@ -78,21 +87,30 @@ def _draw_clusters(clusters: Clusters, axes: Axes, output: SlamOutput) -> None:
     points = _points(output)
     for row, (first, last) in enumerate(zip(clusters.first, clusters.last, strict=True)):
         index = (clusters.roll + np.arange(first, last + 1)) % len(points)
-        axes.plot(*points[index].T, ".", color=unit(palette.room_colour(row)), markersize=4)
-    axes.plot([], [], " ", label=f"{len(clusters.first)} clusters, one colour each")
+        colour, mark = unit(palette.SERIES[row % len(palette.SERIES)]), palette.MARKERS[row % len(palette.MARKERS)]
+        axes.plot(*points[index].T, mark, color=colour, markersize=3)
+    axes.set_title(f"{len(clusters.first)} clusters, neighbours differ in colour and mark", loc="left", fontsize=10)
 
 
 def _draw_segments(axes: Axes, output: SlamOutput) -> None:
     points = list(output.segments.points)
-    colours = [unit(palette.room_colour(row)) for row in range(len(points))]
-    axes.plot(*_hits(output).T, ".", color=unit(palette.UNSEEN), markersize=3)
+    colours = [unit(palette.SERIES[row % len(palette.SERIES)]) for row in range(len(points))]
+    axes.plot(
+        *_hits(output).T,
+        ".",
+        color=unit(palette.mix(palette.FAINT, palette.FREE, 0.4)),
+        markersize=3,
+        label="merged beams",
+    )
     axes.add_collection(LineCollection(points, colors=colours, linewidths=2.0))
-    axes.plot([], [], " ", label=f"{len(points)} lines fitted")
+    ends = np.concatenate([np.empty((0, 2)), *points])
+    axes.plot(*ends.T, "|", color=unit(palette.INK), markersize=7, label="end of a line")
+    axes.set_title(f"{len(points)} lines fitted", loc="left", fontsize=10)
 
 
 def _draw_walls(axes: Axes, output: SlamOutput) -> None:
     colour = unit(palette.mix(palette.SOLID, palette.FREE, 0.6))
-    axes.add_collection(LineCollection(list(output.segments.points), colors=colour, linewidths=1.5))
+    axes.add_collection(LineCollection(list(output.segments.points), colors=colour, linewidths=1.5, label="line"))
 
 
 def _draw_corners(axes: Axes, output: SlamOutput) -> None:
@@ -102,20 +120,12 @@ def _draw_corners(axes: Axes, output: SlamOutput) -> None:
     for kind, (marker, name) in KINDS.items():
         chosen = corners.kind == kind
         axes.plot(*points[chosen].T, marker, color=unit(palette.LANDMARK), fillstyle="none", label=name)
-    for point, z, cov in zip(points, corners.z, corners.R, strict=True):
-        axes.plot(*_ring(point, z, cov).T, color=unit(palette.LANDMARK), linewidth=0.7)
-    for jambs in corners.doorways.jambs:
-        axes.plot(*points[jambs].T, color=unit(palette.DOOR), linewidth=3, label="_door")
-    behind = points[corners.beyond >= 0]
-    axes.plot(*behind.T, "x", color=unit(palette.DOOR), label="seen through a door")
-    axes.plot(
-        [],
-        [],
-        "-",
-        color=unit(palette.LANDMARK),
-        linewidth=0.7,
-        label=f"95 %, {shapes.ELLIPSE_MAGNIFIED:.0f} times larger",
-    )
+    said = f"95 %, {shapes.ELLIPSE_MAGNIFIED:.0f} times larger"
+    rings = [_ring(point, z, cov) for point, z, cov in zip(points, corners.z, corners.R, strict=True)]
+    axes.add_collection(LineCollection(rings, colors=unit(palette.LANDMARK), linewidths=0.7, label=said))
+    doors = [points[jambs] for jambs in corners.doorways.jambs]
+    axes.add_collection(LineCollection(doors, colors=unit(palette.DOOR), linewidths=3.0, label="door"))
+    axes.plot(*points[corners.beyond >= 0].T, "x", color=unit(palette.DOOR), label="seen through a door")
 
 
 def _ring(point: Array, z: Array, cov: Array) -> Array:
@@ -131,20 +141,26 @@ def _draw_polygon(axes: Axes, output: SlamOutput) -> None:
     points = polar_to_points(output.polygon_corners.z)
     sites = output.polygon_corners.sites
     axes.plot(*points[sites].T, "o", color=unit(palette.LANDMARK), label="site: may be a vertex")
-    axes.plot(*points[~sites].T, "o", color=unit(palette.FAINT), fillstyle="none", label="no site")
-    for polygon in output.polygons:
-        ring = points[polygon.corners]
-        axes.fill(*ring.T, color=unit(palette.ROOMS[0]), alpha=0.12)
-        _draw_intervals(axes, ring, polygon.intervals)
-    for label, colour in EDGES.items():
-        axes.plot([], [], color=unit(colour), linewidth=3, label=label.name.lower())
+    axes.plot(*points[~sites].T, "s", color=unit(palette.FAINT), fillstyle="none", label="no site")
+    rings = [points[polygon.corners] for polygon in output.polygons]
+    light = unit(palette.mix(palette.ROOMS[0], palette.FREE, 0.85))  # opaque: many are no darker than one
+    axes.add_collection(PolyCollection(rings, facecolors=light, edgecolors="none", zorder=0.5, label="polygon"))
+    for label in EDGES:
+        lines = [
+            line
+            for ring, one in zip(rings, output.polygons, strict=True)
+            for line in _lines(ring, one.intervals, label)
+        ]
+        looks: dict[str, Any] = {"linewidths": 3.0, "linestyles": [DASHES[label]], "label": label.name.lower()}
+        axes.add_collection(LineCollection(lines, colors=unit(EDGES[label]), capstyle="butt", **looks))
 
 
-def _draw_intervals(axes: Axes, ring: Array, intervals: Array) -> None:
-    for edge, start, end, label in intervals:
-        a, b = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
-        ends = np.stack([a + start * (b - a), a + end * (b - a)])
-        axes.plot(*ends.T, color=unit(EDGES[EdgeLabel(int(label))]), linewidth=3, solid_capstyle="butt")
+def _lines(ring: Array, intervals: Array, label: EdgeLabel) -> Iterator[Array]:
+    """The stretches (2,2) m of the edges that have a label."""
+    for edge, start, end, kind in intervals:
+        if kind == label:
+            a, b = ring[int(edge)], ring[(int(edge) + 1) % len(ring)]
+            yield np.stack([a + start * (b - a), a + end * (b - a)])
 
 
 def _draw_association(axes: Axes, output: SlamOutput) -> None:
@@ -153,9 +169,9 @@ def _draw_association(axes: Axes, output: SlamOutput) -> None:
     known = to_robot(output.T_map_laser, np.ascontiguousarray(belief.p_map))
     axes.plot(*known.T, "+", color=unit(palette.LANDMARK), markersize=9, label="landmark of the map")
     points = polar_to_points(output.corners.z)
-    for decision, colour in DECISIONS.items():
+    for decision, (colour, mark) in DECISIONS.items():
         chosen = match.decision == decision
-        axes.plot(*points[chosen].T, "o", color=unit(colour), fillstyle="none", label=decision.name.lower())
+        axes.plot(*points[chosen].T, mark, color=unit(colour), fillstyle="none", label=decision.name.lower())
     for point, name, reason in zip(points, match.ids, match.reason, strict=True):
         words = f"{name} {Reason(int(reason)).name.lower()}" if name >= 0 else Reason(int(reason)).name.lower()
         axes.annotate(words, point, (5, 5), textcoords="offset points", fontsize=8, annotation_clip=True)

@@ -24,6 +24,16 @@ def test_the_curves_are_drawn_from_the_tables_of_a_run(tmp_path):
     assert (tmp_path / "curves.png").read_bytes() != before
 
 
+def test_a_column_without_values_has_no_panel(tmp_path):
+    """The tables of a run without uncertainty have no correct coverage."""
+    (tmp_path / "progress.csv").write_text(PROGRESS)
+    with Image.open(draw_training(tmp_path)) as picture:
+        whole = picture.size
+    (tmp_path / "progress.csv").write_text("decisions,reward,correct_coverage,lost\n512,1.0,,\n1024,-3.5,,\n")
+    with Image.open(draw_training(tmp_path)) as picture:
+        assert picture.size == (whole[0] / 3, whole[1])
+
+
 def test_nothing_is_drawn_before_the_first_update(tmp_path):
     assert draw_training(tmp_path) is None
     (tmp_path / "progress.csv").write_text(PROGRESS.splitlines(keepends=True)[0])

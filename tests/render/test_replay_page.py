@@ -1,0 +1,248 @@
+"""The look of the replay page: contrast in both themes, rooms, walls, counts, and nothing that moves as it plays."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mecp_env  # noqa: F401  (registers the environments)
+from benchmarks.browser import Browser, chromium
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.rollout import masks_of
+from mecp_env.render import palette
+from mecp_env.render.replay import read_page, write_page
+from mecp_env.wrappers import RecordReplay
+from tests.render.contrast import contrast, parsed
+
+LEAST_TEXT, LEAST_MARK = 4.5, 3.0  # WCAG 2.1 AA: text, and what is not text
+DRAWN = "Number(document.body?.dataset.drawn) > 0"
+TEXT_ON = (  # colours of text, and what they are written on; names of rooms are on a halo of the panel's colour
+    *(("ink", "paper"), ("ink", "panel"), ("faint", "paper"), ("faint", "panel"), ("on-accent", "accent")),
+    *(("landmark", "panel"), ("hit", "panel")),
+)
+MARKS = ("solid", "truth", "estimate", "hit", "landmark", "door", "goal", "place", "mover", "polygon", "quiet")
+needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+
+
+def sources() -> dict[str, str]:
+    folder = files("mecp_env.render.replay")
+    return {name: (folder / name).read_text("utf-8") for name in ("style.css", "player.js", "page.html")}
+
+
+def themes() -> dict[str, dict[str, str]]:
+    """The properties of the style sheet by theme."""
+    roots = re.findall(r":root \{(.*?)\}", sources()["style.css"], re.DOTALL)
+    light, dark = (dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6,8})", root)) for root in roots)
+    assert light.keys() == dark.keys()
+    return {"light": light, "dark": dark}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("replays")
+    env = RecordReplay(
+        gym.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", disable_env_checker=True), folder
+    )
+    observation, _ = env.reset(seed=3)
+    policy, over = Nearest(), False
+    policy.reset(0)
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks_of(env)()))
+        over = terminated or truncated
+    env.close()
+    return folder / "episode-0000.html"
+
+
+def test_text_and_marks_have_contrast_in_both_themes() -> None:
+    for name, inks in themes().items():
+        for text, ground in TEXT_ON:
+            assert contrast(parsed(inks[text]), parsed(inks[ground])) >= LEAST_TEXT, (name, text, ground)
+        for mark in MARKS:
+            assert contrast(parsed(inks[mark]), parsed(inks["free"])) >= LEAST_MARK, (name, mark)
+
+
+def test_every_colour_is_a_property_of_the_style_sheet() -> None:
+    texts = sources()
+    rules = re.sub(r":root \{.*?\}", "", texts["style.css"], flags=re.DOTALL)
+    for name, text in {**texts, "style.css": rules}.items():
+        assert not re.findall(r"(?<!&)#[0-9a-fA-F]{3,8}\b(?!=)", text), name
+    used = {*re.findall(r"var\(--([\w-]+)\)", rules), *re.findall(r"INK\.(\w+)", texts["player.js"])}
+    assert used <= themes()["light"].keys()
+    text_colours = set(re.findall(r"[ ;{]color: var\(--([\w-]+)\)", rules))
+    assert text_colours <= {text for text, _ in TEXT_ON}
+
+
+CONTRASTS = """(() => {
+  const found = [];
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walk.nextNode()) {
+    const element = walk.currentNode.parentElement;
+    if (!walk.currentNode.textContent.trim() || !element.getClientRects().length || element.closest("script")) continue;
+    let ground = element;
+    while (getComputedStyle(ground).backgroundColor === "rgba(0, 0, 0, 0)") ground = ground.parentElement;
+    const words = walk.currentNode.textContent.trim();
+    found.push([words, getComputedStyle(element).color, getComputedStyle(ground).backgroundColor]);
+  }
+  return found;
+})()"""
+
+
+@needs_browser
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_browser_shows_text_with_contrast(page: Path, theme: str) -> None:
+    with Browser() as browser:
+        browser.theme(theme)
+        browser.show(page)
+        browser.wait(DRAWN)
+        shown = browser.ask(CONTRASTS)
+    assert len(shown) > 30
+    low = [row for row in shown if contrast(parsed(row[1]), parsed(row[2])) < LEAST_TEXT]
+    assert not low
+    grounds = {sum(parsed(row[2])[:3]) for row in shown if row[0].startswith("Space plays")}
+    assert (max(grounds) < 150) == (theme == "dark")
+
+
+@needs_browser
+def test_the_maps_follow_a_change_of_the_theme(page: Path) -> None:
+    corner = "Array.from(document.getElementById('belief').getContext('2d').getImageData(2, 2, 1, 1).data).slice(0, 3)"
+    with Browser() as browser:
+        browser.theme("light")
+        browser.show(page)
+        browser.wait(DRAWN)
+        light, before = browser.ask(corner), browser.ask("Number(document.body.dataset.drawn)")
+        browser.theme("dark")
+        browser.wait(f"Number(document.body.dataset.drawn) > {before}")
+        dark = browser.ask(corner)
+    assert sum(light) > sum(dark) + 200
+
+
+def drawn(run: dict[str, Any], path: Path, fragment: str = "") -> np.ndarray:
+    """(h,w,3) the belief of a run as a browser draws it."""
+    write_page(run, path)
+    with Browser() as browser:
+        browser.show(path, fragment)
+        browser.wait(DRAWN)
+        width, height, data = json.loads(
+            browser.ask(
+                "(() => { const c = document.getElementById('belief'); return JSON.stringify([c.width, c.height, "
+                "Array.from(c.getContext('2d').getImageData(0, 0, c.width, c.height).data)]); })()"
+            )
+        )
+    return np.array(data, np.uint8).reshape(height, width, 4)[:, :, :3]
+
+
+@needs_browser
+def test_polygons_of_a_room_that_overlap_are_no_darker(page: Path, tmp_path: Path) -> None:
+    run = read_page(page)
+    once = drawn(run, tmp_path / "once.html", "#t=999")
+    polygons = run["maps"][-1]["polygons"]
+    assert polygons
+    run["maps"][-1]["polygons"] = polygons * 6
+    other = (np.abs(drawn(run, tmp_path / "often.html", "#t=999").astype(int) - once) > 1).any(axis=2)
+    assert other.mean() < 0.02  # smooth edges alone
+    run["maps"][-1]["polygons"] = []
+    assert (drawn(run, tmp_path / "never.html", "#t=999").astype(int) != once).any(axis=2).mean() > 0.2
+
+
+@needs_browser
+def test_a_slanted_wall_is_a_line_without_teeth(page: Path, tmp_path: Path) -> None:
+    run = read_page(page)
+    columns = np.arange(5, 95)
+    rows = np.round(20 + 0.3 * columns).astype(int)
+    cells = [number for x, y in zip(columns, rows, strict=True) for number in (100 * int(y) + int(x), 1, 1)]
+    empty = {"corners": [], "polygons": [], "goals": [], "landmarks": [], "ranges": [], "matched": [], "target": -1}
+    frames = [
+        frame | empty | {"cells": [], "map": 0, "pose": [300, 200, 0], "truth": None} for frame in run["frames"][:2]
+    ]
+    frames[0]["cells"] = cells
+    plan = {"origin": [0, 0], "size": [100, 70], "cell": 0.1}
+    bare = {"polygons": [], "doors": [], "gaps": [], "rooms": []}
+    run |= {
+        "frames": frames,
+        "grid": plan,
+        "maps": [bare],
+        "walls": [],
+        "solid": [],
+        "map_in_world": [0, 0, 0],
+        "opens_at": 0,
+    }
+    picture = drawn(run, tmp_path / "wall.html")
+    solid = np.abs(picture.astype(int) - parsed(themes()["light"]["solid"])[:3]).sum(axis=2) < 40
+    across = np.flatnonzero(solid.any(axis=0))
+    across = across[len(across) // 10 : -len(across) // 10]
+    middle = np.array([np.flatnonzero(solid[:, x]).mean() for x in across])
+    cell_px = len(across) / 0.8 / 90.0
+    off = middle - np.polyval(np.polyfit(across, middle, 1), across)
+    assert np.sqrt((off**2).mean()) < 0.15 * cell_px  # the cells themselves: 0.29
+    assert solid[:, across].sum(axis=0).max() < 2.5 * cell_px
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [1280, 700, 390])
+def test_nothing_moves_and_counts_are_integers_as_it_plays(page: Path, width: int) -> None:
+    with Browser(width) as browser:
+        browser.show(page)
+        browser.wait(DRAWN)
+        browser.press("Home")
+        places, counts = set(), set[str]()
+        for _ in range(len(read_page(page)["frames"])):
+            places.add(
+                browser.ask(
+                    "JSON.stringify([...document.querySelectorAll('#slider, #speed, .plot canvas')]"
+                    ".map((e) => e.getBoundingClientRect()).map((r) => [r.left, r.top + scrollY, r.width]))"
+                )
+            )
+            counts |= set(
+                browser.ask(
+                    "[...document.querySelectorAll('.plot')].filter((e) => e.textContent.includes('count'))"
+                    ".flatMap((e) => [...e.querySelectorAll('output')].map((o) => o.textContent))"
+                )
+            )
+            browser.press("ArrowRight")
+    assert len(places) == 1
+    assert len(counts) > 3
+    assert all(re.fullmatch(r"\d+", count) for count in counts), counts
+
+
+@needs_browser
+def test_every_curve_has_a_unit_and_the_legend_what_is_drawn(page: Path) -> None:
+    ask_titles = "[...document.querySelectorAll('.plot b')].map((e) => e.textContent)"
+    with Browser() as browser:
+        browser.show(page)
+        browser.wait(DRAWN)
+        titles = browser.ask(ask_titles)
+        legend = browser.ask("[...document.querySelectorAll('#legend li')].map((e) => e.textContent)")
+        shapes = browser.ask("[...document.querySelectorAll('#legend path')].map((e) => e.outerHTML)")
+    units = ("cm", "%", "count", "no unit", "0 to 1", "expected")
+    assert len(titles) >= 5
+    assert all(any(unit in title for unit in units) for title in titles), titles
+    assert len(set(shapes)) == len(shapes)
+    frames = read_page(page)["frames"]
+    assert any("goal" in words for words in legend)
+    for word, name in (("pedestrian", "moving"), ("pose lost", "lost")):
+        assert any(word in words for words in legend) == any(frame.get(name) for frame in frames)
+    known_ground = any(goal[2] >= 4 for frame in frames for goal in frame.get("goals", []))
+    assert ("goal on known ground" in legend) == known_ground
+
+
+def test_corners_and_goals_are_known_by_shape_too() -> None:
+    player = sources()["player.js"]
+    table = re.search(r"const DECISIONS = (\[\[.*?\]\]);", player)
+    assert table is not None
+    shapes = re.findall(r'\["\w+", "(\w+)"\]', table[1])
+    assert len(set(shapes)) == 4
+    assert not set(shapes) & {"star", "hexagon"}  # of goals
+
+
+def test_names_are_readable_on_every_room_without_their_halo() -> None:
+    for inks in themes().values():
+        for colour in palette.ROOMS:
+            ground = tuple(0.36 * c + 0.64 * f for c, f in zip(colour, parsed(inks["free"]), strict=False))
+            assert contrast(parsed(inks["ink"]), ground) >= LEAST_TEXT

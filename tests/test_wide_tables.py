@@ -1,0 +1,114 @@
+"""Tables of the site fit a window of 1280 px: what may break, how wide ones are split, and a browser's word for it."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.browser import Browser, chromium
+
+pytest.importorskip("docutils")
+
+ROOT = Path(__file__).parent.parent
+CONF = """
+import sys
+sys.path.insert(0, {docs!r})
+from wide_tables import fit_tables
+extensions, html_theme, root_doc = ["myst_parser"], "furo", "index"
+html_static_path, html_css_files = [{static!r}], ["tables.css"]
+suppress_warnings = ["myst.xref_missing", "toc.not_included"]
+def setup(app):
+    app.connect("doctree-read", fit_tables)
+"""
+WIDER = """[...document.querySelectorAll('article .table-wrapper')]
+    .filter((e) => e.scrollWidth > e.clientWidth + 1 || e.clientWidth < 300).length"""
+
+
+@pytest.fixture
+def wide(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    return importlib.import_module("wide_tables")
+
+
+def table_of(rows: list[list[str]]) -> Any:
+    """A table of docutils in a document of its own."""
+    from docutils import nodes
+    from docutils.utils import new_document
+
+    group = nodes.tgroup("", *(nodes.colspec(colwidth=1) for _ in rows[0]), cols=len(rows[0]))
+    for part, lines in ((nodes.thead(), rows[:1]), (nodes.tbody(), rows[1:])):
+        for line in lines:
+            part += nodes.row("", *(nodes.entry("", nodes.paragraph("", "", nodes.Text(words))) for words in line))
+        group += part
+    document = new_document("test")
+    document += nodes.table("", group)
+    return document
+
+
+def words(table: Any) -> list[list[str]]:
+    from docutils import nodes
+
+    def plain(entry: Any) -> str:
+        return "".join(str(text) for text in entry.findall(nodes.Text) if not isinstance(text.parent, nodes.raw))
+
+    return [[plain(entry) for entry in row.children] for row in table.findall(nodes.row)]
+
+
+@pytest.mark.parametrize("columns", [2, 9, 30])
+def test_every_column_is_once_in_parts_that_fit(wide: Any, columns: int) -> None:
+    from docutils import nodes
+
+    rows = [[f"{kind}{k:02d}xxxxxx" for k in range(columns)] for kind in ("head", "body")]
+    document = table_of(rows)
+    wide.fit_tables(None, document)
+    parts = list(document.findall(nodes.table))
+    assert all(sum(wide.widths(part)) <= wide.CONTENT_PX for part in parts)
+    assert (len(parts) > 1) == (columns > 8)
+    shown = [words(part) for part in parts]
+    assert all(line[0] == row[0] for part in shown for line, row in zip(part, rows, strict=True))
+    assert [[cell for part in shown for cell in part[k][1:]] for k in range(2)] == [row[1:] for row in rows]
+    for part in parts:
+        (group,) = part.findall(nodes.tgroup)
+        assert group["cols"] == len(list(part.findall(nodes.colspec))) == len(words(part)[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "pieces"),
+    [
+        ("tests/slam/test_pipeline.py", ["tests/", "slam/", "test_", "pipeline.", "py"]),
+        ("duplicates_per_corner 0.0008615", ["duplicates_", "per_", "corner 0.0008615"]),
+        ("[0.0008615, 1.507e+06]", ["[0.0008615, 1.507e+06]"]),
+        ("mecp_a", ["mecp_a"]),
+    ],
+)
+def test_names_break_at_their_joints_and_numbers_do_not(wide: Any, text: str, pieces: list[str]) -> None:
+    from docutils import nodes
+
+    broken = list(wide.broken(text))
+    assert [str(node) for node in broken if isinstance(node, nodes.Text)] == pieces
+    assert sum(isinstance(node, nodes.raw) for node in broken) == len(pieces) - 1
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
+def test_a_browser_shows_the_widest_pages_without_a_sideways_scroll(tmp_path: Path) -> None:
+    for module in ("myst_parser", "furo"):
+        pytest.importorskip(module)
+    pages = {"paper": "docs/paper.md", "a": "benchmarks/results/association.md", "n": "benchmarks/results/noise.md"}
+    for name, path in pages.items():
+        shutil.copy(ROOT / path, tmp_path / f"{name}.md")
+    (tmp_path / "index.md").write_text("# Pages\n")
+    (tmp_path / "conf.py").write_text(CONF.format(docs=str(ROOT / "docs"), static=str(ROOT / "docs/_static")))
+    subprocess.run([sys.executable, "-m", "sphinx", "-q", str(tmp_path), str(tmp_path / "site")], check=True)
+    with Browser(1280) as browser:
+        for name in pages:
+            browser.show(tmp_path / f"site/{name}.html")
+            browser.wait(f"location.pathname.endsWith('{name}.html') && document.readyState === 'complete'")
+            assert browser.ask("document.querySelectorAll('article table').length") > 0
+            assert browser.ask(WIDER) == 0, name
+            assert browser.ask("document.documentElement.scrollWidth") <= 1280
