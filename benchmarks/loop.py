@@ -6,7 +6,7 @@ the map; the room is unknown. Every variant decides on the same scans, errors an
 The scans are among those that the map was made of. `mecp in one pass` pairs everything at the prediction, however wide
 that is. `jcbb` and `ccda` work in one pass and without polygons (docs/associators.md). `jcbb with descriptor in two
 passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and bound in place of the greedy
-pairing. `mecp with the clique of ccda` takes the pose of its first pass from that where no polygon is recognised.
+pairing.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
@@ -32,7 +32,6 @@ from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import (
     DEFAULT,
     ONE_PASS,
-    WITH_CLIQUE,
     WITHOUT_POLYGONS,
     Variant,
     rival,
@@ -69,7 +68,6 @@ VARIANTS: dict[str, Variant] = {
     "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
     "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
     "ccda with descriptor": rival("ccda with descriptor"),
-    "mecp with the clique of ccda": WITH_CLIQUE,
     "nearest": Variant({"association": {"method": "nearest"}}),
     "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
 }

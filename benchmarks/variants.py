@@ -9,34 +9,29 @@ from typing import Any
 
 from mecp_env.config import merge
 from mecp_env.core.array_types import Array
-from mecp_env.slam.association import CcdaAssociator, MecpAssociator, make_associator
-from mecp_env.slam.association.gating import PairingTable
+from mecp_env.slam.association import MecpAssociator, make_associator
 from mecp_env.slam.association.jcbb import pair_jointly
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.mecp import OPEN
-from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher, PolygonTest
+from mecp_env.slam.association.polygon_matching import PolygonMatch
 from mecp_env.slam.config import METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, MapView, Polygon
 from mecp_env.slam.protocols import Associator, Filter
 
 
 class OnePassAssociator(MecpAssociator):
-    """`mecp` without its first pass: polygons and corners are paired at the prediction, however wide that is.
-
-    `sharp_sigma_m` and `sharp_sigma_deg` at their upper bounds would leave out the choice among several seeds, too.
-    """
+    """`mecp` without its first pass: polygons and corners are paired at the prediction, however wide that is."""
 
     __slots__ = ()
 
-    def _corrected(
-        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
-    ) -> Filter:
-        """The filter as it is."""
-        return belief
+    def _in_two_passes(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter
+    ) -> MatchBuilder:
+        """The decisions at the prediction."""
+        return self._paired(corners, polygons, view, belief)
 
 
 class TwoPassJcbbAssociator(MecpAssociator):
-    """`mecp` with the search of `jcbb` in both passes, among the pairs that a recognised polygon leaves."""
+    """`mecp` with the search of `jcbb` in its second pass, among the pairs that a recognised polygon leaves."""
 
     __slots__ = ()
 
@@ -57,24 +52,6 @@ class TwoPassJcbbAssociator(MecpAssociator):
         pair_jointly(builder, corners, costs, predicted.ids, belief, self.config)
 
 
-class CliqueAssociator(MecpAssociator):
-    """`mecp` whose first pass takes the pairs of `ccda`, with descriptor, where no polygon is recognised."""
-
-    __slots__ = ()
-
-    def _corrected(
-        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
-    ) -> Filter:
-        """A copy of the filter, updated with the polygon or the clique."""
-        test = PolygonTest(OPEN, OPEN, self.config.iterations)
-        if PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons) is not None:
-            return super()._corrected(corners, polygons, view, belief, table)
-        match = CcdaAssociator(self.config).associate(corners, (), view, belief)
-        anchors, corrected = match.recognised(), belief.copy()
-        corrected.update(*corners.measurements(anchors), match.ids[anchors], iterate=True)
-        return corrected
-
-
 @dataclass(frozen=True, slots=True)
 class Variant:
     """What differs from the estimator of a drive."""
@@ -91,7 +68,6 @@ def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
 DEFAULT = "mecp"
 WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
 ONE_PASS = Variant(make=OnePassAssociator)
-WITH_CLIQUE = Variant(make=CliqueAssociator)
 
 RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none uses polygons
     "jcbb": {"method": "jcbb", "use_rooms": False, "use_descriptor": False},

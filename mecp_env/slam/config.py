@@ -224,6 +224,8 @@ class TrackConfig(Settings):
 class AssociationConfig(Settings):
     """III-B, data association."""
 
+    GONE: ClassVar = frozenset({"most_seeds"})
+
     method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
     use_rooms: bool = True
@@ -238,7 +240,6 @@ class AssociationConfig(Settings):
     sharp_sigma_deg: float = Field(2.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes, and the
     # update is iterated
     iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
-    most_seeds: int = Field(8, ge=1, le=64)
     most_pairs: int = Field(48, ge=4, le=256)
     search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
     # the best set of pairs so far counts

@@ -37,16 +37,17 @@ class PairingTable:
 
 
 def pairing_table(
-    corners: Corners, view: MapView, belief: Filter, config: AssociationConfig, home_gate: float
+    corners: Corners, view: MapView, belief: Filter, config: AssociationConfig, home_gate: float, turn_rad: float = 0.0
 ) -> PairingTable:
     """NIS of each pair, inf where descriptor or room differ.
 
-    A corner that has no landmark of its room inside `home_gate` may be one of any room; inf: of the same room only.
+    Faces may be turned by `turn_rad` more than `descriptor_deg`: by what the heading may be wrong. A corner that has no
+    landmark of its room inside `home_gate` may be one of any room; inf: of the same room only.
     """
     ids, features, graph = view.belief.ids, view.features.rows, view.graph
     nis = belief.individual_nis(corners.z, corners.R, ids)
     if config.use_descriptor:
-        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.descriptor_deg)
+        heading, tolerance = view.belief.T_map_robot[2], math.radians(config.descriptor_deg) + turn_rad
         mask_by_descriptor(nis, corners.convex, corners.normals, heading, ids, features, tolerance)
     home = UNKNOWN_ROOM if graph.in_doorway or not config.use_rooms else graph.current
     behind = graph.rooms_behind(view.through) if config.use_rooms else NOWHERE

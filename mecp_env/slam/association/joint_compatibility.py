@@ -1,8 +1,8 @@
 """Greedy joint compatibility: pairings are accepted one by one in innovation space.
 
 Each pairing that is accepted conditions all others (a Schur complement), so that after two or three of them the common
-error of the pose is gone and what is left must fit as a rigid whole. Several first pairings are tried where the choice
-is not clear. This is the greedy relative of JCBB (Neira, Tardos 2001), with the full cross-covariance.
+error of the pose is gone and what is left must fit as a rigid whole. This is the greedy relative of JCBB (Neira, Tardos
+2001), with the full cross-covariance.
 
 Pairings (P,) have a row of the corner and a landmark; nu (2P,) and S (2P,2P) are their joint innovation.
 """
@@ -107,33 +107,3 @@ def greedy_joint_compatibility(
             alive[q] = alive[q] and corner[q] != corner[p] and landmark[q] != landmark[p]
         condition(nu, S, p, alive)
     return accepted, ambiguous
-
-
-@compiled
-def best_of_seeds(
-    nu: Array, S: Array, corner: Ints, landmark: Ints, cost: Array, seeds: int, gate: float, rival_gap: float
-) -> tuple[Array, Bools]:
-    """The greedy result with most pairings, then least total NIS, over several first pairings.
-
-    Those are a free choice, then one by one the `seeds` pairings that cost (P,) least.
-    """
-    count = corner.shape[0]
-    tried, best_count, best_total = np.zeros(count, np.bool_), -1, math.inf
-    best_accepted, best_ambiguous = np.full(count, math.nan), np.zeros(count, np.bool_)
-    first = np.empty(1, np.int64)
-    for s in range(1 + min(seeds, count)):
-        least = math.inf
-        for p in range(count if s > 0 else 0):
-            if not tried[p] and cost[p] < least:
-                least, first[0] = cost[p], p
-        if s > 0:
-            tried[first[0]] = True
-        seed = first[: min(s, 1)]
-        accepted, ambiguous = greedy_joint_compatibility(nu, S, corner, landmark, seed, gate, rival_gap)
-        pairs, total = 0, 0.0
-        for p in range(count):
-            if not math.isnan(accepted[p]):
-                pairs, total = pairs + 1, total + accepted[p]
-        if pairs > best_count or (pairs == best_count and total < best_total):
-            best_count, best_total, best_accepted, best_ambiguous = pairs, total, accepted, ambiguous
-    return best_accepted, best_ambiguous

@@ -14,7 +14,7 @@ from mecp_env.slam.protocols import Filter
 class JointDescriptorAssociator(MecpAssociator):
     """Pairs are accepted one by one at the prediction, each given those before it (joint_compatibility.py).
 
-    Where the prediction is wide, `most_seeds` first pairs are tried. Descriptors and rooms are switches.
+    Descriptors and rooms are switches.
     """
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:

@@ -10,8 +10,9 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.association.gating import FIXED, PairingTable, chi2_gate, pairing_table, possible_pairs
-from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
+from mecp_env.slam.association.first_pass import FirstPass
+from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
+from mecp_env.slam.association.joint_compatibility import greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.association.polygon_matching import PolygonMatch, PolygonMatcher, PolygonTest
 from mecp_env.slam.config import AssociationConfig
@@ -26,10 +27,11 @@ OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of anoth
 class MecpAssociator(Associator):
     """Polygons first, globally; then everything else jointly, within the room where rooms are used.
 
-    Where the prediction is not sharp there are two passes: a polygon of the scan, recognised by an iterated joint test,
-    corrects a copy of the filter, and all corners are paired at the pose that this implies. Where no polygon is
-    recognised, the corners that fit best do the same. A sharp prediction needs one pass: to condition on the polygon is
-    linear then.
+    Where the prediction is not sharp there are two passes. In the first, a polygon of the scan, recognised by an
+    iterated joint test, and the largest sets of pairs that agree on distances (cliques.py) each propose a pose: that of
+    a copy of the filter which they correct. In the second, all corners are paired at each of these poses, and the pose
+    that explains them clearly better than the others counts. A sharp prediction needs one pass: to condition on the
+    polygon is linear then.
     """
 
     config: AssociationConfig
@@ -45,13 +47,29 @@ class MecpAssociator(Associator):
         polygons = polygons if self.config.use_polygons else ()
         if self.config.is_sharp(view.belief):
             return self._paired(corners, polygons, view, belief).match()
-        table = pairing_table(corners, view, belief, self.config, self.gate)
+        return self._in_two_passes(corners, polygons, view, belief).match()
+
+    def _in_two_passes(
+        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter
+    ) -> MatchBuilder:
+        """The decisions at the pose that the first pass finds; without one, no corner is paired."""
+
+        def pair(corrected: Filter) -> MatchBuilder:
+            return self._paired(corners, polygons, view.at(corrected.belief()), corrected)
+
+        turn = math.sqrt(self.config.rival_gap * view.belief.pose_cov.item(8))
+        table = pairing_table(corners, view, belief, self.config, self.gate, turn)
+        test = PolygonTest(OPEN, OPEN, self.config.iterations)
+        found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
+        poses = FirstPass(self.config, corners, view, belief, pair)
+        if found is not None:
+            poses.propose(found.corners, found.ids)
+        poses.propose_cliques(table.costs)
+        builder = poses.best()
         known = np.count_nonzero((table.costs <= self.gate).any(axis=1))  # corners that may be a landmark
-        corrected = self._corrected(corners, polygons, view, belief, table)
-        builder = self._paired(corners, polygons, view.at(corrected.belief()), corrected)
-        if 2 * builder.paired < known:  # most of them disagree: so few agree by chance
+        if builder is None or 2 * builder.paired < known:  # most of them disagree: so few agree by chance
             builder = MatchBuilder(len(corners)).classify_unmatched(table.nis, self.config.ignore_gate)
-        return builder.match()
+        return builder
 
     def _paired(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> MatchBuilder:
         """The decisions at the pose of a filter, with a polygon that is recognised there in one linearisation."""
@@ -60,23 +78,6 @@ class MecpAssociator(Associator):
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
         self._pair(builder, corners, table.costs, found, view.belief, belief)
         return builder.classify_unmatched(table.nis, self.config.ignore_gate)
-
-    def _corrected(
-        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter, table: PairingTable
-    ) -> Filter:
-        """A copy of the filter, updated with the polygon that is recognised, or with the corners that fit best."""
-        test = PolygonTest(OPEN, OPEN, self.config.iterations)
-        found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
-        if found is None:
-            builder = MatchBuilder(len(corners))
-            self._pair(builder, corners, table.costs, None, view.belief, belief)
-            anchors = np.flatnonzero(builder.rows["id"] >= 0)
-            ids = builder.rows["id"][anchors]
-        else:
-            anchors, ids = found.corners, found.ids
-        corrected = belief.copy()
-        corrected.update(*corners.measurements(anchors), ids, iterate=True)
-        return corrected
 
     def _pair(
         self,
@@ -88,18 +89,16 @@ class MecpAssociator(Associator):
         belief: Filter,
     ) -> None:
         """Accept pairings by joint compatibility, those of the polygon that was found first."""
-        config, seeds, fixed = self.config, 0, (NONE, NONE)
+        config, fixed = self.config, (NONE, NONE)
         if found is not None:
             fixed = found.corners, found.ids
             builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
-        elif not self.config.is_sharp(predicted):
-            seeds = config.most_seeds
         pairs, cost = np.empty((2, costs.size), np.int64), np.empty(costs.size)
         count = possible_pairs(costs, predicted.ids, *fixed, self.gate, config.most_pairs, pairs, cost)
         if count:
             corner, ids, cost = pairs[0, :count], pairs[1, :count], cost[:count]
             innovation = belief.innovation(*corners.measurements(corner), ids)
-            accept(innovation, corner, ids, cost, seeds, self.gate, config.rival_gap, builder.rows)
+            accept(innovation, corner, ids, cost, self.gate, config.rival_gap, builder.rows)
 
 
 @compiled
@@ -108,21 +107,17 @@ def accept(
     corner: Ints,
     ids: Ints,
     cost: Array,
-    seeds: int,
     gate: float,
     rival_gap: float,
     rows: Rows,
 ) -> None:
     """Select pairings (P,) that are jointly compatible and enter them into the rows of a match; in place.
 
-    `innovation`: nu (2P,) and S (2P,2P). The fixed ones come first; without any, several `seeds` are tried.
+    `innovation`: nu (2P,) and S (2P,2P). The fixed ones come first.
     """
     nu, S = innovation
     fixed = np.flatnonzero(cost == FIXED)
-    if fixed.shape[0] > 0:
-        nis, ambiguous = greedy_joint_compatibility(nu, S, corner, ids, fixed, gate, rival_gap)
-    else:
-        nis, ambiguous = best_of_seeds(nu, S, corner, ids, cost, seeds, gate, rival_gap)
+    nis, ambiguous = greedy_joint_compatibility(nu, S, corner, ids, fixed, gate, rival_gap)
     for p in range(corner.shape[0]):
         row = rows[corner[p]]
         if ambiguous[p]:

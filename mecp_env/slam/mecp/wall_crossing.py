@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
@@ -31,7 +29,8 @@ def polygons_of_scan(
     is searched for, and where, is described in `find_polygons`, and in `find_largest` where it goes `by_area`.
     """
     (z, cov, sites, kind, beyond, jambs), limits = corners, config[0]
-    scan, p_robot, sigmas = EdgeBeams(*beams), polar_to_points(z), position_sigmas(z, cov)
+    scan, p_robot, variance = EdgeBeams(*beams), polar_to_points(z), np.diag(cov)
+    sigmas = np.sqrt(0.5 * (variance[::2] + z[:, 0] * z[:, 0] * variance[1::2]))  # root mean square of the two axes
     sizes, rings = rings_among(p_robot, sigmas, sites, scan, limits, by_area)
     if sizes[0] < MATCHABLE:
         more = np.empty(sites.shape[0], np.bool_)
@@ -119,12 +118,3 @@ def best_free_cycles(
             cut = cut or not allowed[a, b]
         attempt += 1
     return sizes, rings
-
-
-@compiled
-def position_sigmas(z: Array, cov: Array) -> Array:
-    """Sigma (n,) of each corner's position, m: root mean square of its two axes."""
-    sigmas = np.empty(z.shape[0])
-    for i in range(z.shape[0]):
-        sigmas[i] = math.sqrt(0.5 * (cov[2 * i, 2 * i] + z[i, 0] * z[i, 0] * cov[2 * i + 1, 2 * i + 1]))
-    return sigmas

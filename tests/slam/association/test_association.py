@@ -15,7 +15,7 @@ from mecp_env.slam.association.gating import (
     one_to_one,
     possible_pairs,
 )
-from mecp_env.slam.association.joint_compatibility import best_of_seeds, greedy_joint_compatibility
+from mecp_env.slam.association.joint_compatibility import greedy_joint_compatibility
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.association.mecp import MecpAssociator, accept
 from mecp_env.slam.association.polygon_matching import polygon_hypotheses
@@ -65,7 +65,7 @@ def test_common_error_is_taken_out_and_the_odd_one_left():
     rng = np.random.default_rng(0)
     nu, S = common_error_case(rng, wrong=(2,))
     corner = landmark = np.arange(4)
-    nis, ambiguous = best_of_seeds(nu, S, corner, landmark, np.arange(4.0), 4, 13.8, 6.0)
+    nis, ambiguous = greedy_joint_compatibility(nu, S, corner, landmark, NONE, 13.8, 6.0)
     assert np.isnan(nis).tolist() == [False, False, True, False]
     assert not ambiguous.any()
 
@@ -172,24 +172,13 @@ def test_possible_pairs_are_those_inside_the_gate_and_of_too_many_the_cheapest()
     assert chosen({0: 72, 1: 70}, 9) == [[0, 72], [1, 70]]
 
 
-def test_several_seeds_find_what_a_free_choice_misses():
-    """A wrong pair with the smallest NIS of all spoils the free choice; started from the next, three pairs fit."""
-    nu, S = common_error_case(np.random.default_rng(0), wrong=())
-    nu[:2] = 0.01
-    corner = landmark = np.arange(4)
-    cost = np.array([0.1, 1.0, 1.1, 1.2])
-    for seeds, kept in ((0, 1), (1, 1), (2, 3), (99, 3)):
-        nis, _ = best_of_seeds(nu, S, corner, landmark, cost, seeds, 13.8, 6.0)
-        assert (~np.isnan(nis)).sum() == kept, seeds
-
-
 def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
     corner, ids = np.array([0, 0, 1]), np.array([70, 71, 71])
     innovation = np.array([1.0, 0.0, 0.1, 0.0, 0.1, 0.0]), np.eye(6)
 
     def accepted(cost):
         builder = MatchBuilder(2)
-        accept(innovation, corner, ids, np.array(cost), 0, 13.8, 6.0, builder.rows)
+        accept(innovation, corner, ids, np.array(cost), 13.8, 6.0, builder.rows)
         match = builder.match()
         return match.ids.tolist(), match.reason.tolist()
 

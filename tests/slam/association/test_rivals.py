@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,16 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
-from mecp_env.slam.association.ccda import cartesian, constraint_graph, distances, limit_gain, maximum_clique
+from mecp_env.slam.association.cliques import (
+    ANY_HEADING,
+    Headings,
+    cartesian,
+    constraint_graph,
+    jointly_compatible,
+    limit_gain,
+    maximum_clique,
+    relations,
+)
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.association.jcbb import add_pair, branch_and_bound, predicted_measurements, sorted_choices
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
@@ -179,7 +189,7 @@ def exhaustive_clique(edges, group, cost):
 @pytest.mark.parametrize("seed", range(12))
 def test_ccda_finds_the_clique_of_an_exhaustive_search(seed):
     graph = random_graph(np.random.default_rng(seed), density=(0.3, 0.6, 0.9)[seed % 3])
-    found, tried = maximum_clique(*graph, MANY)
+    found, tried = maximum_clique(*graph, 1, MANY)
     assert sorted(found.tolist()) == exhaustive_clique(*graph)
     assert tried < MANY
 
@@ -189,9 +199,9 @@ def test_the_clique_search_in_plain_python_finds_the_same(monkeypatch):
     plain = maximum_clique.py_func
     monkeypatch.setitem(plain.__globals__, "limit_gain", limit_gain.py_func)
     for budget in (4, MANY):
-        found, tried = maximum_clique(*graph, budget)
-        assert found.tolist() == plain(*graph, budget)[0].tolist()
-        assert tried == plain(*graph, budget)[1] <= budget
+        found, tried = maximum_clique(*graph, 1, budget)
+        assert found.tolist() == plain(*graph, 1, budget)[0].tolist()
+        assert tried == plain(*graph, 1, budget)[1] <= budget
 
 
 def test_what_a_clique_can_gain_is_the_number_of_groups_and_their_least_costs():
@@ -209,7 +219,7 @@ def test_without_budget_ccda_keeps_the_largest_clique_so_far():
     edges, group, cost = random_graph(np.random.default_rng(21), groups=10, density=0.8)
     sizes = []
     for budget in (1, 4, MANY):
-        found, _ = maximum_clique(edges, group, cost, budget)
+        found, _ = maximum_clique(edges, group, cost, 1, budget)
         assert all(edges[a, b] < np.inf for a, b in itertools.combinations(found, 2))
         sizes.append(len(found))
     assert sizes == sorted(sizes)
@@ -223,16 +233,43 @@ def test_distances_and_their_variances_are_those_of_samples():
     drawn = rng.multivariate_normal(z.ravel(), cov, 20_000).reshape(-1, 3, 2)
     p = np.stack([drawn[..., 0] * np.cos(drawn[..., 1]), drawn[..., 0] * np.sin(drawn[..., 1])], axis=-1)
     sampled = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
-    length, variance = distances(*cartesian(z, cov))
+    length, direction, variance = relations(*cartesian(z, cov))
     np.testing.assert_allclose(length, sampled.mean(axis=0), atol=1e-3)
     np.testing.assert_allclose(variance, sampled.var(axis=0), rtol=0.05, atol=1e-12)
+    off = (p[:, :, None] - p[:, None]).mean(axis=0)
+    np.testing.assert_allclose(direction, np.arctan2(off[..., 1], off[..., 0]), atol=1e-3)
+
+
+def test_a_clique_of_fewer_than_the_least_pairs_does_not_count():
+    graph = random_graph(np.random.default_rng(24))
+    found, _ = maximum_clique(*graph, 1, MANY)
+    assert maximum_clique(*graph, len(found), MANY)[0].tolist() == found.tolist()
+    assert len(maximum_clique(*graph, len(found) + 1, MANY)[0]) == 0
+
+
+def agreeing(scan, of_map, pairs, known=ANY_HEADING, turned=0.0):
+    """Which pairs (corner, landmark) of points agree, by `constraint_graph`; all faces look alike, but are turned."""
+    cov, (corner, landmark) = 1e-4 * np.eye(2), np.array(pairs).T
+    sides = [relations(np.array(p), np.kron(np.eye(len(p)), cov)) for p in (scan, of_map)]
+    faces = np.tile(FACES, (len(scan), 1)), np.tile(FACES, (len(of_map), 1)) + turned
+    edges = np.empty((len(pairs), len(pairs)))
+    constraint_graph(*sides, corner, landmark, faces, tuple(known), 4.0, edges)
+    return np.argwhere(np.triu(edges < np.inf)).tolist()
 
 
 def test_pairs_of_one_corner_or_one_landmark_are_never_joined():
-    length = np.array([[0.0, 3.0], [3.0, 0.0]])
-    corner, landmark = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
-    graph = constraint_graph((length, 0.0 * length), (length, 0.01 + 0.0 * length), corner, landmark, 4.0)
-    assert np.argwhere(np.triu(graph < np.inf)).tolist() == [[0, 3], [1, 2]]
+    points = [[0.0, 0.0], [3.0, 0.0]]
+    assert agreeing(points, points, [(0, 0), (0, 1), (1, 0), (1, 1)]) == [[0, 3], [1, 2]]
+
+
+def test_pairs_agree_on_a_heading_that_is_possible_and_turns_the_faces():
+    scan, quarter = [[0.0, 0.0], [3.0, 0.0]], [[1.0, 1.0], [1.0, 4.0]]  # the map is turned by 90 degrees
+    pairs, right = [(0, 0), (1, 1)], np.pi / 2.0
+    for mean, turned, agree in ((right, right, 1), (right, 0.0, 0), (0.0, right, 0), (-right, right, 0)):
+        known = Headings(mean, 0.1**2, math.radians(40.0))
+        assert len(agreeing(scan, quarter, pairs, known, turned)) == agree
+    assert len(agreeing(scan, quarter, pairs)) == 1
+    assert agreeing(scan, [[1.0, 1.0], [1.0, 4.2]], pairs) == []
 
 
 @pytest.mark.parametrize("method", RIVALS)
@@ -280,10 +317,9 @@ def test_a_budget_of_one_node_still_gives_a_sound_match():
 
 def test_the_joint_test_of_ccda_leaves_out_the_pair_that_disturbs():
     scene = Scene(np.random.default_rng(9), landmarks=6, spurious=0, sigma=0.02)
-    ccda = make_associator(AssociationConfig(method="ccda"))
     for moved, kept in ((0.0, [0, 1, 2, 3, 4, 5]), (0.1, [0, 1, 3, 4, 5])):
         scene.z[2, 0] += moved
-        fits = ccda._jointly_compatible(scene.corners, np.arange(6), scene.true, scene.belief, 1)
+        fits = jointly_compatible(scene.corners, np.arange(6), scene.true, scene.belief, AssociationConfig(), 1)
         assert fits.tolist() == kept
 
 

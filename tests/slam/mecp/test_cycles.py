@@ -18,7 +18,7 @@ from mecp_env.slam.mecp.edge_labels import (
     passing_intervals,
     wall_beams,
 )
-from mecp_env.slam.mecp.wall_crossing import best_free_cycles, position_sigmas
+from mecp_env.slam.mecp.wall_crossing import best_free_cycles
 from tests.slam.mecp.reference import largest_empty_convex_polygons
 from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
 
@@ -273,18 +273,6 @@ def plain_intervals(a, b, tolerance, view):
 def test_wall_beams_are_those_of_clusters_with_lines():
     runs = 5, np.array([0, 4, 8]), np.array([2, 7, 9]), np.array([0, 1, 0])
     assert np.flatnonzero(wall_beams(*runs, 12)).tolist() == [1, 2, 5, 6, 7]
-
-
-def test_sigmas_of_positions():
-    rng = np.random.default_rng(10)
-    for n in (0, 1, 2, 5):
-        z, root = rng.uniform(1, 5, (n, 2)), rng.normal(size=(2 * n, 2 * n))
-        cov = root @ root.T
-        sigmas = position_sigmas(z, cov)
-        for i in range(n):
-            block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-            J = np.diag([1.0, z[i, 0]])
-            assert sigmas[i] == pytest.approx(math.sqrt(np.trace(J @ block @ J.T) / 2))
 
 
 def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
