@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
@@ -47,9 +47,19 @@ class Command(ABC):
         """What the options are where the line does not say; None: as the dataclass has it."""
         return None
 
+    def check(self, line: Sequence[str]) -> None:
+        """Refuse options that contradict each other, before anything is loaded. Raises `ConfigError`."""
+        return
+
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
+
+
+def check_word(name: str, word: str, known: Iterable[str]) -> None:
+    """Raise `ConfigError` for a word that is not one of the known ones, with a suggestion."""
+    if word not in (names := list(known)):
+        raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(names)}{guess(word, names)}")
 
 
 def check_folder(path: Path, option: str = "--out") -> Path:

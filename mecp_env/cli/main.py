@@ -121,9 +121,11 @@ def parse(words: str, line: list[str]) -> Command:
         config=(tyro.conf.AvoidSubcommands,),
     )
     try:
-        return TypeAdapter(kind).validate_python(vars(chosen))
+        command = TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:
         raise ConfigError(re.sub(r"(^|; )option\.", r"\1--", describe(error, "option", Settings))) from None
+    command.check(line)
+    return command
 
 
 if __name__ == "__main__":
