@@ -225,6 +225,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--sets",
         nargs="+",
+        action="extend",
         default=[],
         metavar="NAME[:COUNT]",
         help="of benchmarks with sets (association, loop, scale, ...): only these; written only with --json",
@@ -232,6 +233,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--with",
         nargs="+",
+        action="extend",
         default=[],
         metavar="MODULE",
         dest="modules",
@@ -243,7 +245,12 @@ def parser() -> argparse.ArgumentParser:
         help="of speed and start: compare the working tree with this commit; written only with --json",
     )
     made.add_argument(
-        "--sweeps", type=positive, nargs="+", metavar="K", help="of speed --against: sweeps per scan, default 1 and 4"
+        "--sweeps",
+        type=positive,
+        nargs="+",
+        action="extend",
+        metavar="K",
+        help="of speed --against: sweeps per scan, default 1 and 4",
     )
     made.add_argument(
         "--shard",
@@ -265,6 +272,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--policies",
         nargs="+",
+        action="extend",
         default=[],
         metavar="POLICY",
         help="of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others",

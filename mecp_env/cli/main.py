@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import Command
+from mecp_env.cli.base import Command, gathered
 from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.own_modules import import_modules
@@ -106,7 +106,7 @@ def parse(words: str, line: list[str]) -> Command:
 
     kind = load(words)
     import_modules(kind.own_modules(line))
-    line = kind.completed(line)
+    line = kind.completed(gathered(line))
     for hint in kind.hints(line):
         print_error(hint)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
