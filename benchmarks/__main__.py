@@ -30,6 +30,7 @@ from benchmarks.common import (
 )
 from benchmarks.trees import TreeError
 from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.interrupts import INTERRUPTED
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
@@ -317,4 +318,8 @@ def gate(module: Any, content: Figures, baseline: Path) -> int:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary folders are removed
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        print("python -m benchmarks: interrupted; the same command continues", file=sys.stderr)
+        sys.exit(INTERRUPTED)

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
 from mecp_env.cli.base import Command, gathered
-from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
+from mecp_env.cli.exit_codes import WRONG_INPUT, at_end, print_error, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.own_modules import import_modules
 from mecp_env.core.settings import Settings, describe
@@ -48,7 +48,7 @@ WIDEST = max(map(len, COMMANDS))
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     words, line = split(sys.argv[1:] if arguments is None else arguments)
-    return run_command(lambda: parse(words, line).run(line))
+    return at_end(run_command(lambda: parse(words, line).run(line)))
 
 
 def split(line: list[str]) -> tuple[str, list[str]]:
