@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -35,6 +36,13 @@ def run_command(command: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         print_error("interrupted")
         return INTERRUPTED
+
+
+def replace_unprintable() -> None:
+    """From now on, characters that a terminal's encoding lacks are printed as `?`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def at_end(code: int) -> int:

@@ -88,7 +88,7 @@ def main() -> None:
     """Fill the cache, then record."""
     subprocess.run([sys.executable, "-c", EXERCISE], check=True)
     lines = ",\n".join(json.dumps(entry) for entry in record())
-    LIST.write_text(f"[\n{lines}\n]\n")
+    LIST.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

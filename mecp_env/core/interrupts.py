@@ -7,6 +7,7 @@ is compiled or loaded. It prints a traceback while modules are imported.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -57,13 +58,15 @@ def was_interrupted() -> bool:
 
 
 def leave() -> None:
-    """The command is over: an interrupt while Python ends its process prints nothing.
+    """The command is over: an interrupt while Python ends its process ends it at once, and prints nothing.
 
     After an interrupt in `exec`, Python would end itself by that signal and not with our exit code.
     """
     if signal.getsignal(signal.SIGINT) is not _interrupt:
         return
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    with contextlib.suppress(OSError, ValueError):  # closed by its reader
+        sys.stdout.flush()
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
     if _pressed and hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
