@@ -45,6 +45,7 @@ html_title = "mecp_env"
 html_additional_pages = {"index": "to_the_start.html"}
 html_show_sphinx = False
 
+ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")  # how autodoc writes a name of `autodoc_type_aliases` in a union
 BELOW = {  # a page with a list -> the pages of that list
     "docs/decisions/README": "docs/decisions/0*.md",
     "docs/results": "benchmarks/results/*.md",
@@ -66,7 +67,8 @@ def add_fields(app: Any, what: str, name: str, item: Any, options: object, lines
     if isinstance(item, type) and (dataclasses.is_dataclass(item) or issubclass(item, BaseModel)):
         fields = [(field, text) for field, text in comments(item).items() if field[0] != "_"]
         kinds = types_of(item)
-        lines += ["", *(f"- `{field}: {kinds[field]}` {escaped(text)}" for field, text in fields), ""]
+        typed = [(f"- `{field}: {kinds[field]}`", escaped(text)) for field, text in fields]
+        lines += ["", *(f"{field} -- {text}" if text else field for field, text in typed), ""]
 
 
 def types_of(item: type) -> dict[str, str]:
@@ -79,12 +81,12 @@ def types_of(item: type) -> dict[str, str]:
     return found
 
 
-def untyped(app: Any, what: str, name: str, item: Any, options: object, signature: str | None, returned: str) -> Any:
-    """The signature of a configuration with its names alone: the list of its fields has types and meaning."""
-    if not (isinstance(item, type) and issubclass(item, BaseModel)):
-        return None
-    names = [name for name in inspect.signature(item).parameters if name[0] != "_"]
-    return f"(*, {', '.join(names)})" if names else "()", None
+def signature_of(app: Any, what: str, name: str, item: Any, options: object, given: str | None, returned: Any) -> Any:
+    """The signature; of a configuration its names alone: the list of its fields has types and meaning."""
+    if isinstance(item, type) and issubclass(item, BaseModel):
+        names = [name for name in inspect.signature(item).parameters if name[0] != "_"]
+        return f"(*, {', '.join(names)})" if names else "()", None
+    return tuple(text and ALIAS.sub(r"\1", text) for text in (given, returned))
 
 
 def escaped(text: str) -> str:
@@ -102,5 +104,5 @@ def setup(app: Any) -> None:
     app.connect("builder-inited", lambda app: environment_pages.write(ROOT / "docs/environments"))
     app.connect("source-read", add_toctree)
     app.connect("autodoc-process-docstring", add_fields)
-    app.connect("autodoc-process-signature", untyped)
+    app.connect("autodoc-process-signature", signature_of)
     app.connect("autodoc-skip-member", skip_pydantic)

@@ -15,7 +15,8 @@ import pytest
 from mecp_env.core import jit
 from tests.command_lines import ROOT
 
-TINY = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32 --buildings.layout two_rooms --environments 1 --groups 1"
+SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
+ALONE = "--buildings.layout two_rooms --environments 1 --groups 1"  # in one process
 LINES = (  # as in the documents, shorter
     "doctor --seconds 1",
     "demo --layout two_rooms --out demo --save-map map.zip",
@@ -39,8 +40,8 @@ LINES = (  # as in the documents, shorter
     "worlds convert demo/belief.yaml plan.json",
 )
 LEARNING = (
-    f"train ppo {TINY} --out ppo",
-    f"train maskable_ppo {TINY} --out maskable",
+    f"train ppo {SMALL} {ALONE} --out ppo",
+    f"train maskable_ppo {SMALL} {ALONE} --out maskable",
     "explore maskable_ppo --steps 60",
 )
 SCRIPT = """
