@@ -44,6 +44,7 @@ LEARNING = (
     f"train maskable_ppo {SMALL} {ALONE} --out maskable",
     "explore maskable_ppo --steps 60",
 )
+LOST = 1  # exit code where the pose is not found in the map
 SCRIPT = """
 import json, sys
 import numpy as np
@@ -59,7 +60,8 @@ codes = {}
 with noted_calls() as found:
     for line in json.loads(sys.argv[1]):
         codes[line] = cli.main(line.split())
-missing = [entry for entry in found.values() if entry not in entries()]
+listed = set(map(json.dumps, entries()))
+missing = [entry for key, entry in found.items() if key not in listed]
 with open("result.json", "w") as file:
     json.dump([codes, len(found), missing], file)
 """
@@ -79,7 +81,7 @@ def documented(lines: tuple[str, ...], folder: Path) -> tuple[dict[str, int], in
 def test_no_documented_command_calls_a_function_that_is_not_compiled_ahead(tmp_path: Path) -> None:
     learning = LEARNING if all(map(installed, ("torch", "sb3_contrib"))) else ()
     codes, called, missing = documented((*LINES, *learning), tmp_path)
-    assert {line: code for line, code in codes.items() if code} == {}
+    assert {line: code for line, code in codes.items() if code not in (0, LOST if "unknown" in line else 0)} == {}
     assert called > 60
     assert missing == [], "record the list again: python -m mecp_env.cli.record_signatures"
 
