@@ -23,7 +23,7 @@ PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_te
 def resolve(name: str) -> object:
     """The object of a dotted name in mecp_env."""
     parts = name.removeprefix("mecp_env.").split(".")
-    for cut in range(len(parts), 0, -1):
+    for cut in range(len(parts), -1, -1):
         try:
             found: object = importlib.import_module(".".join(["mecp_env", *parts[:cut]]))
         except ModuleNotFoundError:

@@ -77,7 +77,7 @@ def recipe_of(folder: Path) -> dict[str, Any]:
     """`config.json` of a run of `demo`. Raises `ConfigError` where there is none, or another kind of file."""
     path = folder / "config.json"
     try:
-        recipe = json.loads(path.read_text())
+        recipe = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: neither {PAGE} nor a config.json that can be read ({error}); {REMEDY}") from None
     known = isinstance(recipe, dict) and recipe.get("policy") == "breadth_first"

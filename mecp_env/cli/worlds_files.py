@@ -133,7 +133,7 @@ def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
 
 
 WRITERS: dict[str, Callable[[Layout, Path, float], object]] = {
-    ".json": lambda layout, path, _: path.write_text(layout.to_json()),
+    ".json": lambda layout, path, _: path.write_text(layout.to_json(), encoding="utf-8"),
     ".yaml": _write_map,
     ".svg": lambda layout, path, _: save_svg(layout, path),
 }

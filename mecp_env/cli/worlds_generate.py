@@ -69,7 +69,7 @@ class Generate(Command):
         drawn = []
         for path, layout in self._buildings():
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(layout.to_json())
+            path.write_text(layout.to_json(), encoding="utf-8")
             echo(f"{path}: {counted(layout)}")
             drawn += [(path.stem, layout)] if self.sheet else []
         if self.sheet:

@@ -89,7 +89,7 @@ def training_hours(name: str) -> float | None:
     folder = WEIGHTS / name if name in LEARNED else Path(name)
     if not (folder / "policy.json").is_file():
         return None
-    seconds = json.loads((folder / "policy.json").read_text()).get("seconds")
+    seconds = json.loads((folder / "policy.json").read_text(encoding="utf-8")).get("seconds")
     return round(seconds / 3600.0, 2) if isinstance(seconds, int | float) else None
 
 

@@ -158,7 +158,7 @@ def submission(
 def read_submission(path: Path) -> dict[str, Any]:
     """A result file. Raises `ConfigError` for another format, version or suite, a wrong hash, or a damaged file."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         found = content.pop("checksum")
         format_, version, name, frozen = (content[key] for key in ("format", "version", "suite", "hash"))
     except OSError as error:

@@ -133,3 +133,30 @@ def test_a_closed_pipe_gives_no_traceback() -> None:
         running.stdout.close()
         assert b"Traceback" not in running.stderr.read()
     assert running.returncode == 0
+
+
+def test_difficulty_task_and_split_name_the_building_that_evaluate_names(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = ["--seed", "3", "--start", "random", "--steps", "5"]
+    shown = []
+    for place in (["--layout", "easy:validation:3"], ["--difficulty", "easy", "--split", "validation"]):
+        assert cli.main(["explore", "nearest", *place, *ends]) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("--layout paper --difficulty hard", "--difficulty: --layout selects the building, too"),
+        ("--difficulty hard --task ActiveHalls-v0", "--task: --difficulty selects the building, too"),
+        ("--difficulty hrd", "did you mean 'hard'?"),
+        ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'?"),
+        ("--difficulty hard --split tst", "did you mean 'test'?"),
+        ("--split test", "of the buildings of --difficulty or --task"),
+    ],
+)
+def test_words_that_do_not_name_one_building_are_refused(
+    line: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["explore", "nearest", *line.split()]) == 2
+    assert told in capsys.readouterr().err
