@@ -47,6 +47,11 @@ class Command(ABC):
         """What the options are where the line does not say; None: as the dataclass has it."""
         return None
 
+    @property
+    def keeps_results(self) -> bool:
+        """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
+        return False
+
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""

@@ -99,6 +99,8 @@ class Evaluate(WithModules):
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
         from mecp_env.policies.evaluation import Evaluation

@@ -52,6 +52,10 @@ class Explore(WithModules):
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
+    @property
+    def keeps_results(self) -> bool:
+        return any(path is not None for path in (self.replay, self.rerun, self.save_map))
+
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
         import gymnasium as gym

@@ -31,6 +31,8 @@ class Export(Command):
     g2o: Path | None = None  # .g2o: the pose and the landmarks as a graph
     grid: Path | None = None  # .yaml: the grid for map_server, with its .pgm beside it
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Read the map, write every file that is asked for, a line each."""
         from mecp_env.slam import SlamMap, SlamPipeline

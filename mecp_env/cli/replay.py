@@ -35,6 +35,8 @@ class Replay(Command):
     out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself
     browser: bool = False  # show it in the browser
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
         from mecp_env.render.replay import read_page, write_page
