@@ -39,20 +39,21 @@ class Replay(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay import read_page, write_page
+        from mecp_env.render.replay import play_again, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)
         if page.exists():
-            played = read_page(page)
+            count = play_again(page, out)
         elif self.run_folder.is_dir():
             played = explored_again(self.run_folder)
+            if not played:
+                return INTERRUPTED
+            write_page(played, out)
+            count = len(played["frames"])
         else:
             raise ConfigError(f"{self.run_folder}: there is no such file or folder; {REMEDY}")
-        if not played:
-            return INTERRUPTED
-        write_page(played, out)
-        echo(f"{len(played['frames'])} frames: {out}")
+        echo(f"{count} frames: {out}")
         if self.browser:
             webbrowser.open(out.absolute().as_uri())
         return 0
