@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ import tyro
 from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.exit_codes import INTERRUPTED, echo
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.json_text import read_json
 
-PAGE = "replay.html"
+PAGE, MOST_BYTES = "replay.html", 5_000_000  # of a configuration
 REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a page that one wrote"
 
 
@@ -80,7 +80,7 @@ def recipe_of(folder: Path) -> dict[str, Any]:
     """`config.json` of a run of `demo`. Raises `ConfigError` where there is none, or another kind of file."""
     path = folder / "config.json"
     try:
-        recipe = json.loads(path.read_text())
+        recipe = read_json(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: neither {PAGE} nor a config.json that can be read ({error}); {REMEDY}") from None
     known = isinstance(recipe, dict) and recipe.get("policy") == "breadth_first"

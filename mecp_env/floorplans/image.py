@@ -74,9 +74,10 @@ def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
     """Grey levels (h,w) 0-255 of an image, and where (h,w) it is opaque."""
     if image.mode == "P":
         image = image.convert("RGBA" if "transparency" in image.info else "RGB")
-    levels = np.asarray(image if image.mode == "L" else image.convert("L"))
-    opaque = np.asarray(image.getchannel("A")) == 255 if "A" in image.mode else np.ones(levels.shape, np.bool_)
-    return levels, opaque
+    alpha = np.asarray(image.getchannel("A")) if "A" in image.mode else None
+    image = image if image.mode == "L" else image.convert("L")  # the colours of a large image go first
+    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else alpha == 255
+    return np.asarray(image), opaque
 
 
 def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
