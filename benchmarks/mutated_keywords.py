@@ -8,15 +8,16 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.mutated_files import FIRST, SCANS, feed, mapped
-from mecp_env.config import EnvConfig
+from mecp_env.config import EnvConfig, merge
 from mecp_env.evaluation.log_run import LogRunConfig
 from mecp_env.floorplans.options import PlanOptions
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.world.generator import GeneratorSpec
+from mecp_env.world.layout import LIBRARY
 from tests.floorplans.mutations import VALUES
 
 Rng = np.random.Generator
-STEPS = 2
+STEPS = 5
 ODD: tuple[Any, ...] = (
     *VALUES, b"x", object(), lambda: 0, {1, 2}, np.nan, np.float32(0.3), np.int8(3), np.zeros(3), np.array(2.0), 1j,
     "slam", "goal", "flat", "paper", "two_rooms", (1.0, 2.0, 3.0), (0.5, 0.2), 2, 5, 0.3, 10.0, 100, 2**31, True, "0.1",
@@ -30,17 +31,36 @@ WORDS = (
     "always", "never", "adaptive", "fixed", "sensor", "unknown", "free", "per_step", "linear", "easy", "hard", "test",
 )  # fmt: skip
 IDS = ("Layout-v0", "Rooms-v0", "FloorPlan-v0", "First-v0", "ActiveHalls-v0", "PaperMap-v0")
+BASE: dict[str, dict[str, Any]] = {
+    "FloorPlan-v0": {"plan": str(LIBRARY / "furnished.json")},
+    "Rooms-v0": {"difficulty": "easy"},
+}
 OPTIONS = ("building", "difficulty", "split", "start", "layout", "seed", "x")
+SOUND = {"building": 2}  # options of a reset
 SEEDS: tuple[Any, ...] = (None, 0, 3, -1, 2**31, 2**64, 2**200, 1.5, "3", np.int64(4), np.nan, [], True)
 
 
-def some(fields: dict[str, Any], rng: Rng) -> dict[str, Any]:
-    """One of the fields, at any depth, with another value; sometimes a name that is none."""
-    name = list(fields)[int(rng.integers(len(fields)))]
-    if isinstance(fields[name], dict) and fields[name] and rng.random() < 0.85:
-        return {name: some(fields[name], rng)}
-    wrong = rng.random() < 0.05
-    return {name[:-1] + "z" if wrong else name: nudged(fields[name], rng) if rng.random() < 0.6 else odd(rng)}
+def leaves(fields: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """The path of each field at any depth, with its value; sections are fields, too, with a value of None."""
+    found: list[tuple[tuple[str, ...], Any]] = []
+    for name, value in fields.items():
+        inside = isinstance(value, dict) and value
+        found += [((*path, name), None if inside else value)] + (leaves(value, (*path, name)) if inside else [])
+    return found
+
+
+def some(fields: dict[str, Any], count: int, rng: Rng) -> dict[str, Any]:
+    """So many of the fields, at any depth, with other values; sometimes a name that is none."""
+    given: dict[str, Any] = {}
+    known = leaves(fields)
+    for _ in range(count):
+        (*sections, name), value = known[int(rng.integers(len(known)))]
+        wrong = rng.random() < 0.03
+        changed = {name[:-1] + "z" if wrong else name: nudged(value, rng) if rng.random() < 0.8 else odd(rng)}
+        for section in reversed(sections):
+            changed = {section: changed}
+        given = merge(given, changed) if all(isinstance(key, str) for key in changed) else given | changed
+    return given
 
 
 def nudged(value: Any, rng: Rng) -> Any:
@@ -60,17 +80,18 @@ def odd(rng: Rng) -> Any:
 
 
 def use_make(rng: Rng) -> str:
-    """Make an environment with one to three odd fields, and take a few steps; the fields."""
-    fields = EnvConfig().model_dump() | GeneratorSpec().model_dump() | PlanOptions().model_dump()
-    fields |= {"difficulty": "", "split": "", "plan": "", "config": "", "render_mode": ""}
-    given: dict[str, Any] = {}
-    for _ in range(int(rng.integers(1, 4))):
-        given |= some(fields, rng)
+    """Make an environment with one to three other fields, and take a few steps; the fields."""
+    name = IDS[int(rng.integers(len(IDS)))]
+    fields = EnvConfig().model_dump()
+    if name == "FloorPlan-v0":
+        fields |= PlanOptions().model_dump() | {"plan": ""}
+    elif name not in ("Layout-v0", "PaperMap-v0"):
+        fields |= GeneratorSpec().model_dump() | {"difficulty": "", "split": ""}
+    if rng.random() < 0.1:
+        fields = {"config": "", "render_mode": "", "max_steps": 3}
+    given = BASE.get(name, {}) | some(fields, int(rng.integers(1, 4)), rng)
     if not isinstance(given.get("render_mode", ""), str):
         del given["render_mode"]  # Gymnasium itself fails on other types before it calls us
-    name = IDS[int(rng.integers(len(IDS)))]
-    if name == "Rooms-v0":
-        given = {"difficulty": "easy"} | given
     return tried(f"{name} {given!r:.200}", lambda: drive(name, given, rng))
 
 
@@ -99,14 +120,9 @@ def drive(name: str, given: dict[str, Any], rng: Rng) -> None:
 def use_reset(rng: Rng) -> str:
     """Reset with an odd seed and options, and take an odd action."""
     env = gym.make("mecp_env/Rooms-v0", disable_env_checker=True, difficulty="easy", max_steps=20)
-    seed = SEEDS[int(rng.integers(len(SEEDS)))]
-    options = (
-        {OPTIONS[int(rng.integers(len(OPTIONS)))]: odd(rng)}
-        if rng.random() < 0.6
-        else odd(rng)
-        if rng.random() < 0.2
-        else None
-    )
+    seed = SEEDS[int(rng.integers(len(SEEDS)))] if rng.random() < 0.5 else int(rng.integers(100))
+    kinds: list[Any] = [None, SOUND, {OPTIONS[int(rng.integers(len(OPTIONS)))]: odd(rng)}, odd(rng)]
+    options = kinds[int(rng.choice(4, p=(0.3, 0.3, 0.3, 0.1)))]
 
     def call() -> None:
         observation, _ = env.reset(seed=seed, options=options)
@@ -118,7 +134,7 @@ def use_reset(rng: Rng) -> str:
 
 def use_slam(rng: Rng) -> str:
     """An estimator with odd fields, on a short drive."""
-    given = some(SlamConfig().model_dump(), rng) | (some(SlamConfig().model_dump(), rng) if rng.random() < 0.3 else {})
+    given = some(SlamConfig().model_dump(), int(rng.integers(1, 4)), rng)
 
     def call() -> None:
         LogRunConfig(**({"rest_m": odd(rng)} if rng.random() < 0.1 else {}))

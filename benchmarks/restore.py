@@ -37,6 +37,7 @@ LOG_EVERY = 10  # runs
 FILE = FileKind("mecp_env state of the benchmark", 1, "0")
 GATES = (Gate("all/failed", "bound", 0.0),)
 
+ALL_PARTS = {"format": "dict", "map": True, "scan": True}
 LASERS = ("ideal", "lms200", "urg04lx", "utm30lx", "rplidar_a1")
 CHOICES: dict[str, tuple[Any, ...]] = {
     "actions": ("goal", "velocity", "discrete"),
@@ -44,7 +45,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "clutter": ({}, {"movable_boxes": 3, "closed_doors": 1}),
     "laser": ({}, {"max_range_m": 3.0}, *({"preset": name} for name in LASERS)),
     "odometry": ({}, {"preset": "turtlebot"}, {"preset": "skid_steer"}, {"reading": "per_step"}, {"scale": 0.0}),
-    "observation": ({}, {"format": "flat"}, {"format": "image"}, {"uncertainty": True}, {"map": True, "scan": True}),
+    "observation": ({}, {"format": "flat"}, {"format": "image"}, {"uncertainty": True}, ALL_PARTS),
     "reward": ("coverage", "correct_coverage", "terms", "active_terms", {"shaping": 1.0}, {"source": "truth"}),
     "planning": ({}, {"known_ground": {"places": 4, "wait_steps": 5}}),
     "end": ({}, {"coverage": 0.1}),
