@@ -57,6 +57,11 @@ class Command(ABC):
         """Refuse options that contradict each other, before anything is loaded. Raises `ConfigError`."""
         return
 
+    @property
+    def keeps_results(self) -> bool:
+        """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
+        return False
+
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""

@@ -99,6 +99,8 @@ class Evaluate(WithModules):
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
+    keeps_results = True
+
     def check(self, line: Sequence[str]) -> None:
         """Raise `ConfigError` for a word that is not one of the known ones, too."""
         self._refuse_contradictions(named_options(line))

@@ -69,6 +69,10 @@ class Explore(WithModules):
         if "split" in named and not {"difficulty", "task"} & named:
             raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
 
+    @property
+    def keeps_results(self) -> bool:
+        return any(path is not None for path in (self.replay, self.rerun, self.save_map))
+
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
         import gymnasium as gym

@@ -7,12 +7,14 @@ import importlib
 import re
 import sys
 import textwrap
+from contextlib import nullcontext
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
 from mecp_env.cli.base import Command, gathered
+from mecp_env.cli.broken_pipe import unbreakable_output
 from mecp_env.cli.exit_codes import WRONG_INPUT, at_end, print_error, replace_unprintable, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.own_modules import import_modules
@@ -50,7 +52,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     replace_unprintable()
     words, line = split(sys.argv[1:] if arguments is None else arguments)
-    return at_end(run_command(lambda: parse(words, line).run(line)))
+    return at_end(run_command(lambda: run(parse(words, line), line)))
+
+
+def run(command: Command, line: list[str]) -> int:
+    """The exit code of a command; what writes files does not end with the pipe that it prints to."""
+    with unbreakable_output() if command.keeps_results else nullcontext():
+        return command.run(line)
 
 
 def split(line: list[str]) -> tuple[str, list[str]]:

@@ -54,6 +54,8 @@ class RecordDataset(WithModules):
     out: Path | None = None  # folder of the datasets; by default that of minari
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
+    keeps_results = True
+
     def check(self, line: Sequence[str]) -> None:
         """Raise `ConfigError` for an unknown word, and for a difficulty beside a task."""
         check_word("difficulty", self.difficulty, DIFFICULTIES)

@@ -101,6 +101,8 @@ class Convert(Command):
     map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
     reading: ReadingOptions = field(default_factory=Reading)
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())

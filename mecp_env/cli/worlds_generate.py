@@ -63,6 +63,8 @@ class Generate(Command):
         chosen = words[words.index(OPTION) + 1] if OPTION in words[:-1] else "medium"
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Write the files, one line on each."""
         self._check()

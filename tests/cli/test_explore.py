@@ -12,8 +12,9 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.registry import EXPLORERS
-from mecp_env.slam import SlamPipeline
+from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.world.layout import LIBRARY
+from tests.cli.pipes import closed_pipe
 
 Captured = pytest.CaptureFixture[str]
 
@@ -160,3 +161,28 @@ def test_words_that_do_not_name_one_building_are_refused(
 ) -> None:
     assert cli.main(["explore", "nearest", *line.split()]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_an_exploration_that_cannot_save_its_map_keeps_everything_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    def save_map(self: SlamPipeline, path: Path) -> None:
+        raise MapError("map: damaged")
+
+    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
+    saved, played = tmp_path / "map.zip", tmp_path / "played"
+    line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(saved)]
+    assert cli.main([*line, "--replay", str(played)]) == 1
+    said = capsys.readouterr()
+    assert "coverage" in said.out
+    assert f"{saved} was not written: map: damaged" in said.err
+    assert [path.name for path in played.iterdir()] == ["episode-0000.html"]
+
+
+def test_an_exploration_whose_reader_is_gone_keeps_its_map(tmp_path: Path, capsys: Captured) -> None:
+    saved = tmp_path / "map.zip"
+    line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(saved)]
+    with closed_pipe():
+        assert cli.main(line) == 0
+    assert SlamPipeline.from_map(saved).step_count == 13
+    assert capsys.readouterr().err.count("the output pipe is closed") == 1
