@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class MecpAssociator(Associator):
     polygon is linear then.
     """
 
+    first_pass: ClassVar = FirstPass
     config: AssociationConfig
     gate: float = field(init=False)  # NIS of a single pair
 
@@ -61,7 +63,7 @@ class MecpAssociator(Associator):
         table = pairing_table(corners, view, belief, self.config, self.gate, turn)
         test = PolygonTest(OPEN, OPEN, self.config.iterations)
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
-        poses = FirstPass(self.config, corners, view, belief, pair)
+        poses = self.first_pass(self.config, corners, view, belief, pair)
         if found is not None:
             poses.propose(found.corners, found.ids)
         poses.propose_cliques(table.costs)
