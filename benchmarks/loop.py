@@ -2,12 +2,12 @@
 
 The default estimator maps a drive that was recorded with the true pose as the driver. For each scan that is drawn, the
 filter gets the true pose with a random error of a given sigma in x, y and heading, this prior, and no correlation with
-the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs.
-The scans are among those that the map was made of. In `mecp`, polygons and cliques propose poses where the prediction is
+the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs. The
+scans are among those that the map was made of. In `mecp`, polygons and cliques propose poses where the prediction is
 wide; the rows without one of them have the other. `mecp in one pass` pairs everything at the prediction, however wide
-that is. `jcbb`, `ccda` and `clipper` (benchmarks/clipper.py) work in one pass and without polygons (docs/associators.md).
-`jcbb with descriptor in two passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and
-bound in place of the greedy pairing.
+that is. `jcbb`, `ccda` and `clipper` (benchmarks/clipper.py) work in one pass and without polygons
+(docs/associators.md). `jcbb with descriptor in two passes` is `mecp` without polygons, and `jcbb with all of mecp` is
+`mecp`, with branch and bound in place of the greedy pairing.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of

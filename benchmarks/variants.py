@@ -45,7 +45,10 @@ class PolygonAssociator(MecpAssociator):
     """`mecp` whose first pass has no cliques: without a polygon that is recognised, nothing is paired."""
 
     __slots__ = ()
-    first_pass = PolygonsAlone
+
+    def _first_pass(self) -> type[FirstPass]:
+        """One without cliques."""
+        return PolygonsAlone
 
 
 class TwoPassJcbbAssociator(MecpAssociator):

@@ -14,7 +14,7 @@ def test_a_planted_clique_is_found(seed: int) -> None:
     joined = np.triu(rng.uniform(size=(n, n)) < 0.2, 1)
     planted = np.sort(rng.choice(n, size, replace=False))
     joined[np.ix_(planted, planted)] = np.triu(np.ones((size, size), np.bool_), 1)
-    affinity = np.where(joined | joined.T, 0.9, 0.0)
+    affinity = np.where(joined | joined.T, 1.0, 0.0)
     assert densest(affinity).tolist() == planted.tolist()
 
 
