@@ -141,7 +141,7 @@ def report(figures: Figures) -> str:
         for name, cells in figures.items()
         for cell, keys in cells.items()
         for key, figure in keys.items()
-        if figure["n"] and (figure["low"] > 0.0 or figure["high"] < 0.0)
+        if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
     ]
     same = [
         name for name, cells in figures.items() if all(is_zero(f) for keys in cells.values() for f in keys.values())
