@@ -1,0 +1,141 @@
+"""Motions of the laser between scans of a log: by registration, beside what the odometry measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.messages import Scan
+from mecp_env.core.trajectories import between, composed
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.lost_beams import restore_lost_beams
+from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.mecp.polygons import beams_on_walls
+from mecp_env.slam.messages import MergedScan, Segments
+from mecp_env.slam.panorama.registration import RegistrationLimits, register_all
+from mecp_env.slam.panorama.surfaces import Surfaces, surfaces_of
+
+LEAST_M, LEAST_RAD = 0.25, math.radians(10.0)  # of a motion that is registered, one of both
+MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
+BLOCK, BLOCKS = 8, 40  # successive motions that are registered together, and how many such blocks
+PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
+LINE_BEAMS, LEAST_COSINE = 10, 0.7  # of a line that tells the range noise: beams, and cosine of their incidence
+TRIM = 2  # beams at each end of a line that may be on something else
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Motions of the robot by odometry and of the laser by registration, between scans that follow each other."""
+
+    measured: Array  # (n,3) m, rad: of the robot
+    laser: Array  # (n,3) m, rad: of the laser, in its frame
+    cov: Array  # (n,3,3) of `laser`
+    tried: int  # pairs of scans that were compared
+    range_sigma_m: float  # of beams on straight walls; nan where no wall is long enough
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A scan as the registration takes it."""
+
+    surfaces: Surfaces
+    beams: MergedScan
+    segments: Segments
+
+
+def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, config: SlamConfig) -> Motions:
+    """The motions of blocks of scans that are spread over a log, with odometry poses (n,3).
+
+    `scan_at` gives the scan of a row; `config` has the laser as far as it is known.
+    """
+    limits, T_robot_laser = RegistrationLimits.of(config), config.sensor.T_robot_laser
+    measured, laser, cov, noise, tried = list[Array](), list[Array](), list[Array](), list[float](), 0
+    for rows in _blocks(_moving_rows(T_odom_robot)):
+        views = [_view(scan_at(int(row)), config) for row in rows]
+        noise += [variance for view in views[:: BLOCK // 2] for variance in _variances(view)]
+        steps = between(T_odom_robot[rows[:-1]], T_odom_robot[rows[1:]])
+        T_laser = between(T_robot_laser, composed(steps, T_robot_laser))
+        for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
+            if not _is_short(step):
+                continue
+            tried += 1
+            found = register_all(past.surfaces, now.surfaces, past.beams, (expected, _prior(step)), limits)
+            if found is not None:
+                measured.append(step)
+                laser.append(found.T_past_now)
+                cov.append(found.cov(limits))
+    shapes = np.array(measured).reshape(-1, 3), np.array(laser).reshape(-1, 3), np.array(cov).reshape(-1, 3, 3)
+    return Motions(*shapes, tried, _typical_sigma(np.array(noise)))
+
+
+def _moving_rows(T_odom_robot: Array) -> Ints:
+    """Rows of scans, each of which was taken after some motion since the one before."""
+    rows = [0]
+    for row in range(1, len(T_odom_robot)):
+        x, y, turn = between(T_odom_robot[rows[-1]], T_odom_robot[row]).tolist()
+        if math.hypot(x, y) >= LEAST_M or abs(turn) >= LEAST_RAD:
+            rows.append(row)
+    return np.array(rows, np.int64)
+
+
+def _blocks(rows: Ints) -> list[Ints]:
+    """Some blocks of rows (m,), spread evenly; in each the last of one motion is the first of the next."""
+    firsts = np.arange(0, max(len(rows) - 1, 0), BLOCK)
+    spread = np.unique(np.linspace(0, len(firsts) - 1, min(BLOCKS, len(firsts))).astype(np.int64)) if len(firsts) else []
+    return [rows[first : first + BLOCK + 1] for first in firsts[spread]]
+
+
+def _is_short(step: Array) -> bool:
+    return math.hypot(*step[:2]) < MOST_M and abs(float(step[2])) < MOST_RAD
+
+
+def _prior(step: Array) -> Array:
+    """(3,3) covariance of a motion (3,) by odometry of which nothing is known."""
+    metres, turn = math.hypot(*step[:2]), abs(float(step[2]))
+    spread_m, spread_rad = PRIOR_M + GROWTH * metres, PRIOR_RAD + GROWTH * (math.sqrt(metres) + turn)
+    prior: Array = np.diag([spread_m, spread_m, spread_rad]) ** 2
+    return prior
+
+
+def _view(scan: Scan, config: SlamConfig) -> _View:
+    """The surfaces of a scan, by the stages of the estimator."""
+    sensor = config.sensor
+    beams = restore_lost_beams(merge_sweeps(scan, sensor), sensor)
+    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
+    segments = extract_segments(beams, clusters, config.segments, sensor)
+    wall: Bools = beams_on_walls(clusters, beams)
+    return _View(surfaces_of(beams, segments, wall, sensor), beams, segments)
+
+
+def _variances(view: _View) -> list[float]:
+    """m^2: the variance of the ranges about each long line, as of a single beam."""
+    beams, segments = view.beams, view.segments
+    found, size = list[float](), len(beams.ranges)
+    for (alpha, rho), first, last in zip(segments.line, segments.first, segments.last, strict=True):
+        on = (segments.roll + np.arange(first + TRIM, last + 1 - TRIM)) % size
+        cosine = np.cos(beams.bearings[on] - alpha)
+        kept = beams.hit[on] & (cosine > LEAST_COSINE)
+        on, cosine = on[kept], cosine[kept]
+        if len(on) >= LINE_BEAMS:
+            off = (beams.ranges[on] - rho / cosine) * np.sqrt(beams.count[on])
+            design = np.column_stack((np.ones(len(on)), beams.bearings[on] - beams.bearings[on[0]]))
+            off -= design @ np.linalg.lstsq(design, off, rcond=None)[0]
+            found.append(float(off @ off) / (len(on) - 2))
+    return found
+
+
+def _typical_sigma(variances: Array) -> float:
+    """m: the root of the mean variance, without the tenth of the lines that are least straight; nan without any."""
+    if not len(variances):
+        return math.nan
+    kept = np.sort(variances)[: max(1, math.ceil(0.9 * len(variances)))]
+    return math.sqrt(float(kept.mean()))

@@ -1,0 +1,62 @@
+"""What a corrected odometry leaves of the registered motions, for a scale and bias, and a mounting of the laser.
+
+The laser moves by X^-1 m X where the robot, on which it sits at X, moves by m: the hand-eye equation in the plane.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.trajectories import between, composed, wrapped
+from mecp_env.evaluation.calibration.motions import Motions
+from mecp_env.logs.odometry_model import corrected
+
+NAMES = ("distance_scale", "turn_scale", "turn_bias_rad_per_m", "x_m", "heading_rad")
+NOTHING = np.array([1.0, 1.0, 0.0, 0.0, 0.0])  # of an odometry without errors, on a robot as it is described
+
+
+class Residuals(NamedTuple):
+    """What the corrected odometry leaves, along the chord of each motion, to its left, and in heading."""
+
+    off: Array  # (n,3) m, m, rad
+    cov: Array  # (n,3,3) of the registration
+    metres: Array  # (n,) of path
+    turn: Array  # (n,) rad, not negative
+
+
+def residuals(motions: Motions, values: Array, T_robot_laser: Array) -> Residuals:
+    """Of all motions, for values (5,) as in `NAMES`, and the mounting pose (3,) that they are relative to."""
+    X = T_robot_laser + np.array([values[3], 0.0, values[4]])
+    back = between(X, np.zeros(3))
+    robot = composed(composed(X, motions.laser), back)
+    expected = corrected(motions.measured, values[:3])
+    off = robot - expected
+    off[:, 2] = wrapped(off[:, 2])
+    metres = np.hypot(*motions.measured[:, :2].T)
+    along = np.where(metres > 0.0, np.arctan2(expected[:, 1], expected[:, 0]), 0.0)
+    to_robot, lever = _turned(np.full(len(off), X[2])), composed(motions.laser, np.broadcast_to(back, off.shape))
+    to_robot[:, 0, 2], to_robot[:, 1, 2] = _turn_moves(lever - motions.laser, X[2])
+    rows = np.swapaxes(_turned(along), 1, 2)
+    off = np.einsum("nij,nj->ni", rows, off)
+    A = rows @ to_robot
+    return Residuals(off, A @ motions.cov @ np.swapaxes(A, 1, 2), metres, abs(motions.measured[:, 2]))
+
+
+def _turned(angles: Array) -> Array:
+    """(n,3,3) rotations of x and y by angles (n,)."""
+    turned = np.zeros((len(angles), 3, 3))
+    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(angles)
+    turned[:, 1, 0] = np.sin(angles)
+    turned[:, 0, 1] = -turned[:, 1, 0]
+    turned[:, 2, 2] = 1.0
+    return turned
+
+
+def _turn_moves(lever: Array, heading: float) -> tuple[Array, Array]:
+    """(n,), (n,) m per rad: by how much the robot moves for a laser that turns, at a lever (n,3) in the past frame."""
+    c, s = np.cos(heading), np.sin(heading)
+    x, y = c * lever[:, 0] - s * lever[:, 1], s * lever[:, 0] + c * lever[:, 1]
+    return -y, x
