@@ -16,6 +16,7 @@ from mecp_env.core.trajectories import between, wrapped
 from mecp_env.logs.motion import arcs, reading
 
 QUARTER_TURN = math.pi / 2.0
+PAPER_TURNING = math.sqrt(0.5 / QUARTER_TURN)  # a quarter turn counts as .5 m of path
 
 
 class OdometryModel(Settings):
@@ -23,16 +24,16 @@ class OdometryModel(Settings):
 
     The turn of a corrected motion is `turn_scale` times the measured one, plus `turn_bias_deg_per_m` times the signed
     distance. The variance of a distance is `distance_sigma_m`^2 per metre plus `distance_sigma_turning_m`^2 per rad,
-    that of a turn `turn_sigma_deg`^2 per metre plus `turn_sigma_turning_deg`^2 per rad.
+    that of a turn `turn_sigma_deg`^2 per metre plus `turn_sigma_turning_deg`^2 per rad; by default those of the paper.
     """
 
     distance_scale: float = Field(1.0, ge=0.1, le=10.0)  # true distance per measured distance
     turn_scale: float = Field(1.0, ge=0.1, le=10.0)  # true turn per measured turn
     turn_bias_deg_per_m: float = Field(0.0, ge=-90.0, le=90.0)  # true turn per metre ahead where none is measured
     distance_sigma_m: float = Field(0.1, ge=0.0, le=10.0)  # of a distance, per square root of a metre
-    distance_sigma_turning_m: float = Field(0.0, ge=0.0, le=10.0)  # of a distance, per square root of a rad
+    distance_sigma_turning_m: float = Field(0.1 * PAPER_TURNING, ge=0.0, le=10.0)  # of a distance, per square root of a rad
     turn_sigma_deg: float = Field(1.5, ge=0.0, le=180.0)  # of a turn, per square root of a metre
-    turn_sigma_turning_deg: float = Field(0.0, ge=0.0, le=180.0)  # of a turn, per square root of a rad
+    turn_sigma_turning_deg: float = Field(1.5 * PAPER_TURNING, ge=0.0, le=180.0)  # of a turn, per square root of a rad
 
     @classmethod
     def of_noise(cls, noise: Any, **corrections: float) -> Self:
@@ -84,3 +85,13 @@ def corrected(motion: Array, correction: Array) -> Array:
     true_turn = turn_scale * turn + bias * np.copysign(np.hypot(x, y), x)
     chord = distance_scale * (x + 1j * y) * np.exp(0.5j * (true_turn - turn))
     return np.stack((chord.real, chord.imag, wrapped(true_turn)), axis=-1)
+
+
+def measured(motion: Array, correction: Array) -> Array:
+    """(n,3) or (3,) m, rad: what the odometry measures of true motions, without noise; the inverse of `corrected`."""
+    x, y, turn = np.moveaxis(motion, -1, 0)
+    distance_scale, turn_scale, bias = correction
+    chord = (x + 1j * y) / distance_scale
+    read = (turn - bias * np.copysign(abs(chord), x)) / turn_scale
+    chord *= np.exp(0.5j * (read - turn))
+    return np.stack((chord.real, chord.imag, wrapped(read)), axis=-1)

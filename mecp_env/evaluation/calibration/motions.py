@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from mecp_env.slam.messages import MergedScan, Segments
 from mecp_env.slam.panorama.registration import RegistrationLimits, register_all
 from mecp_env.slam.panorama.surfaces import Surfaces, surfaces_of
 
-LEAST_M, LEAST_RAD = 0.25, math.radians(10.0)  # of a motion that is registered, one of both
+LEAST_M, LEAST_RAD = 0.5, math.radians(20.0)  # of the motion between two scans that are registered, typically
+AT_REST = 0.1  # of both, up to which a motion is none
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
 BLOCK, BLOCKS = 8, 40  # successive motions that are registered together, and how many such blocks
 PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
@@ -35,7 +36,8 @@ class Motions:
 
     measured: Array  # (n,3) m, rad: of the robot
     laser: Array  # (n,3) m, rad: of the laser, in its frame
-    cov: Array  # (n,3,3) of `laser`
+    cov: Array  # (n,3,3) of `laser`, by the noise of single beams
+    alike: float  # by which it grows where neighbouring beams err together
     tried: int  # pairs of scans that were compared
     range_sigma_m: float  # of beams on straight walls; nan where no wall is long enough
 
@@ -58,8 +60,9 @@ def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, conf
     `scan_at` gives the scan of a row; `config` has the laser as far as it is known.
     """
     limits, T_robot_laser = RegistrationLimits.of(config), config.sensor.T_robot_laser
+    single = replace(limits, alike_beams=1)  # what neighbouring beams have in common is no noise of the odometry
     measured, laser, cov, noise, tried = list[Array](), list[Array](), list[Array](), list[float](), 0
-    for rows in _blocks(_moving_rows(T_odom_robot)):
+    for rows in _blocks(_spaced_rows(T_odom_robot)):
         views = [_view(scan_at(int(row)), config) for row in rows]
         noise += [variance for view in views[:: BLOCK // 2] for variance in _variances(view)]
         steps = between(T_odom_robot[rows[:-1]], T_odom_robot[rows[1:]])
@@ -69,22 +72,27 @@ def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, conf
                 continue
             tried += 1
             found = register_all(past.surfaces, now.surfaces, past.beams, (expected, _prior(step)), limits)
-            if found is not None:
+            if found is not None and _size(found.T_past_now[None])[0] > AT_REST:
                 measured.append(step)
                 laser.append(found.T_past_now)
-                cov.append(found.cov(limits))
+                cov.append(found.cov(single))
     shapes = np.array(measured).reshape(-1, 3), np.array(laser).reshape(-1, 3), np.array(cov).reshape(-1, 3, 3)
-    return Motions(*shapes, tried, _typical_sigma(np.array(noise)))
+    return Motions(*shapes, float(limits.alike_beams), tried, _typical_sigma(np.array(noise)))
 
 
-def _moving_rows(T_odom_robot: Array) -> Ints:
-    """Rows of scans, each of which was taken after some motion since the one before."""
-    rows = [0]
-    for row in range(1, len(T_odom_robot)):
-        x, y, turn = between(T_odom_robot[rows[-1]], T_odom_robot[row]).tolist()
-        if math.hypot(x, y) >= LEAST_M or abs(turn) >= LEAST_RAD:
-            rows.append(row)
-    return np.array(rows, np.int64)
+def _spaced_rows(T_odom_robot: Array) -> Ints:
+    """Rows of scans, as many apart everywhere: apart by motions of the odometry, its noise would select the motions."""
+    steps = between(T_odom_robot[:-1], T_odom_robot[1:])
+    size = _size(steps)
+    moving = size[size > AT_REST]
+    stride = math.ceil(1.0 / float(np.median(moving))) if len(moving) else 1
+    return np.arange(0, len(T_odom_robot), stride)
+
+
+def _size(motions: Array) -> Array:
+    """(n,) of motions (n,3), 1 for one that is worth registering."""
+    size: Array = np.hypot(motions[:, 0], motions[:, 1]) / LEAST_M + abs(motions[:, 2]) / LEAST_RAD
+    return size
 
 
 def _blocks(rows: Ints) -> list[Ints]:

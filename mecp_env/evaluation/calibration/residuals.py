@@ -9,40 +9,49 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.trajectories import between, composed, wrapped
 from mecp_env.evaluation.calibration.motions import Motions
-from mecp_env.logs.odometry_model import corrected
+from mecp_env.logs.odometry_model import measured
 
 NAMES = ("distance_scale", "turn_scale", "turn_bias_rad_per_m", "x_m", "heading_rad")
 NOTHING = np.array([1.0, 1.0, 0.0, 0.0, 0.0])  # of an odometry without errors, on a robot as it is described
 
 
 class Residuals(NamedTuple):
-    """What the corrected odometry leaves, along the chord of each motion, to its left, and in heading."""
+    """What is left of the measured motions, along the chord of each, to its left, and in heading."""
 
-    off: Array  # (n,3) m, m, rad
+    off: Array  # (n,3) m, m, rad: measured less expected
     cov: Array  # (n,3,3) of the registration
     metres: Array  # (n,) of path
     turn: Array  # (n,) rad, not negative
+    alike: float  # by which the covariance grows where neighbouring beams err together
+
+    def of(self, rows: Bools) -> Residuals:
+        """Those of some motions."""
+        return Residuals(self.off[rows], self.cov[rows], self.metres[rows], self.turn[rows], self.alike)
 
 
 def residuals(motions: Motions, values: Array, T_robot_laser: Array) -> Residuals:
-    """Of all motions, for values (5,) as in `NAMES`, and the mounting pose (3,) that they are relative to."""
+    """Of all motions, for values (5,) as in `NAMES`, and the mounting pose (3,) that they are relative to.
+
+    The odometry is expected from the registered motion, not the other way round: it is by far the noisier of both, and
+    a scale by what is noisy comes out too small.
+    """
     X = T_robot_laser + np.array([values[3], 0.0, values[4]])
     back = between(X, np.zeros(3))
     robot = composed(composed(X, motions.laser), back)
-    expected = corrected(motions.measured, values[:3])
-    off = robot - expected
+    expected = measured(robot, values[:3])
+    off = motions.measured - expected
     off[:, 2] = wrapped(off[:, 2])
-    metres = np.hypot(*motions.measured[:, :2].T)
+    metres = np.hypot(*robot[:, :2].T)
     along = np.where(metres > 0.0, np.arctan2(expected[:, 1], expected[:, 0]), 0.0)
-    to_robot, lever = _turned(np.full(len(off), X[2])), composed(motions.laser, np.broadcast_to(back, off.shape))
-    to_robot[:, 0, 2], to_robot[:, 1, 2] = _turn_moves(lever - motions.laser, X[2])
+    lever = composed(motions.laser, np.broadcast_to(back, off.shape)) - motions.laser
+    to_robot = _turned(np.full(len(off), X[2]))
+    to_robot[:, 0, 2], to_robot[:, 1, 2] = _turn_moves(lever, X[2])
     rows = np.swapaxes(_turned(along), 1, 2)
-    off = np.einsum("nij,nj->ni", rows, off)
     A = rows @ to_robot
-    return Residuals(off, A @ motions.cov @ np.swapaxes(A, 1, 2), metres, abs(motions.measured[:, 2]))
+    return Residuals(np.einsum("nij,nj->ni", rows, off), A @ motions.cov @ np.swapaxes(A, 1, 2), metres, abs(robot[:, 2]), motions.alike)
 
 
 def _turned(angles: Array) -> Array:

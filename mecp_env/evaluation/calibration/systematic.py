@@ -10,34 +10,34 @@ from scipy.optimize import least_squares
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.evaluation.calibration.motions import Motions
 from mecp_env.evaluation.calibration.noise import noise_of, variances
-from mecp_env.evaluation.calibration.residuals import NAMES, NOTHING, residuals
+from mecp_env.evaluation.calibration.residuals import residuals
 
-SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot may be off: a weak prior, and bounds of three times it
-SIGNIFICANT = 3.0  # sigmas; what is smaller is left as it is
+SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot is off, as in `NAMES`: a weak prior
+SIGNIFICANT = 0.0  # sigmas; what is smaller is left as it is
 ROUNDS = 4  # in which fit and noise follow each other
 
 
 class Systematic(NamedTuple):
     """What was found, in the order of `NAMES`."""
 
-    values: Array  # (5,) applied: those that are not significant are `NOTHING`
+    values: Array  # (5,) that are applied: those that are not significant are as before
     sigmas: Array  # (5,) of each value, applied or not; inf for one that nothing tells
 
 
-def fitted(motions: Motions, T_robot_laser: Array, fixed: frozenset[str] = frozenset()) -> Systematic:
-    """The values that explain the motions, for a laser at T_robot_laser (3,) as described; those `fixed` are kept."""
-    free = np.array([i for i, name in enumerate(NAMES) if name not in fixed], np.int64)
-    values, sigmas = _fit(motions, T_robot_laser, free)
-    known = free[abs(values - NOTHING)[free] > SIGNIFICANT * sigmas[free]]
-    return Systematic(_fit(motions, T_robot_laser, known)[0], sigmas)
+def fitted(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> Systematic:
+    """The values that explain the motions, for a laser at T_robot_laser (3,) as described.
+
+    Those that are not `free` (k,) stay as they are in `start` (5,), and so do those that are not significant.
+    """
+    values, sigmas = _fit(motions, T_robot_laser, start, free)
+    significant = free[abs(values - start)[free] > SIGNIFICANT * sigmas[free]]
+    return Systematic(_fit(motions, T_robot_laser, start, significant)[0], sigmas)
 
 
-def _fit(motions: Motions, T_robot_laser: Array, free: Ints) -> tuple[Array, Array]:
-    """(5,) values and (5,) their sigmas, by Gauss-Newton with a soft L1 loss; those that are not `free` stay."""
-    values, sigmas = NOTHING.copy(), np.full(len(NOTHING), np.inf)
-    if not (len(free) and len(motions)):
-        return values, sigmas
-    for _ in range(ROUNDS):
+def _fit(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> tuple[Array, Array]:
+    """(5,) values and (5,) their sigmas, by least squares with a soft L1 loss; those that are not `free` stay."""
+    values, sigmas = start.copy(), np.full(len(start), np.inf)
+    for _ in range(ROUNDS * bool(len(free))):
         left = residuals(motions, values, T_robot_laser)
         scale = np.sqrt(variances(left, noise_of(left)))
 
@@ -45,9 +45,9 @@ def _fit(motions: Motions, T_robot_laser: Array, free: Ints) -> tuple[Array, Arr
             tried = values.copy()
             tried[free] = chosen
             off = residuals(motions, tried, T_robot_laser).off / scale
-            return np.concatenate((off.ravel(), (chosen - NOTHING[free]) / SPREAD[free]))
+            return np.concatenate((off.ravel(), (chosen - start[free]) / SPREAD[free]))
 
-        found = least_squares(whitened, values[free], x_scale=SPREAD[free], loss="soft_l1", method="trf")
+        found = least_squares(whitened, values[free], x_scale=SPREAD[free], loss="soft_l1")
         values[free] = found.x
         sigmas[free] = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
     return values, sigmas

@@ -1,0 +1,158 @@
+"""Calibration of a robot by its own scans and odometry: the models that the estimator takes, and where they are from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.errors import SensorError
+from mecp_env.core.messages import Scan
+from mecp_env.core.trajectories import between
+from mecp_env.evaluation.calibration.motions import Motions, registered_motions
+from mecp_env.evaluation.calibration.noise import ALONG, TURN, noise_of, slip_as_turn, told
+from mecp_env.evaluation.calibration.residuals import NAMES, NOTHING, Residuals, residuals
+from mecp_env.evaluation.calibration.systematic import SPREAD, Systematic, fitted
+from mecp_env.logs.odometry_model import OdometryModel
+from mecp_env.slam.config import SensorModel, SlamConfig
+
+LEAST_MOTIONS = 30  # that are registered and tell the motion; with fewer, defaults are used
+UNKNOWN_SHARE = 0.5  # of the spread that is expected: a value with a larger sigma keeps its default
+JUMP_M = 5.0  # no robot moves so far from one scan to the next
+LEAST = {ALONG: 0.005, TURN: 0.1}  # sigmas per square root of a metre, m and deg: no odometry of wheels is better
+LEAST_RANGE_SIGMA_M = 0.01  # walls are no flatter
+DEGREES = {"turn_bias_rad_per_m": "turn_bias_deg_per_m", "heading_rad": "heading_deg"}
+UNITS = np.array([1.0, 1.0, math.radians(1.0), 1.0, math.radians(1.0)])  # of `NAMES`, as fields have them
+NOISE = ("distance_sigma_m", "distance_sigma_turning_m", "turn_sigma_deg", "turn_sigma_turning_deg")
+FIELDS = (*(DEGREES.get(name, name) for name in NAMES), *NOISE, "range_sigma_m")  # that are calibrated
+OF_SENSOR = frozenset({"x_m", "heading_deg", "range_sigma_m"})
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The value of a field, and where it is from."""
+
+    value: float
+    sigma: float | None  # None where there is none
+    source: Literal["estimated", "default", "given"]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a log says of its robot."""
+
+    sensor: SensorModel
+    odometry: OdometryModel
+    estimates: Mapping[str, Estimate]  # of each of `FIELDS`
+    registered: int  # motions between scans that were registered,
+    tried: int  # of so many
+    notes: tuple[str, ...] = ()  # which fields keep their defaults, and why
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for `metrics.json`."""
+        fields = {name: {"value": e.value, "sigma": e.sigma, "source": e.source} for name, e in self.estimates.items()}
+        return {"fields": fields, "registered": self.registered, "tried": self.tried, "notes": list(self.notes)}
+
+
+def calibrated(
+    scan_at: Callable[[int], Scan], T_odom_robot: Array, config: SlamConfig, given: Mapping[str, float] | None = None
+) -> Calibration:
+    """The models by the scans of rows, which `scan_at` gives, and odometry poses (n,3) m, rad.
+
+    `config` describes the laser as far as it is known, `given` are values of `FIELDS` that are kept. Raises
+    `SensorError` for odometry that never moves, or jumps.
+    """
+    check_path(T_odom_robot)
+    motions = registered_motions(scan_at, T_odom_robot, config)
+    return _models(_estimates(motions, config.sensor, dict(given or {})), motions, config.sensor)
+
+
+def check_path(T_odom_robot: Array) -> None:
+    """Raise `SensorError` for odometry (n,3) that never moves, or jumps."""
+    steps = between(T_odom_robot[:-1], T_odom_robot[1:])
+    metres = np.hypot(steps[:, 0], steps[:, 1])
+    if not (len(steps) and (metres.any() or steps[:, 2].any())):
+        raise SensorError(f"odometry: never moves in {len(T_odom_robot)} scans")
+    if metres.max() > JUMP_M:
+        row = int(metres.argmax()) + 1
+        raise SensorError(f"odometry[{row}]: jumps by {metres.max():.2f} m, at most {JUMP_M:g} between two scans expected")
+
+
+def uncalibrated(sensor: SensorModel, given: Mapping[str, float], reason: str) -> Calibration:
+    """The defaults, for a `reason` that is said."""
+    nothing = Motions(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)), 1.0, 0, math.nan)
+    calibration = _models(_defaults(sensor) | _kept(given), nothing, sensor)
+    named = ", ".join(f"{name} {e.value:g}" for name, e in calibration.estimates.items() if e.source == "default")
+    return replace(calibration, notes=(f"calibration: {reason}; defaults are used: {named}",))
+
+
+def _defaults(sensor: SensorModel) -> dict[str, Estimate]:
+    odometry = OdometryModel()
+    return {name: Estimate(getattr(sensor if name in OF_SENSOR else odometry, name), None, "default") for name in FIELDS}
+
+
+def _kept(given: Mapping[str, float]) -> dict[str, Estimate]:
+    return {name: Estimate(value, None, "given") for name, value in given.items()}
+
+
+def _estimates(motions: Motions, sensor: SensorModel, given: Mapping[str, float]) -> dict[str, Estimate]:
+    """Of each of `FIELDS`: what was estimated; the default of what the motions do not tell; what is given."""
+    found = _defaults(sensor)
+    if not math.isnan(motions.range_sigma_m):
+        found["range_sigma_m"] = Estimate(max(motions.range_sigma_m, LEAST_RANGE_SIGMA_M), None, "estimated")
+    if len(motions) >= LEAST_MOTIONS:
+        mount = {name: given[name] for name in ("x_m", "heading_deg") if name in given}
+        described = sensor.model_copy(update=mount).T_robot_laser
+        systematic = fitted(motions, described, *_start(given))
+        left = residuals(motions, systematic.values, described)
+        found |= _systematic(systematic, described) | _noise(left)
+    return found | _kept(given)
+
+
+def _start(given: Mapping[str, float]) -> tuple[Array, Ints]:
+    """(5,) the values to start from, relative to the described mounting, and which of them are free."""
+    start = NOTHING.copy()
+    for i, name in enumerate(NAMES[:3]):
+        field = DEGREES.get(name, name)
+        if field in given:
+            start[i] = given[field] * (UNITS[i] if field != name else 1.0)
+    return start, np.array([i for i, name in enumerate(NAMES) if DEGREES.get(name, name) not in given], np.int64)
+
+
+def _systematic(found: Systematic, described: Array) -> dict[str, Estimate]:
+    """The estimates of scale, bias and mounting that the motions tell."""
+    values = (found.values + np.array([0.0, 0.0, 0.0, described[0], described[2]])) / UNITS
+    known = found.sigmas < UNKNOWN_SHARE * SPREAD
+    numbers = zip(NAMES, values.tolist(), (found.sigmas / UNITS).tolist(), known.tolist(), strict=True)
+    return {DEGREES.get(name, name): Estimate(value, sigma, "estimated") for name, value, sigma, is_known in numbers if is_known}
+
+
+def _noise(left: Residuals) -> dict[str, Estimate]:
+    """The estimates of the noise of distance and turn, each where enough motions tell it."""
+    found = dict[str, Estimate]()
+    for component, names, rows in zip((ALONG, TURN), (NOISE[:2], NOISE[2:]), told(left), strict=True):
+        if rows.sum() < LEAST_MOTIONS:
+            continue
+        some = left.of(rows)
+        noise = noise_of(some)
+        slip = slip_as_turn(some, noise[ALONG], noise[TURN]) if component == TURN else 0.0
+        sigmas = np.sqrt(noise[component] + [slip, 0.0])
+        sigmas = np.maximum(np.degrees(sigmas) if component == TURN else sigmas, [LEAST[component], 0.0])
+        found |= {name: Estimate(value, None, "estimated") for name, value in zip(names, sigmas.tolist(), strict=True)}
+    return found
+
+
+def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorModel) -> Calibration:
+    """The models of the estimates, with a note of the fields that keep their defaults."""
+    of_sensor = {name: e.value for name, e in estimates.items() if name in OF_SENSOR}
+    odometry = OdometryModel(**{name: e.value for name, e in estimates.items() if name not in OF_SENSOR})
+    unknown = [f"{name} {e.value:g}" for name, e in estimates.items() if e.source == "default"]
+    reason = f"{len(motions)} of {motions.tried} motions between scans are registered"
+    few = f", at least {LEAST_MOTIONS} needed" if len(motions) < LEAST_MOTIONS else ""
+    notes = (f"calibration: {reason}{few}; they do not tell these, whose defaults are used: {', '.join(unknown)}",)
+    whole = SensorModel(**sensor.model_dump() | of_sensor)
+    return Calibration(whole, odometry, estimates, len(motions), motions.tried, notes if unknown else ())
