@@ -30,10 +30,10 @@ class OdometryModel(Settings):
     distance_scale: float = Field(1.0, ge=0.1, le=10.0)  # true distance per measured distance
     turn_scale: float = Field(1.0, ge=0.1, le=10.0)  # true turn per measured turn
     turn_bias_deg_per_m: float = Field(0.0, ge=-90.0, le=90.0)  # true turn per metre ahead where none is measured
-    distance_sigma_m: float = Field(0.1, ge=0.0, le=10.0)  # of a distance, per square root of a metre
-    distance_sigma_turning_m: float = Field(0.1 * PAPER_TURNING, ge=0.0, le=10.0)  # of a distance, per square root of a rad
-    turn_sigma_deg: float = Field(1.5, ge=0.0, le=180.0)  # of a turn, per square root of a metre
-    turn_sigma_turning_deg: float = Field(1.5 * PAPER_TURNING, ge=0.0, le=180.0)  # of a turn, per square root of a rad
+    distance_sigma_m: float = Field(0.1, ge=0.0, le=10.0)  # of a distance, per square root of a metre and of a rad
+    distance_sigma_turning_m: float = Field(0.1 * PAPER_TURNING, ge=0.0, le=10.0)
+    turn_sigma_deg: float = Field(1.5, ge=0.0, le=180.0)  # of a turn, per square root of a metre and of a rad
+    turn_sigma_turning_deg: float = Field(1.5 * PAPER_TURNING, ge=0.0, le=180.0)
 
     @classmethod
     def of_noise(cls, noise: Any, **corrections: float) -> Self:

@@ -20,7 +20,7 @@ from mecp_env.slam.messages import Decision, Match
 
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
 COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
-ROUNDING = 1e-9  # of a product of variances, by which a covariance may be off
+ROUNDING = math.sqrt(np.finfo(np.float64).eps)  # of a product of variances, by which a covariance may be off
 DECISIONS = frozenset(map(int, Decision))
 WITH_ID = frozenset((int(Decision.LANDMARK), int(Decision.PROVISIONAL)))
 

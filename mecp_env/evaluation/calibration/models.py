@@ -1,4 +1,4 @@
-"""Calibration of a robot by its own scans and odometry: the models that the estimator takes, and where they are from."""
+"""Calibration of a robot by its own scans and odometry: the models that the estimator takes, and their sources."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.errors import SensorError
+from mecp_env.core.errors import ConfigError, SensorError
 from mecp_env.core.messages import Scan
 from mecp_env.core.trajectories import between
 from mecp_env.evaluation.calibration.motions import Motions, registered_motions
-from mecp_env.evaluation.calibration.noise import ALONG, TURN, noise_of, slip_as_turn, told
+from mecp_env.evaluation.calibration.noise import ALONG, TURN, noise_of, slip_as_turn, told, with_tails
 from mecp_env.evaluation.calibration.residuals import NAMES, NOTHING, Residuals, residuals
 from mecp_env.evaluation.calibration.systematic import SPREAD, Systematic, fitted
 from mecp_env.logs.odometry_model import OdometryModel
@@ -24,7 +24,8 @@ LEAST_MOTIONS = 30  # that are registered and tell the motion; with fewer, defau
 UNKNOWN_SHARE = 0.5  # of the spread that is expected: a value with a larger sigma keeps its default
 JUMP_M = 5.0  # no robot moves so far from one scan to the next
 LEAST = {ALONG: 0.005, TURN: 0.1}  # sigmas per square root of a metre, m and deg: no odometry of wheels is better
-LEAST_RANGE_SIGMA_M = 0.01  # walls are no flatter
+COARSE = 2.0  # times the range noise of the description: from there on that which is measured is taken. It is that of
+# single beams on straight walls; the description also stands for walls that are not straight
 DEGREES = {"turn_bias_rad_per_m": "turn_bias_deg_per_m", "heading_rad": "heading_deg"}
 UNITS = np.array([1.0, 1.0, math.radians(1.0), 1.0, math.radians(1.0)])  # of `NAMES`, as fields have them
 NOISE = ("distance_sigma_m", "distance_sigma_turning_m", "turn_sigma_deg", "turn_sigma_turning_deg")
@@ -50,12 +51,21 @@ class Calibration:
     estimates: Mapping[str, Estimate]  # of each of `FIELDS`
     registered: int  # motions between scans that were registered,
     tried: int  # of so many
+    range_noise_m: float | None  # of beams on straight walls, as measured
     notes: tuple[str, ...] = ()  # which fields keep their defaults, and why
+
+    @property
+    def of_sensor(self) -> dict[str, float]:
+        """The fields of the sensor model that are calibrated."""
+        return {name: getattr(self.sensor, name) for name in sorted(OF_SENSOR)}
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `metrics.json`."""
         fields = {name: {"value": e.value, "sigma": e.sigma, "source": e.source} for name, e in self.estimates.items()}
-        return {"fields": fields, "registered": self.registered, "tried": self.tried, "notes": list(self.notes)}
+        return {"fields": fields, "registered": self.registered, "tried": self.tried} | {
+            "range_noise_m": self.range_noise_m,
+            "notes": list(self.notes),
+        }
 
 
 def calibrated(
@@ -67,8 +77,11 @@ def calibrated(
     `SensorError` for odometry that never moves, or jumps.
     """
     check_path(T_odom_robot)
-    motions = registered_motions(scan_at, T_odom_robot, config)
-    return _models(_estimates(motions, config.sensor, dict(given or {})), motions, config.sensor)
+    motions, kept = registered_motions(scan_at, T_odom_robot, config), dict(given or {})
+    try:
+        return _models(_estimates(motions, config.sensor, kept), motions, config.sensor)
+    except ConfigError as error:
+        return uncalibrated(config.sensor, kept, f"scans and odometry contradict each other ({error})")
 
 
 def check_path(T_odom_robot: Array) -> None:
@@ -79,7 +92,7 @@ def check_path(T_odom_robot: Array) -> None:
         raise SensorError(f"odometry: never moves in {len(T_odom_robot)} scans")
     if metres.max() > JUMP_M:
         row = int(metres.argmax()) + 1
-        raise SensorError(f"odometry[{row}]: jumps by {metres.max():.2f} m, at most {JUMP_M:g} between two scans expected")
+        raise SensorError(f"odometry[{row}]: jumps by {metres.max():.2f} m, at most {JUMP_M:g} expected")
 
 
 def uncalibrated(sensor: SensorModel, given: Mapping[str, float], reason: str) -> Calibration:
@@ -91,8 +104,8 @@ def uncalibrated(sensor: SensorModel, given: Mapping[str, float], reason: str) -
 
 
 def _defaults(sensor: SensorModel) -> dict[str, Estimate]:
-    odometry = OdometryModel()
-    return {name: Estimate(getattr(sensor if name in OF_SENSOR else odometry, name), None, "default") for name in FIELDS}
+    values = OdometryModel().model_dump() | sensor.model_dump()
+    return {name: Estimate(values[name], None, "default") for name in FIELDS}
 
 
 def _kept(given: Mapping[str, float]) -> dict[str, Estimate]:
@@ -102,8 +115,8 @@ def _kept(given: Mapping[str, float]) -> dict[str, Estimate]:
 def _estimates(motions: Motions, sensor: SensorModel, given: Mapping[str, float]) -> dict[str, Estimate]:
     """Of each of `FIELDS`: what was estimated; the default of what the motions do not tell; what is given."""
     found = _defaults(sensor)
-    if not math.isnan(motions.range_sigma_m):
-        found["range_sigma_m"] = Estimate(max(motions.range_sigma_m, LEAST_RANGE_SIGMA_M), None, "estimated")
+    if motions.range_sigma_m > COARSE * sensor.range_sigma_m:
+        found["range_sigma_m"] = Estimate(motions.range_sigma_m, None, "estimated")
     if len(motions) >= LEAST_MOTIONS:
         mount = {name: given[name] for name in ("x_m", "heading_deg") if name in given}
         described = sensor.model_copy(update=mount).T_robot_laser
@@ -126,9 +139,8 @@ def _start(given: Mapping[str, float]) -> tuple[Array, Ints]:
 def _systematic(found: Systematic, described: Array) -> dict[str, Estimate]:
     """The estimates of scale, bias and mounting that the motions tell."""
     values = (found.values + np.array([0.0, 0.0, 0.0, described[0], described[2]])) / UNITS
-    known = found.sigmas < UNKNOWN_SHARE * SPREAD
-    numbers = zip(NAMES, values.tolist(), (found.sigmas / UNITS).tolist(), known.tolist(), strict=True)
-    return {DEGREES.get(name, name): Estimate(value, sigma, "estimated") for name, value, sigma, is_known in numbers if is_known}
+    sigmas, known = found.sigmas / UNITS, np.flatnonzero(found.sigmas < UNKNOWN_SHARE * SPREAD)
+    return {FIELDS[i]: Estimate(float(values[i]), float(sigmas[i]), "estimated") for i in known}
 
 
 def _noise(left: Residuals) -> dict[str, Estimate]:
@@ -138,7 +150,7 @@ def _noise(left: Residuals) -> dict[str, Estimate]:
         if rows.sum() < LEAST_MOTIONS:
             continue
         some = left.of(rows)
-        noise = noise_of(some)
+        noise = with_tails(some, noise_of(some))
         slip = slip_as_turn(some, noise[ALONG], noise[TURN]) if component == TURN else 0.0
         sigmas = np.sqrt(noise[component] + [slip, 0.0])
         sigmas = np.maximum(np.degrees(sigmas) if component == TURN else sigmas, [LEAST[component], 0.0])
@@ -151,8 +163,11 @@ def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorM
     of_sensor = {name: e.value for name, e in estimates.items() if name in OF_SENSOR}
     odometry = OdometryModel(**{name: e.value for name, e in estimates.items() if name not in OF_SENSOR})
     unknown = [f"{name} {e.value:g}" for name, e in estimates.items() if e.source == "default"]
+    noise_m = None if math.isnan(motions.range_sigma_m) else motions.range_sigma_m
+    unknown = unknown if noise_m is None else [name for name in unknown if not name.startswith("range_sigma_m")]
     reason = f"{len(motions)} of {motions.tried} motions between scans are registered"
     few = f", at least {LEAST_MOTIONS} needed" if len(motions) < LEAST_MOTIONS else ""
     notes = (f"calibration: {reason}{few}; they do not tell these, whose defaults are used: {', '.join(unknown)}",)
     whole = SensorModel(**sensor.model_dump() | of_sensor)
-    return Calibration(whole, odometry, estimates, len(motions), motions.tried, notes if unknown else ())
+    counts = len(motions), motions.tried, noise_m
+    return Calibration(whole, odometry, estimates, *counts, notes if unknown else ())

@@ -24,7 +24,7 @@ from mecp_env.slam.panorama.surfaces import Surfaces, surfaces_of
 LEAST_M, LEAST_RAD = 0.5, math.radians(20.0)  # of the motion between two scans that are registered, typically
 AT_REST = 0.1  # of both, up to which a motion is none
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
-BLOCK, BLOCKS = 8, 40  # successive motions that are registered together, and how many such blocks
+BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
 PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
 LINE_BEAMS, LEAST_COSINE = 10, 0.7  # of a line that tells the range noise: beams, and cosine of their incidence
 TRIM = 2  # beams at each end of a line that may be on something else
@@ -59,25 +59,31 @@ def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, conf
 
     `scan_at` gives the scan of a row; `config` has the laser as far as it is known.
     """
-    limits, T_robot_laser = RegistrationLimits.of(config), config.sensor.T_robot_laser
-    single = replace(limits, alike_beams=1)  # what neighbouring beams have in common is no noise of the odometry
-    measured, laser, cov, noise, tried = list[Array](), list[Array](), list[Array](), list[float](), 0
+    limits = RegistrationLimits.of(config)
+    found, noise, tried = list[tuple[Array, Array, Array]](), list[float](), 0
     for rows in _blocks(_spaced_rows(T_odom_robot)):
         views = [_view(scan_at(int(row)), config) for row in rows]
         noise += [variance for view in views[:: BLOCK // 2] for variance in _variances(view)]
         steps = between(T_odom_robot[rows[:-1]], T_odom_robot[rows[1:]])
-        T_laser = between(T_robot_laser, composed(steps, T_robot_laser))
-        for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
-            if not _is_short(step):
-                continue
-            tried += 1
-            found = register_all(past.surfaces, now.surfaces, past.beams, (expected, _prior(step)), limits)
-            if found is not None and _size(found.T_past_now[None])[0] > AT_REST:
-                measured.append(step)
-                laser.append(found.T_past_now)
-                cov.append(found.cov(single))
-    shapes = np.array(measured).reshape(-1, 3), np.array(laser).reshape(-1, 3), np.array(cov).reshape(-1, 3, 3)
+        tried += len(steps)
+        found += _registered(views, steps, config.sensor.T_robot_laser, limits)
+    measured, laser, cov = (np.array([one[k] for one in found]) for k in range(3))
+    shapes = measured.reshape(-1, 3), laser.reshape(-1, 3), cov.reshape(-1, 3, 3)
     return Motions(*shapes, float(limits.alike_beams), tried, _typical_sigma(np.array(noise)))
+
+
+def _registered(
+    views: list[_View], steps: Array, T_robot_laser: Array, limits: RegistrationLimits
+) -> list[tuple[Array, Array, Array]]:
+    """Of each step (m,3) between views that can be registered: the step, the motion of the laser, its covariance."""
+    single = replace(limits, alike_beams=1)  # what neighbouring beams have in common is no noise of the odometry
+    T_laser, found = between(T_robot_laser, composed(steps, T_robot_laser)), list[tuple[Array, Array, Array]]()
+    for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
+        prior = expected, _prior(step)
+        one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if _is_short(step) else None
+        if one is not None and _size(one.T_past_now[None])[0] > AT_REST:
+            found.append((step, one.T_past_now, one.cov(single)))
+    return found
 
 
 def _spaced_rows(T_odom_robot: Array) -> Ints:
@@ -97,8 +103,8 @@ def _size(motions: Array) -> Array:
 
 def _blocks(rows: Ints) -> list[Ints]:
     """Some blocks of rows (m,), spread evenly; in each the last of one motion is the first of the next."""
-    firsts = np.arange(0, max(len(rows) - 1, 0), BLOCK)
-    spread = np.unique(np.linspace(0, len(firsts) - 1, min(BLOCKS, len(firsts))).astype(np.int64)) if len(firsts) else []
+    firsts = np.arange(0, len(rows) - 1, BLOCK)
+    spread = np.linspace(0, len(firsts) - 1, min(BLOCKS, len(firsts))).astype(np.int64)
     return [rows[first : first + BLOCK + 1] for first in firsts[spread]]
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.special import chdtri
 
 from mecp_env.core.array_types import Array, Bools
 from mecp_env.evaluation.calibration.residuals import Residuals
@@ -14,8 +15,9 @@ ROUNDS = 12  # of reweighting
 FARTHEST = 9.0  # of the variance, to which a square is cut;
 CUT_GAUSS = 0.9733  # the mean of a Gaussian's squares is this part then
 FLOOR = np.array([1e-3, 1e-3, 1e-4]) ** 2  # m^2, m^2, rad^2: of a motion, so that weights are finite
+COVERED = 0.98  # of the motions
 TOLD_M, TOLD_RAD = 0.05, math.radians(1.0)  # sigmas of a registration that tells a distance, and a turn
-SIDE = 0.3125  # of a unit variance of the turn, over two arcs of half the distance each: the variance to the side per d^2
+SIDE = 0.3125  # the variance to the side, per d^2, of a unit variance of the turn over two arcs of half the distance d
 ALONG, LEFT, TURN = range(3)  # the components of a residual
 
 
@@ -48,6 +50,18 @@ def told(left: Residuals) -> tuple[Bools, Bools]:
     along, side, turn = np.sqrt(np.diagonal(left.cov, 0, 1, 2)).T
     turns = (turn < TOLD_RAD) & (side < TOLD_M)
     return turns & (along < TOLD_M), turns
+
+
+def with_tails(left: Residuals, noise: Array) -> Array:
+    """(3,2) variances that grow until `COVERED` of the motions are within the bound that holds as many of a Gaussian.
+
+    The robust ones ignore what is far out; the estimator, which assumes Gaussian noise, rejects scans there.
+    """
+    of_motion = np.column_stack((left.metres, left.turn)) @ noise.T
+    known = np.diagonal(left.cov, 0, 1, 2) + FLOOR
+    needed = (left.off**2 / chdtri(1, 1.0 - COVERED) - known) / np.maximum(of_motion, FLOOR)
+    grown: Array = noise * np.maximum(1.0, np.quantile(needed, COVERED, axis=0))[:, None]
+    return grown
 
 
 def slip_as_turn(left: Residuals, along: Array, turn: Array) -> float:

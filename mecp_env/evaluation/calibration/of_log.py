@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
 from mecp_env.core.errors import SensorError
 from mecp_env.core.messages import Scan
 from mecp_env.evaluation.calibration.models import NOISE, Calibration, Estimate, calibrated, uncalibrated
@@ -42,8 +41,8 @@ def calibrate(
     Raises `SensorError` for an invalid scan, odometry of another shape or that is not finite, odometry that never moves
     or jumps by more than 5 m, and `ConfigError` for an unknown field of the sensor.
 
-    The laser's motion is that of registered scans (point to line, Censi 2008), a hand-eye equation gives mounting, scale
-    and bias, and robust variances the noise (docs/logs.md).
+    The laser's motion is that of registered scans (point to line, Censi 2008), a hand-eye equation gives mounting,
+    scale and bias, and robust variances the noise (docs/logs.md).
     """
     poses = np.asarray(odometry, np.float64)
     if poses.shape != (len(scans), 3) or len(scans) < 2:

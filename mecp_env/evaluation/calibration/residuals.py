@@ -51,7 +51,8 @@ def residuals(motions: Motions, values: Array, T_robot_laser: Array) -> Residual
     to_robot[:, 0, 2], to_robot[:, 1, 2] = _turn_moves(lever, X[2])
     rows = np.swapaxes(_turned(along), 1, 2)
     A = rows @ to_robot
-    return Residuals(np.einsum("nij,nj->ni", rows, off), A @ motions.cov @ np.swapaxes(A, 1, 2), metres, abs(robot[:, 2]), motions.alike)
+    cov = A @ motions.cov @ np.swapaxes(A, 1, 2)
+    return Residuals(np.einsum("nij,nj->ni", rows, off), cov, metres, abs(robot[:, 2]), motions.alike)
 
 
 def _turned(angles: Array) -> Array:

@@ -13,29 +13,21 @@ from mecp_env.evaluation.calibration.noise import noise_of, variances
 from mecp_env.evaluation.calibration.residuals import residuals
 
 SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot is off, as in `NAMES`: a weak prior
-SIGNIFICANT = 0.0  # sigmas; what is smaller is left as it is
 ROUNDS = 4  # in which fit and noise follow each other
 
 
 class Systematic(NamedTuple):
     """What was found, in the order of `NAMES`."""
 
-    values: Array  # (5,) that are applied: those that are not significant are as before
-    sigmas: Array  # (5,) of each value, applied or not; inf for one that nothing tells
+    values: Array  # (5,)
+    sigmas: Array  # (5,), inf for a value that is fixed
 
 
 def fitted(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> Systematic:
     """The values that explain the motions, for a laser at T_robot_laser (3,) as described.
 
-    Those that are not `free` (k,) stay as they are in `start` (5,), and so do those that are not significant.
+    By least squares with a soft L1 loss; values that are not `free` (k,) stay as they are in `start` (5,).
     """
-    values, sigmas = _fit(motions, T_robot_laser, start, free)
-    significant = free[abs(values - start)[free] > SIGNIFICANT * sigmas[free]]
-    return Systematic(_fit(motions, T_robot_laser, start, significant)[0], sigmas)
-
-
-def _fit(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> tuple[Array, Array]:
-    """(5,) values and (5,) their sigmas, by least squares with a soft L1 loss; those that are not `free` stay."""
     values, sigmas = start.copy(), np.full(len(start), np.inf)
     for _ in range(ROUNDS * bool(len(free))):
         left = residuals(motions, values, T_robot_laser)
@@ -49,5 +41,6 @@ def _fit(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> tu
 
         found = least_squares(whitened, values[free], x_scale=SPREAD[free], loss="soft_l1")
         values[free] = found.x
-        sigmas[free] = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    return values, sigmas
+        jacobian = np.asarray(found.jac)
+        sigmas[free] = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    return Systematic(values, sigmas)
