@@ -17,6 +17,7 @@ from mecp_env.evaluation.calibration.motions import Motions, registered_motions
 from mecp_env.evaluation.calibration.noise import ALONG, TURN, noise_of, slip_as_turn, told, with_tails
 from mecp_env.evaluation.calibration.residuals import NAMES, NOTHING, Residuals, residuals
 from mecp_env.evaluation.calibration.systematic import SPREAD, Systematic, fitted
+from mecp_env.evaluation.calibration.views import range_noise
 from mecp_env.logs.odometry_model import OdometryModel
 from mecp_env.slam.config import SensorModel, SlamConfig
 
@@ -77,9 +78,13 @@ def calibrated(
     `SensorError` for odometry that never moves, or jumps.
     """
     check_path(T_odom_robot)
-    motions, kept = registered_motions(scan_at, T_odom_robot, config), dict(given or {})
+    kept, noise_m = dict(given or {}), range_noise(scan_at, len(T_odom_robot), config)
+    laser = _laser(noise_m, config.sensor) | _kept({name: kept[name] for name in kept if name in OF_SENSOR})
+    known = config.sensor.model_copy(update={name: estimate.value for name, estimate in laser.items()})
+    motions = registered_motions(scan_at, T_odom_robot, config.model_copy(update={"sensor": known}))
     try:
-        return _models(_estimates(motions, config.sensor, kept), motions, config.sensor)
+        estimates = _defaults(config.sensor) | laser | _estimates(motions, known.T_robot_laser, kept) | _kept(kept)
+        return _models(estimates, motions, config.sensor, noise_m)
     except ConfigError as error:
         return uncalibrated(config.sensor, kept, f"scans and odometry contradict each other ({error})")
 
@@ -97,8 +102,8 @@ def check_path(T_odom_robot: Array) -> None:
 
 def uncalibrated(sensor: SensorModel, given: Mapping[str, float], reason: str) -> Calibration:
     """The defaults, for a `reason` that is said."""
-    nothing = Motions(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)), 1.0, 0, math.nan)
-    calibration = _models(_defaults(sensor) | _kept(given), nothing, sensor)
+    nothing = Motions(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)), 1.0, 0)
+    calibration = _models(_defaults(sensor) | _kept(given), nothing, sensor, math.nan)
     named = ", ".join(f"{name} {e.value:g}" for name, e in calibration.estimates.items() if e.source == "default")
     return replace(calibration, notes=(f"calibration: {reason}; defaults are used: {named}",))
 
@@ -112,18 +117,19 @@ def _kept(given: Mapping[str, float]) -> dict[str, Estimate]:
     return {name: Estimate(value, None, "given") for name, value in given.items()}
 
 
-def _estimates(motions: Motions, sensor: SensorModel, given: Mapping[str, float]) -> dict[str, Estimate]:
-    """Of each of `FIELDS`: what was estimated; the default of what the motions do not tell; what is given."""
-    found = _defaults(sensor)
-    if motions.range_sigma_m > COARSE * sensor.range_sigma_m:
-        found["range_sigma_m"] = Estimate(motions.range_sigma_m, None, "estimated")
-    if len(motions) >= LEAST_MOTIONS:
-        mount = {name: given[name] for name in ("x_m", "heading_deg") if name in given}
-        described = sensor.model_copy(update=mount).T_robot_laser
-        systematic = fitted(motions, described, *_start(given))
-        left = residuals(motions, systematic.values, described)
-        found |= _systematic(systematic, described) | _noise(left)
-    return found | _kept(given)
+def _laser(noise_m: float, sensor: SensorModel) -> dict[str, Estimate]:
+    """The range noise, where it is larger than by the description of the laser; nan is not."""
+    coarse = noise_m > COARSE * sensor.range_sigma_m
+    return {"range_sigma_m": Estimate(noise_m, None, "estimated")} if coarse else {}
+
+
+def _estimates(motions: Motions, T_robot_laser: Array, given: Mapping[str, float]) -> dict[str, Estimate]:
+    """What the motions tell of odometry and mounting, of a laser at T_robot_laser (3,) as described."""
+    if len(motions) < LEAST_MOTIONS:
+        return {}
+    systematic = fitted(motions, T_robot_laser, *_start(given))
+    left = residuals(motions, systematic.values, T_robot_laser)
+    return _systematic(systematic, T_robot_laser) | _noise(left)
 
 
 def _start(given: Mapping[str, float]) -> tuple[Array, Ints]:
@@ -151,23 +157,23 @@ def _noise(left: Residuals) -> dict[str, Estimate]:
             continue
         some = left.of(rows)
         noise = with_tails(some, noise_of(some))
-        slip = slip_as_turn(some, noise[ALONG], noise[TURN]) if component == TURN else 0.0
+        slip = slip_as_turn(some, noise) if component == TURN else 0.0
         sigmas = np.sqrt(noise[component] + [slip, 0.0])
         sigmas = np.maximum(np.degrees(sigmas) if component == TURN else sigmas, [LEAST[component], 0.0])
         found |= {name: Estimate(value, None, "estimated") for name, value in zip(names, sigmas.tolist(), strict=True)}
     return found
 
 
-def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorModel) -> Calibration:
+def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorModel, noise_m: float) -> Calibration:
     """The models of the estimates, with a note of the fields that keep their defaults."""
     of_sensor = {name: e.value for name, e in estimates.items() if name in OF_SENSOR}
     odometry = OdometryModel(**{name: e.value for name, e in estimates.items() if name not in OF_SENSOR})
     unknown = [f"{name} {e.value:g}" for name, e in estimates.items() if e.source == "default"]
-    noise_m = None if math.isnan(motions.range_sigma_m) else motions.range_sigma_m
-    unknown = unknown if noise_m is None else [name for name in unknown if not name.startswith("range_sigma_m")]
+    measured = None if math.isnan(noise_m) else noise_m
+    unknown = unknown if measured is None else [name for name in unknown if not name.startswith("range_sigma_m")]
     reason = f"{len(motions)} of {motions.tried} motions between scans are registered"
     few = f", at least {LEAST_MOTIONS} needed" if len(motions) < LEAST_MOTIONS else ""
     notes = (f"calibration: {reason}{few}; they do not tell these, whose defaults are used: {', '.join(unknown)}",)
     whole = SensorModel(**sensor.model_dump() | of_sensor)
-    counts = len(motions), motions.tried, noise_m
+    counts = len(motions), motions.tried, measured
     return Calibration(whole, odometry, estimates, *counts, notes if unknown else ())

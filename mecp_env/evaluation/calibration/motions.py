@@ -8,26 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.messages import Scan
 from mecp_env.core.trajectories import between, composed
+from mecp_env.evaluation.calibration.views import View, view
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import cluster_beams
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
-from mecp_env.slam.frontend.lost_beams import restore_lost_beams
-from mecp_env.slam.frontend.segments import extract_segments
-from mecp_env.slam.mecp.polygons import beams_on_walls
-from mecp_env.slam.messages import MergedScan, Segments
 from mecp_env.slam.panorama.registration import RegistrationLimits, register_all
-from mecp_env.slam.panorama.surfaces import Surfaces, surfaces_of
 
 LEAST_M, LEAST_RAD = 0.5, math.radians(20.0)  # of the motion between two scans that are registered, typically
 AT_REST = 0.1  # of both, up to which a motion is none
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
 BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
 PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
-LINE_BEAMS, LEAST_COSINE = 10, 0.7  # of a line that tells the range noise: beams, and cosine of their incidence
-TRIM = 2  # beams at each end of a line that may be on something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,19 +31,9 @@ class Motions:
     cov: Array  # (n,3,3) of `laser`, by the noise of single beams
     alike: float  # by which it grows where neighbouring beams err together
     tried: int  # pairs of scans that were compared
-    range_sigma_m: float  # of beams on straight walls; nan where no wall is long enough
 
     def __len__(self) -> int:
         return len(self.measured)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """A scan as the registration takes it."""
-
-    surfaces: Surfaces
-    beams: MergedScan
-    segments: Segments
 
 
 def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, config: SlamConfig) -> Motions:
@@ -60,20 +42,19 @@ def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, conf
     `scan_at` gives the scan of a row; `config` has the laser as far as it is known.
     """
     limits = RegistrationLimits.of(config)
-    found, noise, tried = list[tuple[Array, Array, Array]](), list[float](), 0
+    found, tried = list[tuple[Array, Array, Array]](), 0
     for rows in _blocks(_spaced_rows(T_odom_robot)):
-        views = [_view(scan_at(int(row)), config) for row in rows]
-        noise += [variance for view in views[:: BLOCK // 2] for variance in _variances(view)]
+        views = [view(scan_at(int(row)), config) for row in rows]
         steps = between(T_odom_robot[rows[:-1]], T_odom_robot[rows[1:]])
         tried += len(steps)
         found += _registered(views, steps, config.sensor.T_robot_laser, limits)
     measured, laser, cov = (np.array([one[k] for one in found]) for k in range(3))
     shapes = measured.reshape(-1, 3), laser.reshape(-1, 3), cov.reshape(-1, 3, 3)
-    return Motions(*shapes, float(limits.alike_beams), tried, _typical_sigma(np.array(noise)))
+    return Motions(*shapes, float(limits.alike_beams), tried)
 
 
 def _registered(
-    views: list[_View], steps: Array, T_robot_laser: Array, limits: RegistrationLimits
+    views: list[View], steps: Array, T_robot_laser: Array, limits: RegistrationLimits
 ) -> list[tuple[Array, Array, Array]]:
     """Of each step (m,3) between views that can be registered: the step, the motion of the laser, its covariance."""
     single = replace(limits, alike_beams=1)  # what neighbouring beams have in common is no noise of the odometry
@@ -118,38 +99,3 @@ def _prior(step: Array) -> Array:
     spread_m, spread_rad = PRIOR_M + GROWTH * metres, PRIOR_RAD + GROWTH * (math.sqrt(metres) + turn)
     prior: Array = np.diag([spread_m, spread_m, spread_rad]) ** 2
     return prior
-
-
-def _view(scan: Scan, config: SlamConfig) -> _View:
-    """The surfaces of a scan, by the stages of the estimator."""
-    sensor = config.sensor
-    beams = restore_lost_beams(merge_sweeps(scan, sensor), sensor)
-    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
-    segments = extract_segments(beams, clusters, config.segments, sensor)
-    wall: Bools = beams_on_walls(clusters, beams)
-    return _View(surfaces_of(beams, segments, wall, sensor), beams, segments)
-
-
-def _variances(view: _View) -> list[float]:
-    """m^2: the variance of the ranges about each long line, as of a single beam."""
-    beams, segments = view.beams, view.segments
-    found, size = list[float](), len(beams.ranges)
-    for (alpha, rho), first, last in zip(segments.line, segments.first, segments.last, strict=True):
-        on = (segments.roll + np.arange(first + TRIM, last + 1 - TRIM)) % size
-        cosine = np.cos(beams.bearings[on] - alpha)
-        kept = beams.hit[on] & (cosine > LEAST_COSINE)
-        on, cosine = on[kept], cosine[kept]
-        if len(on) >= LINE_BEAMS:
-            off = (beams.ranges[on] - rho / cosine) * np.sqrt(beams.count[on])
-            design = np.column_stack((np.ones(len(on)), beams.bearings[on] - beams.bearings[on[0]]))
-            off -= design @ np.linalg.lstsq(design, off, rcond=None)[0]
-            found.append(float(off @ off) / (len(on) - 2))
-    return found
-
-
-def _typical_sigma(variances: Array) -> float:
-    """m: the root of the mean variance, without the tenth of the lines that are least straight; nan without any."""
-    if not len(variances):
-        return math.nan
-    kept = np.sort(variances)[: max(1, math.ceil(0.9 * len(variances)))]
-    return math.sqrt(float(kept.mean()))

@@ -64,22 +64,16 @@ def with_tails(left: Residuals, noise: Array) -> Array:
     return grown
 
 
-def slip_as_turn(left: Residuals, along: Array, turn: Array) -> float:
-    """rad^2 per metre: the variance of the turn that covers what moves a robot to its side beyond its noise.
+def slip_as_turn(left: Residuals, noise: Array) -> float:
+    """rad^2 per metre: the variance of the turn that covers what moves a robot to its side beyond the `noise` (3,2).
 
-    That is given by variances `along` (2,) and of the `turn` (2,), per metre and per rad.
-
-    Odometry is a chain of arcs, whose noise has no component to the side.
+    Odometry is a chain of arcs, whose noise has no component to the side: that of the turn has to cover it, of as many
+    motions as in `with_tails`.
     """
-    driven = left.metres > 0.5 * float(np.median(left.metres))
+    driven = left.metres >= float(np.median(left.metres))
     metres, square = left.metres[driven], left.off[driven, LEFT] ** 2
-    of_path = np.column_stack((metres, left.turn[driven]))
-    of_turn = SIDE * (metres**2 + of_path @ along) * (of_path @ turn)
+    of_motion = np.column_stack((metres, left.turn[driven])) @ noise.T
+    of_turn = SIDE * (metres**2 + of_motion[:, ALONG]) * of_motion[:, TURN]
     known = of_turn + left.alike * left.cov[driven, LEFT, LEFT] + FLOOR[LEFT]
-    excess, per_unit = 0.0, SIDE * metres**3
-    for _ in range(ROUNDS):
-        variance = per_unit * excess + known
-        cut = np.minimum(square, FARTHEST * variance) / CUT_GAUSS
-        weight = per_unit / variance**2
-        excess = max(0.0, float(weight @ (cut - known)) / float(weight @ per_unit))
-    return excess
+    needed = (square / chdtri(1, 1.0 - COVERED) - known) / (SIDE * metres**3)
+    return max(0.0, float(np.quantile(needed, COVERED)))
