@@ -17,8 +17,7 @@ from mecp_env.core.array_types import Array
 from mecp_env.core.paths import naming, write_atomic
 from mecp_env.core.text import sanitised
 from mecp_env.core.trajectories import between, composed
-from mecp_env.evaluation.calibration import Calibration
-from mecp_env.evaluation.log_run import REGISTERED, LogRun
+from mecp_env.evaluation.log_run import LogRun
 from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
@@ -163,40 +162,6 @@ ROWS = (  # shown name, format; left out where a metric is missing
     ),
     ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
 )
-
-
-UNITS = {  # of the fields of a calibration; the others have none
-    "turn_bias_deg_per_m": "deg per m",
-    "x_m": "m",
-    "heading_deg": "deg",
-    "distance_sigma_m": "m per sqrt(m)",
-    "distance_sigma_turning_m": "m per sqrt(rad)",
-    "turn_sigma_deg": "deg per sqrt(m)",
-    "turn_sigma_turning_deg": "deg per sqrt(rad)",
-    "range_sigma_m": "m",
-}
-
-
-def print_calibration(calibration: Calibration | None, log: Log) -> None:
-    """Print what a calibration found, and which values are defaults; without one, that odometry is made of scans."""
-    console = Console()
-    if calibration is None:
-        if REGISTERED in log.notes:
-            console.print(f"note: {REGISTERED}", markup=False)
-        return
-    title = f"calibration by {calibration.registered} of {calibration.tried} registered motions"
-    table = Table(title=title, title_justify="left")
-    for column in ("", "value", "sigma", "unit", ""):
-        table.add_column(column, justify="right" if column in ("value", "sigma") else "left")
-    for name, found in calibration.estimates.items():
-        sigma = "" if found.sigma is None else f"{found.sigma:.4f}"
-        shown = name.removesuffix("_deg_per_m").removesuffix("_deg").removesuffix("_m").replace("_", " ")
-        table.add_row(shown, f"{found.value:.4f}", sigma, UNITS.get(name, ""), found.source)
-    if calibration.range_noise_m is not None:
-        table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
-    console.print(table)
-    for note in calibration.notes:
-        console.print(f"note: {sanitised(note)}", markup=False)
 
 
 def print_result(metrics: Mapping[str, Any], folder: Path) -> None:

@@ -88,11 +88,12 @@ class Slam(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources
-        from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_calibration, print_result
+        from mecp_env.cli.calibration_table import print_calibration
+        from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_result
         from mecp_env.cli.map_option import check_map, save_map
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.core import warm_up
-        from mecp_env.evaluation.log_run import LogDrive, LogRunConfig
+        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in FILES], [str(path) for path in (self.log, self.from_map) if path])
@@ -103,7 +104,8 @@ class Slam(WithModules):
         options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
         drive = LogDrive(log, pipeline, options, calibration)
         log = drive.log
-        print_calibration(calibration, log)
+        echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
+        print_calibration(calibration)
         planned = len(drive.planned())
         warm_up.prepare()
         files = LogFiles(log, planned, rerun_log(self.rerun))

@@ -166,14 +166,21 @@ def _noise(left: Residuals) -> dict[str, Estimate]:
 
 def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorModel, noise_m: float) -> Calibration:
     """The models of the estimates, with a note of the fields that keep their defaults."""
-    of_sensor = {name: e.value for name, e in estimates.items() if name in OF_SENSOR}
-    odometry = OdometryModel(**{name: e.value for name, e in estimates.items() if name not in OF_SENSOR})
-    unknown = [f"{name} {e.value:g}" for name, e in estimates.items() if e.source == "default"]
+    values = {name: estimate.value for name, estimate in estimates.items()}
+    odometry = OdometryModel(**{name: value for name, value in values.items() if name not in OF_SENSOR})
+    laser = SensorModel(**sensor.model_dump() | {name: values[name] for name in OF_SENSOR})
     measured = None if math.isnan(noise_m) else noise_m
-    unknown = unknown if measured is None else [name for name in unknown if not name.startswith("range_sigma_m")]
+    counts = len(motions), motions.tried, measured
+    return Calibration(laser, odometry, estimates, *counts, _notes(estimates, motions, measured))
+
+
+def _notes(estimates: Mapping[str, Estimate], motions: Motions, noise_m: float | None) -> tuple[str, ...]:
+    """A note of the fields that keep their defaults, with the reason; the range noise may be measured and small."""
+    told = set() if noise_m is None else {"range_sigma_m"}
+    unknown = [name for name, estimate in estimates.items() if estimate.source == "default" and name not in told]
+    if not unknown:
+        return ()
     reason = f"{len(motions)} of {motions.tried} motions between scans are registered"
     few = f", at least {LEAST_MOTIONS} needed" if len(motions) < LEAST_MOTIONS else ""
-    notes = (f"calibration: {reason}{few}; they do not tell these, whose defaults are used: {', '.join(unknown)}",)
-    whole = SensorModel(**sensor.model_dump() | of_sensor)
-    counts = len(motions), motions.tried, measured
-    return Calibration(whole, odometry, estimates, *counts, notes if unknown else ())
+    named = ", ".join(f"{name} {estimates[name].value:g}" for name in unknown)
+    return (f"calibration: {reason}{few}; they do not tell these, whose defaults are used: {named}",)
