@@ -98,8 +98,8 @@ class Slam(WithModules):
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in FILES], [str(path) for path in (self.log, self.from_map) if path])
         check_map(self.save_map, str(self.log), "slam")
-        log = self._checked(self._read())
-        pipeline, calibration = self._estimator(log, line)
+        log, fault = self._checked(self._read())
+        pipeline, calibration = self._estimator(log, fault, line)
         keys = "odometry", "seed", "rest_m", "rest_deg"
         options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
         drive = LogDrive(log, pipeline, options, calibration)
@@ -136,16 +136,14 @@ class Slam(WithModules):
         """True when the odometry is that of the log, which may be calibrated and may contradict the laser."""
         return self.odometry == "log"
 
-    def _checked(self, log: Log) -> Log:
-        """The log, with a note where its laser and its odometry disagree."""
+    def _checked(self, log: Log) -> tuple[Log, str | None]:
+        """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
         from mecp_env.logs.laser_check import laser_fault
 
         fault = laser_fault(log) if self._is_measured else None
-        if fault is None:
-            return log
-        warning = f"warning: {fault}"
-        echo(warning)
-        return replace(log, notes=(*log.notes, warning))
+        said = () if fault is None else (f"warning: {fault}",)
+        echo(*said)
+        return replace(log, notes=(*log.notes, *said)), fault
 
     def _read(self) -> Log:
         """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
@@ -168,7 +166,7 @@ class Slam(WithModules):
         echo(*(f"note: {note}" for note in log.notes))
         return log
 
-    def _estimator(self, log: Log, line: Sequence[str]) -> tuple[SlamPipeline, Calibration | None]:
+    def _estimator(self, log: Log, fault: str | None, line: Sequence[str]) -> tuple[SlamPipeline, Calibration | None]:
         """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
 
         Raises `ConfigError` and `MapError`.
@@ -180,16 +178,16 @@ class Slam(WithModules):
         if self.from_map is None:
             if self.start != "saved":
                 raise ConfigError(f"--start: {self.start} is a place in a map; name one by --from-map")
-            calibration = self._calibration(log, config_for(log, fields), fields.get("sensor", {}), line)
+            calibration = self._calibration(log, config_for(log, fields), fields.get("sensor", {}), fault, line)
             return SlamPipeline(config_for(log, fields, calibration)), calibration
         if fields:
             raise ConfigError(f"--config: {', '.join(fields)} given, but a map has its own configuration (--from-map)")
         pipeline = SlamPipeline.from_map(self.from_map, self._start())
         sensor = pipeline.config.sensor.model_dump()
-        return pipeline, self._calibration(log, pipeline.config, sensor, line)
+        return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
 
     def _calibration(
-        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], line: Sequence[str]
+        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Sequence[str]
     ) -> Calibration | None:
         """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
 
@@ -200,7 +198,7 @@ class Slam(WithModules):
         if self.noise_from != "auto" or not self._is_measured or log.T_odom_robot is None:
             return None
         given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
-        return calibrate_log(log, config, given, named_fields(self.noise, line, "--noise."))
+        return calibrate_log(log, config, given, named_fields(self.noise, line, "--noise."), fault)
 
     def _start(self) -> MapStart:
         """Where to begin in the map. Raises `ConfigError`."""

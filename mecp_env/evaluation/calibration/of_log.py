@@ -66,16 +66,21 @@ def _described(scan: Scan, sensor: SensorModel | Mapping[str, Any] | None) -> Se
     return SensorModel.parse({"field_of_view_deg": max(10.0, view), **sigmas, **(sensor or {})})
 
 
-def calibrate_log(log: Log, config: SlamConfig, given: Mapping[str, float], noise: Mapping[str, Any]) -> Calibration:
+def calibrate_log(
+    log: Log, config: SlamConfig, given: Mapping[str, float], noise: Mapping[str, Any], fault: str | None = None
+) -> Calibration:
     """That of a log with odometry. Its reference path is not read.
 
     `config` describes the laser; `given` are values of `calibration.FIELDS` that are kept; `noise` are fields of
-    `OdometryConfig` and corrections of `OdometryModel` that win over what is found.
+    `OdometryConfig` and corrections of `OdometryModel` that win over what is found. With a `fault` of the laser, as
+    `laser_fault` says it, the defaults are used.
     """
     kept, poses = {**given, **given_noise(noise)}, log.T_odom_robot
     assert poses is not None
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     try:
+        if fault is not None:
+            raise SensorError(fault)
         found = calibrated(lambda row: log.scan(int(known[row])), poses[known], config, kept)
     except SensorError as error:
         found = uncalibrated(config.sensor, kept, str(error))
