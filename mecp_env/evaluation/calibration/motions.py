@@ -16,7 +16,7 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.panorama.registration import RegistrationLimits, register_all
 
 LEAST_M, LEAST_RAD = 0.5, math.radians(20.0)  # of the motion between two scans that are registered, typically
-AT_REST = 0.1  # of both, up to which a motion is none
+AT_REST, STILL = 0.1, 1e-4  # of both: a motion of the laser, and a step of the odometry, up to which there is none
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
 BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
 PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
@@ -68,12 +68,16 @@ def _registered(
 
 
 def _spaced_rows(T_odom_robot: Array) -> Ints:
-    """Rows of scans, as many apart everywhere: apart by motions of the odometry, its noise would select the motions."""
-    steps = between(T_odom_robot[:-1], T_odom_robot[1:])
-    size = _size(steps)
-    moving = size[size > AT_REST]
-    stride = math.ceil(1.0 / float(np.median(moving))) if len(moving) else 1
-    return np.arange(0, len(T_odom_robot), stride)
+    """Rows of scans without those at rest, as many apart everywhere.
+
+    By the motion of the odometry between them, its noise would select the motions.
+    """
+    size = _size(between(T_odom_robot[:-1], T_odom_robot[1:]))
+    rows = np.concatenate(([0], 1 + np.flatnonzero(size > STILL)))
+    ascending = np.sort(size[rows[1:] - 1])
+    typical = ascending[np.searchsorted(np.cumsum(ascending), 0.5 * ascending.sum())] if len(ascending) else 1.0
+    stride: Ints = rows[:: math.ceil(1.0 / float(typical))]
+    return stride
 
 
 def _size(motions: Array) -> Array:
