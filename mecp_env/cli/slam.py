@@ -193,12 +193,18 @@ class Slam(WithModules):
 
         `config` describes the laser; fields of `sensor` are kept.
         """
-        from mecp_env.evaluation.calibration import OF_SENSOR, calibrate_log
+        from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
 
-        if self.noise_from != "auto" or not self._is_measured or log.T_odom_robot is None:
-            return None
-        given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
-        return calibrate_log(log, config, given, named_fields(self.noise, line, "--noise."), fault)
+        noise = named_fields(self.noise, line, "--noise.")
+        if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
+            given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
+            return calibrate_log(log, config, given, noise, fault)
+        useless = [name for name in CORRECTIONS if name in noise]
+        if useless:
+            raise ConfigError(
+                f"--noise: {', '.join(useless)} given, but only --noise auto corrects odometry of the log"
+            )
+        return None
 
     def _start(self) -> MapStart:
         """Where to begin in the map. Raises `ConfigError`."""

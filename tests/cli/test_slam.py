@@ -78,6 +78,8 @@ def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Pa
     assert cli.main([*line, "--noise", "paper"]) == 0
     assert "calibration" not in metrics_of(tmp_path / "run")
     assert "calibration by" not in capsys.readouterr().out
+    assert cli.main([*line, "--noise", "paper", "--noise.turn-scale", "1.1"]) == 2
+    assert "turn_scale given" in capsys.readouterr().err
 
 
 def test_the_paths_are_in_one_frame(kept: Path) -> None:
