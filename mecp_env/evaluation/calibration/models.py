@@ -103,7 +103,7 @@ def check_path(T_odom_robot: Array) -> None:
 
 def uncalibrated(sensor: SensorModel, given: Mapping[str, float], reason: str) -> Calibration:
     """The defaults, for a `reason` that is said."""
-    nothing = Motions(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)), 1.0, 0)
+    nothing = Motions(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)), 1.0, 0, 1)
     calibration = _models(_defaults(sensor) | _kept(given), nothing, sensor, math.nan)
     named = ", ".join(f"{name} {e.value:g}" for name, e in calibration.estimates.items() if e.source == "default")
     return replace(calibration, notes=(f"calibration: {reason}; defaults are used: {named}",))

@@ -15,7 +15,7 @@ from mecp_env.evaluation.calibration.views import View, view
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.panorama.registration import RegistrationLimits, register_all
 
-LEAST_M, LEAST_RAD = 0.5, math.radians(20.0)  # of the motion between two scans that are registered, typically
+LEAST_M, LEAST_RAD = 1.0, math.radians(30.0)  # of the motion between two scans that are registered, typically
 AT_REST, STILL = 0.1, 1e-4  # of both: a motion of the laser, and a step of the odometry, up to which there is none
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
 BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
@@ -31,6 +31,7 @@ class Motions:
     cov: Array  # (n,3,3) of `laser`, by the noise of single beams
     alike: float  # by which it grows where neighbouring beams err together
     tried: int  # pairs of scans that were compared
+    stride: int  # scans from one end of a motion to the other
 
     def __len__(self) -> int:
         return len(self.measured)
@@ -43,14 +44,15 @@ def registered_motions(scan_at: Callable[[int], Scan], T_odom_robot: Array, conf
     """
     limits = RegistrationLimits.of(config)
     found, tried = list[tuple[Array, Array, Array]](), 0
-    for rows in _blocks(_spaced_rows(T_odom_robot)):
+    moving, stride = _moving_rows(T_odom_robot)
+    for rows in _blocks(moving[::stride]):
         views = [view(scan_at(int(row)), config) for row in rows]
         steps = between(T_odom_robot[rows[:-1]], T_odom_robot[rows[1:]])
         tried += len(steps)
         found += _registered(views, steps, config.sensor.T_robot_laser, limits)
     measured, laser, cov = (np.array([one[k] for one in found]) for k in range(3))
     shapes = measured.reshape(-1, 3), laser.reshape(-1, 3), cov.reshape(-1, 3, 3)
-    return Motions(*shapes, float(limits.alike_beams), tried)
+    return Motions(*shapes, float(limits.alike_beams), tried, stride)
 
 
 def _registered(
@@ -67,17 +69,16 @@ def _registered(
     return found
 
 
-def _spaced_rows(T_odom_robot: Array) -> Ints:
-    """Rows of scans without those at rest, as many apart everywhere.
+def _moving_rows(T_odom_robot: Array) -> tuple[Ints, int]:
+    """Rows of scans without those at rest, and how many of them apart a motion is long enough.
 
-    By the motion of the odometry between them, its noise would select the motions.
+    That is the same everywhere: by the odometry between two scans, its noise would select the motions.
     """
     size = _size(between(T_odom_robot[:-1], T_odom_robot[1:]))
     rows = np.concatenate(([0], 1 + np.flatnonzero(size > STILL)))
     ascending = np.sort(size[rows[1:] - 1])
     typical = ascending[np.searchsorted(np.cumsum(ascending), 0.5 * ascending.sum())] if len(ascending) else 1.0
-    stride: Ints = rows[:: math.ceil(1.0 / float(typical))]
-    return stride
+    return rows, math.ceil(0.9 / float(typical))
 
 
 def _size(motions: Array) -> Array:

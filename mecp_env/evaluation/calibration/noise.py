@@ -68,12 +68,12 @@ def slip_as_turn(left: Residuals, noise: Array) -> float:
     """rad^2 per metre: the variance of the turn that covers what moves a robot to its side beyond the `noise` (3,2).
 
     Odometry is a chain of arcs, whose noise has no component to the side: that of the turn has to cover it, of as many
-    motions as in `with_tails`.
+    motions as in `with_tails`. In a chain of scans, a turn may come before all of the path.
     """
     driven = left.metres >= float(np.median(left.metres))
     metres, square = left.metres[driven], left.off[driven, LEFT] ** 2
     of_motion = np.column_stack((metres, left.turn[driven])) @ noise.T
-    of_turn = SIDE * (metres**2 + of_motion[:, ALONG]) * of_motion[:, TURN]
+    of_turn = (1.0 if left.is_chain else SIDE) * (metres**2 + of_motion[:, ALONG]) * of_motion[:, TURN]
     known = of_turn + left.alike * left.cov[driven, LEFT, LEFT] + FLOOR[LEFT]
     needed = (square / chdtri(1, 1.0 - COVERED) - known) / (SIDE * metres**3)
     return max(0.0, float(np.quantile(needed, COVERED)))

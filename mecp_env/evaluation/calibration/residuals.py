@@ -27,10 +27,11 @@ class Residuals(NamedTuple):
     metres: Array  # (n,) of path
     turn: Array  # (n,) rad, not negative
     alike: float  # by which the covariance grows where neighbouring beams err together
+    is_chain: bool  # a motion is that of several scans
 
     def of(self, rows: Bools) -> Residuals:
         """Those of some motions."""
-        return Residuals(self.off[rows], self.cov[rows], self.metres[rows], self.turn[rows], self.alike)
+        return Residuals(self.off[rows], self.cov[rows], self.metres[rows], self.turn[rows], self.alike, self.is_chain)
 
 
 def residuals(motions: Motions, values: Array, T_robot_laser: Array, course: Array | None = None) -> Residuals:
@@ -51,7 +52,9 @@ def residuals(motions: Motions, values: Array, T_robot_laser: Array, course: Arr
     A = rows @ to_robot
     cov = A @ motions.cov @ np.swapaxes(A, 1, 2)
     metres = np.hypot(*robot[:, :2].T)
-    return Residuals(np.einsum("nij,nj->ni", rows, off), cov, metres, abs(robot[:, 2]), motions.alike)
+    return Residuals(
+        np.einsum("nij,nj->ni", rows, off), cov, metres, abs(robot[:, 2]), motions.alike, motions.stride > 1
+    )
 
 
 def expected(motions: Motions, values: Array, T_robot_laser: Array) -> Array:
