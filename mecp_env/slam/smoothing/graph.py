@@ -62,18 +62,14 @@ class Sightings:
         if not scans:
             empty, nothing = np.empty(0, np.int64), csr_array((0, 0), dtype=np.float64)
             return cls(empty, empty, np.empty((0, 2)), nothing, np.empty((0, 2, 2)))
-        pose = np.repeat([row for row, *_ in scans], [len(z) for *_, z, _ in scans])
-        own = [R.reshape(len(R) // 2, 2, len(R) // 2, 2).diagonal(axis1=0, axis2=2) for *_, R in scans]
-        return cls(
-            pose,
-            np.concatenate([landmark for _, landmark, *_ in scans]),
-            np.concatenate([z for *_, z, _ in scans]),
-            csr_array(block_diag([np.linalg.inv(R) for *_, R in scans], format="csr")),
-            np.linalg.inv(np.concatenate([np.moveaxis(blocks, -1, 0) for blocks in own])),
-        )
+        pose, landmark, z, R = zip(*scans, strict=True)
+        information = csr_array(block_diag(list(map(np.linalg.inv, R)), format="csr"))
+        own = np.linalg.inv(np.concatenate(list(map(own_blocks, R))))
+        rows = np.repeat(pose, list(map(len, z)))
+        return cls(rows, np.concatenate(landmark), np.concatenate(z), information, own)
 
     def errors(self, T_map_laser: Array, p_map: Array) -> tuple[Array, Array, Array]:
-        """Errors (m,2) at poses (n,3) and landmarks (l,2), their derivatives by the pose (m,2,3) and landmark (m,2,2)."""
+        """Errors (m,2) at poses (n,3) and landmarks (l,2); derivatives by the pose (m,2,3) and the landmark (m,2,2)."""
         T, offset = T_map_laser[self.pose], p_map[self.landmark] - T_map_laser[self.pose, :2]
         r = np.maximum(np.hypot(*offset.T), np.finfo(np.float64).eps)
         bearing = wrapped(np.arctan2(offset[:, 1], offset[:, 0]) - T[:, 2] - self.z[:, 1])
@@ -104,3 +100,19 @@ class PoseGraph:
     odometry: Links
     registrations: Links
     sightings: Sightings
+
+    @property
+    def size(self) -> int:
+        """How many numbers are unknown: three per pose, then two per landmark."""
+        return 3 * len(self.T_map_laser) + 2 * len(self.p_map)
+
+    def first_of(self, landmark: Ints) -> Ints:
+        """(m,) where the numbers of landmarks (m,), rows of `p_map`, begin."""
+        return 3 * len(self.T_map_laser) + 2 * landmark
+
+
+def own_blocks(R: Array) -> Array:
+    """(c,2,2) the covariance of each measurement alone, from the joint one (2c,2c)."""
+    c = np.arange(len(R) // 2)
+    blocks: Array = R.reshape(len(c), 2, len(c), 2)[c, :, c]
+    return blocks

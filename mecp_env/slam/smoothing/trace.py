@@ -128,11 +128,11 @@ class Trace:
         before, old = self.before, self._resolved(self.before.ids)
         first = np.isin(old, ids) & (old == before.ids)
         rows = np.searchsorted(ids, old[first])
-        informations = np.linalg.inv(before.covs[first])
-        pose = self.T_map_laser[0], np.eye(3)  # searched for: what holds it is the map
-        if self.localised:
-            pose = before.T_map_robot, np.linalg.inv(before.pose_cov)
-        return Priors(*pose, rows, before.p_map[first], informations)
+        places: tuple[Ints, Array, Array] = rows, before.p_map[first], np.linalg.inv(before.covs[first])
+        if not self.localised:  # the first pose is searched for: what holds it is the map
+            return Priors(self.T_map_laser[0], np.eye(3), *places)
+        information: Array = np.linalg.inv(before.pose_cov)
+        return Priors(before.T_map_robot, information, *places)
 
     def _grid(self, belief: Belief, T_map_laser: Array) -> SemanticGrid:
         """The grid with the key scans at the final poses, and polygons and doors at the final landmarks."""
