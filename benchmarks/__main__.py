@@ -31,6 +31,7 @@ from benchmarks.common import (
 )
 from benchmarks.trees import TreeError
 from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.interrupts import INTERRUPTED
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
@@ -56,6 +57,7 @@ IN_UNITS = (
     "kidnap",
     "loop",
     "map_size",
+    "mutated",
     "noise",
     "real",
     "restore",
@@ -83,6 +85,7 @@ NAMES = (
     "real",
     "vector",
     "restore",
+    "mutated",
     "vector_step",
     "soak",
     "scale",
@@ -230,6 +233,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--sets",
         nargs="+",
+        action="extend",
         default=[],
         metavar="NAME[:COUNT]",
         help="of benchmarks with sets (association, loop, scale, ...): only these; written only with --json",
@@ -237,6 +241,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--with",
         nargs="+",
+        action="extend",
         default=[],
         metavar="MODULE",
         dest="modules",
@@ -248,7 +253,12 @@ def parser() -> argparse.ArgumentParser:
         help="of speed and start: compare the working tree with this commit; written only with --json",
     )
     made.add_argument(
-        "--sweeps", type=positive, nargs="+", metavar="K", help="of speed --against: sweeps per scan, default 1 and 4"
+        "--sweeps",
+        type=positive,
+        nargs="+",
+        action="extend",
+        metavar="K",
+        help="of speed --against: sweeps per scan, default 1 and 4",
     )
     made.add_argument(
         "--shard",
@@ -270,6 +280,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--policies",
         nargs="+",
+        action="extend",
         default=[],
         metavar="POLICY",
         help="of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others",
@@ -314,4 +325,8 @@ def gate(module: Any, content: Figures, baseline: Path) -> int:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary folders are removed
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        print("python -m benchmarks: interrupted; the same command continues", file=sys.stderr)
+        sys.exit(INTERRUPTED)

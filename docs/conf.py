@@ -1,6 +1,7 @@
 """The site: `sphinx-build -W -c docs . runs/site`. Its source is the repository, so that links hold in both."""
 
 import dataclasses
+import inspect
 import os
 import re
 import sys
@@ -34,7 +35,10 @@ nb_render_markdown_format = "myst"  # with tables
 
 default_role = "code"  # our docstrings mark code by single backquotes
 autodoc_default_options = {"members": True, "member-order": "bysource"}
-autodoc_typehints = "none"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "Ints", "Bools", "Bytes", "Rows")}
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of libraries, and of what is not public
 autodoc_preserve_defaults = True
 
 html_theme = "furo"
@@ -43,6 +47,7 @@ html_additional_pages = {"index": "to_the_start.html"}
 html_show_sphinx = False
 html_static_path, html_css_files = ["_static"], ["tables.css"]
 
+ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")  # how autodoc writes a name of `autodoc_type_aliases` in a union
 BELOW = {  # a page with a list -> the pages of that list
     "docs/decisions/README": "docs/decisions/0*.md",
     "docs/results": "benchmarks/results/*.md",
@@ -63,7 +68,27 @@ def add_fields(app: Any, what: str, name: str, item: Any, options: object, lines
     lines[:] = [re.sub(r"\|(\w+)\|", r"\|\1\|", line) for line in lines]
     if isinstance(item, type) and (dataclasses.is_dataclass(item) or issubclass(item, BaseModel)):
         fields = [(field, text) for field, text in comments(item).items() if field[0] != "_"]
-        lines += ["", *(f"- `{field}`: {escaped(text)}" if text else f"- `{field}`" for field, text in fields), ""]
+        kinds = types_of(item)
+        typed = [(f"- `{field}: {kinds[field]}`", escaped(text)) for field, text in fields]
+        lines += ["", *(f"{field} -- {text}" if text else field for field, text in typed), ""]
+
+
+def types_of(item: type) -> dict[str, str]:
+    """The type of each field as its source has it, without the bounds that its comment or its error names."""
+    found = {}
+    for base in reversed(item.__mro__):
+        for name, kind in vars(base).get("__annotations__", {}).items():
+            text = kind if isinstance(kind, str) else getattr(kind, "__name__", str(kind))
+            found[name] = re.sub(r"^Annotated\[(.+?), .*\]$", r"\1", text.strip("'")).replace("`", "")
+    return found
+
+
+def signature_of(app: Any, what: str, name: str, item: Any, options: object, given: str | None, returned: Any) -> Any:
+    """The signature; of a configuration its names alone: the list of its fields has types and meaning."""
+    if isinstance(item, type) and issubclass(item, BaseModel):
+        names = [name for name in inspect.signature(item).parameters if name[0] != "_"]
+        return f"(*, {', '.join(names)})" if names else "()", None
+    return tuple(text and ALIAS.sub(r"\1", text) for text in (given, returned))
 
 
 def escaped(text: str) -> str:
@@ -82,4 +107,5 @@ def setup(app: Any) -> None:
     app.connect("source-read", add_toctree)
     app.connect("doctree-read", fit_tables)
     app.connect("autodoc-process-docstring", add_fields)
+    app.connect("autodoc-process-signature", signature_of)
     app.connect("autodoc-skip-member", skip_pydantic)

@@ -6,12 +6,16 @@ loaded by the first `gymnasium.make`.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from mecp_env.core.interrupts import watch_interrupts
 
-from gymnasium.envs.registration import register, registry
+watch_interrupts()  # before the imports: Ctrl-C may come while they run
 
-__version__ = "0.1.0"
+from importlib import import_module  # noqa: E402
+from typing import Any  # noqa: E402
+
+from gymnasium.envs.registration import register, registry  # noqa: E402
+
+from mecp_env.core.version import __version__ as __version__  # noqa: E402
 
 ENVIRONMENTS = {  # id -> entry point
     "mecp_env/First-v0": "mecp_env.registration:make_first",

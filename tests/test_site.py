@@ -13,9 +13,14 @@ import pytest
 
 import mecp_env
 from mecp_env.episode.tasks import TASKS
+from tests.test_documents import resolve
 
 ROOT = Path(__file__).parent.parent
-API = re.findall(r"automodule:: ([\w.]+)", "".join(path.read_text() for path in (ROOT / "docs/api").glob("*.md")))
+REFERENCE = "".join(path.read_text() for path in (ROOT / "docs/api").glob("*.md"))
+API = re.findall(r"automodule:: ([\w.]+)", REFERENCE)
+LISTED = {*API, *re.findall(r"auto(?:class|function):: ([\w.]+)", REFERENCE)}
+PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/notebooks").glob("*.md")]
+IMPORT = re.compile(r"^(?:>>> )?from (mecp_env[\w.]*) import (\([^)]*\)|.+)$", re.MULTILINE)
 
 
 @pytest.fixture
@@ -88,3 +93,24 @@ def test_every_public_name_is_documented(module: str) -> None:
         pytest.importorskip("torch", reason="needs the extra rl")
     assert importlib.import_module(module).__doc__
     assert [name for name, item in public(module) if not inspect.getdoc(item)] == []
+
+
+def names_in(text: str) -> set[str]:
+    """The dotted names below `mecp_env` of a page, and those that its code imports."""
+    dotted = re.findall(r"\bmecp_env(?:\.\w+)+", text)
+    imported = {
+        f"{module}.{name.split()[0]}"
+        for module, names in IMPORT.findall(text)
+        for name in names.partition("#")[0].strip("() ,\n").split(",")
+    }
+    return {*dotted, *imported}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_names_in_documents_exist_and_are_in_the_reference(page: Path) -> None:
+    for name in sorted(names_in(page.read_text())):
+        assert resolve(name) is not None
+        parts = name.split(".")
+        above = {".".join(parts[:count]) for count in range(2, len(parts) + 1)}
+        below = any(listed.startswith(f"{name}.") for listed in LISTED)
+        assert above & LISTED or below or ".".join(parts[:-1]) == "mecp_env", f"{name} is not in docs/api"

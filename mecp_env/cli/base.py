@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
@@ -16,6 +16,12 @@ from mecp_env.core.settings import guess
 
 ELSEWHERE = "choose another place"
 FILE_SUFFIXES = (".json", ".yaml", ".yml", ".svg", ".png", ".gif", ".pgm", ".csv", ".md", ".zip")
+
+
+LISTS = (  # options that take several words; those of `tyro.conf.UseAppendAction` take one, and may be given again
+    *("--env.reward.custom", "--config.reward.custom", "--buildings.difficulty", "--buildings.spec"),
+    *("--shapes", "--pieces"),
+)
 
 
 class Command(ABC):
@@ -47,9 +53,43 @@ class Command(ABC):
         """What the options are where the line does not say; None: as the dataclass has it."""
         return None
 
+    def check(self, line: Sequence[str]) -> None:
+        """Refuse options that contradict each other, before anything is loaded. Raises `ConfigError`."""
+        return
+
+    @property
+    def keeps_results(self) -> bool:
+        """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
+        return False
+
     @abstractmethod
     def run(self, line: Sequence[str]) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
+
+
+def gathered(line: Sequence[str], options: Collection[str] = LISTS) -> list[str]:
+    """The line with all words of an option of `options` behind its first place, where the parser reads them."""
+    found, parts = dict[str, list[str]](), [list[str]()]
+    part = parts[0]
+    for word in line:
+        name, _, value = word.partition("=")
+        if name in options:
+            known = len(found)
+            part = found.setdefault(name, [name])
+            part += [value] if value else []
+            parts += [part] if len(found) > known else []
+        elif word.startswith("--"):
+            part = [word]
+            parts.append(part)
+        else:
+            part.append(word)
+    return [word for part in parts for word in part]
+
+
+def check_word(name: str, word: str, known: Iterable[str]) -> None:
+    """Raise `ConfigError` for a word that is not one of the known ones, with a suggestion."""
+    if word not in (names := list(known)):
+        raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(names)}{guess(word, names)}")
 
 
 def check_folder(path: Path, option: str = "--out") -> Path:

@@ -38,6 +38,8 @@ class Demo(WithModules):
     reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.buildings import one, resolve, spare_sources, stem

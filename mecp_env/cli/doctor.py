@@ -112,7 +112,7 @@ def required() -> list[str]:
     try:
         return metadata.requires("mecp_env") or []
     except metadata.PackageNotFoundError:
-        project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
         return list(project["dependencies"])
 
 

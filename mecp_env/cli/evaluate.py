@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import OutFolder, Steps, check_writable
+from mecp_env.cli.base import OutFolder, Steps, check_word, check_writable
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
 from mecp_env.cli.fields import EnvironmentFields, named_fields, named_options
@@ -99,14 +99,20 @@ class Evaluate(WithModules):
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
+    keeps_results = True
+
+    def check(self, line: Sequence[str]) -> None:
+        """Raise `ConfigError` for a word that is not one of the known ones, too."""
+        self._refuse_contradictions(named_options(line))
+        if not self.suite:
+            self._check_words()
+
     def run(self, line: Sequence[str]) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
         from mecp_env.policies.evaluation import Evaluation
 
-        self._refuse_contradictions(named_options(line))
         if self.suite:
             return self._run_suite(line)
-        self._check_words()
         setting = self._setting(line)
         parts = (self.policies, setting, self.episodes, self.truth, self.known, self.reference, self.trust)
         shard = Shard.parse(self.shard)
@@ -270,12 +276,6 @@ def write_submission(result: dict[str, Any], path: Path) -> None:
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
-
-
-def check_word(name: str, word: str, known: Mapping[str, object]) -> None:
-    """Raise `ConfigError` for a word that is not one of the known ones, with a suggestion."""
-    if word not in known:
-        raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(known)}{guess(word, known)}")
 
 
 def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) -> None:

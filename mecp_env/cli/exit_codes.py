@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Callable
@@ -9,9 +10,11 @@ from collections.abc import Callable
 import gymnasium as gym
 
 from mecp_env.core.errors import MecpError
+from mecp_env.core.interrupts import INTERRUPTED as INTERRUPTED
+from mecp_env.core.interrupts import leave, was_interrupted
 from mecp_env.core.text import sanitised
 
-FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130  # beside 0
+FAILED, WRONG_INPUT = 1, 2  # beside 0 and INTERRUPTED
 
 
 def run_command(command: Callable[[], int]) -> int:
@@ -33,6 +36,19 @@ def run_command(command: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         print_error("interrupted")
         return INTERRUPTED
+
+
+def replace_unprintable() -> None:
+    """From now on, characters that a terminal's encoding lacks are printed as `?`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def at_end(code: int) -> int:
+    """The exit code of the process of a command that ended with `code`; 130 where an interrupt was lost on its way."""
+    leave()
+    return code or (INTERRUPTED if was_interrupted() else 0)
 
 
 def exit_code(code: int, saved: bool) -> int:

@@ -9,9 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import tyro
 
-from mecp_env.cli.base import Seed, Steps, check_folder
+from mecp_env.cli.base import Seed, Steps, check_folder, check_word
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
 from mecp_env.cli.exit_codes import echo, exit_code
+from mecp_env.cli.fields import named_options
 from mecp_env.cli.map_option import check_map, save_map
 from mecp_env.cli.with_option import WithModules
 from mecp_env.core.errors import ConfigError
@@ -32,6 +33,7 @@ class Explore(WithModules):
 
     examples: ClassVar[tuple[str, ...]] = (
         "mecp-env explore gain --layout office",
+        "mecp-env explore gain --difficulty hard --seed 3",
         "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
         "mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls",
         "mecp-env explore nearest --layout office --save-map office.zip",
@@ -42,6 +44,9 @@ class Explore(WithModules):
     policy: Annotated[str, tyro.conf.Positional]
     # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, TASK:SPLIT:NUMBER, or the path of a plan
     layout: str = "paper"
+    difficulty: str = ""  # easy, medium, hard or huge, in place of --layout: the building with the number of --seed
+    task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
+    split: str = "test"  # of these buildings: train, validation or test
     seed: Seed = 0  # of start, noise and policy
     steps: Steps | None = None  # control steps of 0.4 s, at most; by default 3000, in a task 1500
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
@@ -51,6 +56,22 @@ class Explore(WithModules):
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
+
+    def check(self, line: Sequence[str]) -> None:
+        """Raise `ConfigError` for two options that select the building, and for an unknown word."""
+        named = named_options(line)
+        ways = [name for name in ("layout", "difficulty", "task") if name in named]
+        if len(ways) > 1:
+            raise ConfigError(f"--{ways[1]}: --{ways[0]} selects the building, too; leave out one of the two")
+        for name, known in (("difficulty", DIFFICULTIES), ("task", TASKS), ("split", SPLITS)):
+            if name in named:
+                check_word(name, getattr(self, name), known)
+        if "split" in named and not {"difficulty", "task"} & named:
+            raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
+
+    @property
+    def keeps_results(self) -> bool:
+        return any(path is not None for path in (self.replay, self.rerun, self.save_map))
 
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
@@ -92,17 +113,21 @@ class Explore(WithModules):
 
         Raises `ConfigError` or `LayoutError`.
         """
-        if self.layout.count(":") != 2:
-            return {"id": "mecp_env/Layout-v0", "layout": resolve(self.layout, self.reading)}, None
-        difficulty, split, number = self.layout.split(":")
+        buildings = self.task or self.difficulty
+        place = f"{buildings}:{self.split}:{self.seed}" if buildings else self.layout
+        if place.count(":") != 2:
+            return {"id": "mecp_env/Layout-v0", "layout": resolve(place, self.reading)}, None
+        return self._generated(*place.split(":"))
+
+    def _generated(self, difficulty: str, split: str, number: str) -> tuple[dict[str, Any], dict[str, int] | None]:
+        """As `_building`, of a generated building."""
         for word, known in ((difficulty, (*DIFFICULTIES, *TASKS)), (split, SPLITS)):
             if word not in known:
                 raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{guess(word, known)}")
         if not number.isdecimal():
             raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}")
-        buildings = {"id": "mecp_env/Rooms-v0", "difficulty": difficulty}
-        if difficulty in TASKS:
-            buildings = {"id": f"mecp_env/{difficulty}"}
+        rooms = {"id": "mecp_env/Rooms-v0", "difficulty": difficulty}
+        buildings = {"id": f"mecp_env/{difficulty}"} if difficulty in TASKS else rooms
         return buildings | {"split": split}, {"building": int(number)}
 
 

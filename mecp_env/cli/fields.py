@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import tyro
 from pydantic import model_validator
 
-from mecp_env.config import EnvConfig, Number, merge
+from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.settings import Settings
 from mecp_env.world.schema import Layout
 
@@ -45,6 +45,17 @@ def named_options(line: Sequence[str]) -> set[str]:
     """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
     words = [word for word in line if word.startswith("--")]
     return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
+
+
+def with_reward_preset(line: Sequence[str]) -> list[str]:
+    """The line with the preset that weights of the reward without one stand for, as in `RewardConfig`."""
+    added = list[str]()
+    for prefix in ("--env.reward.", "--config.reward."):
+        words = [word.removeprefix(prefix).partition("=")[0] for word in line if word.startswith(prefix)]
+        named = dict.fromkeys(word.replace("-", "_") for word in words)
+        preset = RewardConfig.completed(named).get("preset")
+        added += [f"{prefix}preset", preset] if preset else []
+    return [*line, *added]
 
 
 def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:

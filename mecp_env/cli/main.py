@@ -7,13 +7,15 @@ import importlib
 import re
 import sys
 import textwrap
+from contextlib import nullcontext
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import WRONG_INPUT, print_error, run_command
+from mecp_env.cli.base import Command, gathered
+from mecp_env.cli.broken_pipe import unbreakable_output
+from mecp_env.cli.exit_codes import WRONG_INPUT, at_end, print_error, replace_unprintable, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.own_modules import import_modules
 from mecp_env.core.settings import Settings, describe
@@ -34,6 +36,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "play": ("play", "Play", "drive by keyboard: ground truth on the left, the estimate on the right"),
     "warmup": ("warmup", "WarmUp", "compile ahead, on all cores; once per installation"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
+    "completion": ("completion", "Completion", "complete commands and options in bash, zsh or fish"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
     "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),
     "worlds generate": ("worlds_generate", "Generate", "new buildings from a specification and seeds"),
@@ -47,8 +50,15 @@ WIDEST = max(map(len, COMMANDS))
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
+    replace_unprintable()
     words, line = split(sys.argv[1:] if arguments is None else arguments)
-    return run_command(lambda: parse(words, line).run(line))
+    return at_end(run_command(lambda: run(parse(words, line), line)))
+
+
+def run(command: Command, line: list[str]) -> int:
+    """The exit code of a command; what writes files does not end with the pipe that it prints to."""
+    with unbreakable_output() if command.keeps_results else nullcontext():
+        return command.run(line)
 
 
 def split(line: list[str]) -> tuple[str, list[str]]:
@@ -106,7 +116,7 @@ def parse(words: str, line: list[str]) -> Command:
 
     kind = load(words)
     import_modules(kind.own_modules(line))
-    line = kind.completed(line)
+    line = kind.completed(gathered(line))
     for hint in kind.hints(line):
         print_error(hint)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
@@ -121,9 +131,11 @@ def parse(words: str, line: list[str]) -> Command:
         config=(tyro.conf.AvoidSubcommands,),
     )
     try:
-        return TypeAdapter(kind).validate_python(vars(chosen))
+        command = TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:
         raise ConfigError(re.sub(r"(^|; )option\.", r"\1--", describe(error, "option", Settings))) from None
+    command.check(line)
+    return command
 
 
 if __name__ == "__main__":

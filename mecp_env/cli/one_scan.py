@@ -36,6 +36,8 @@ class OneScan(WithModules):
     out: OutFolder = Path("runs/one-scan")  # folder for the pictures
     reading: ReadingOptions = field(default_factory=Reading)
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
         from mecp_env.cli.buildings import resolve

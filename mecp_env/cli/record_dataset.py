@@ -11,10 +11,11 @@ from typing import Annotated, ClassVar, Literal, get_args
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Seed, Steps, check_folder
-from mecp_env.cli.evaluate import check_word
+from mecp_env.cli.base import Seed, Steps, check_folder, check_word
 from mecp_env.cli.exit_codes import INTERRUPTED, echo, print_error
+from mecp_env.cli.fields import named_options
 from mecp_env.cli.with_option import WithModules
+from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 
@@ -53,16 +54,23 @@ class RecordDataset(WithModules):
     out: Path | None = None  # folder of the datasets; by default that of minari
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
+    keeps_results = True
+
+    def check(self, line: Sequence[str]) -> None:
+        """Raise `ConfigError` for an unknown word, and for a difficulty beside a task."""
+        check_word("difficulty", self.difficulty, DIFFICULTIES)
+        check_word("split", self.split, SPLITS)
+        if self.task:
+            check_word("task", self.task, TASKS)
+        if self.task and "difficulty" in named_options(line):
+            raise ConfigError(f"--difficulty {self.difficulty}: --task {self.task} fixes it; leave out one of the two")
+
     def run(self, line: Sequence[str]) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""
         from mecp_env.policies.recording import DatasetWriter, Recording, default_name
         from mecp_env.policies.registry import make_policy
         from mecp_env.policies.setting import Setting
 
-        check_word("difficulty", self.difficulty, DIFFICULTIES)
-        check_word("split", self.split, SPLITS)
-        if self.task:
-            check_word("task", self.task, TASKS)
         if self.out is not None:
             os.environ[FOLDER] = str(check_folder(self.out).absolute())
         setting = Setting(self.difficulty, self.split, self.estimator, self.max_steps, self.task)

@@ -6,31 +6,23 @@ calls that, and not when a compiled function does.
 
 from __future__ import annotations
 
-import itertools
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-
+from mecp_env.cli.exercise import exercise
 from mecp_env.core.jit_cache import _FunctionCache, within_another_compilation
 from mecp_env.core.warm_up_list import LIST, Entry, encode
-from mecp_env.env import MecpEnv
-from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.registration import make_rooms
-from mecp_env.wrappers import GoalActions
 
-ROOMS: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 4}, "max_steps": 200}
-EPISODES = 40  # of random goals, and of random velocities
-HELD = 10  # steps for which a velocity is held
-
-EXERCISE = "from mecp_env.cli.record_signatures import exercise; exercise()"
+EXERCISE = "from mecp_env.cli.exercise import exercise; exercise()"
 
 
-def record() -> list[Entry]:
-    """The functions that `exercise` calls from Python, with their types, in the order of their first call."""
+@contextmanager
+def noted_calls() -> Iterator[dict[str, Entry]]:
+    """The functions that Python calls within it for the first time, with their types, in their order."""
     found: dict[str, Entry] = {}
     owner: Any = _FunctionCache
     load = owner.load_overload
@@ -44,51 +36,18 @@ def record() -> list[Entry]:
 
     owner.load_overload = load_and_note
     try:
-        exercise()
+        yield found
     finally:
         owner.load_overload = load
-    return list(found.values())
-
-
-def exercise() -> None:
-    """Explore the layout `paper`, then drive at random in generated buildings, for what few episodes call."""
-    explore()
-    rng = np.random.default_rng(0)
-    goals: Any = make_rooms(actions="goal", **ROOMS)
-    velocities = make_rooms(**ROOMS)
-    for seed in range(EPISODES):
-        drive(goals, seed, lambda: rng.choice(np.append(np.flatnonzero(goals.action_masks()), 0)), 1)
-        drive(velocities, seed, lambda: rng.uniform([0.3, -0.4], [1.0, 0.4]).astype(np.float32), HELD)
-
-
-def explore() -> None:
-    """One exploration."""
-    env, policy = MecpEnv(layout="paper"), BreadthFirst()
-    goals = GoalActions(env)
-    observation, _ = goals.reset(seed=0)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = goals.step(policy.act(observation, goals.action_masks()))
-        over = terminated or truncated
-    env.summary()
-
-
-def drive(env: Any, seed: int, choose: Callable[[], Any], held: int) -> None:
-    """One episode with actions that are held for so many steps."""
-    env.reset(seed=seed)
-    action = choose()
-    for step in itertools.count(1):
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            return
-        action = action if step % held else choose()
 
 
 def main() -> None:
     """Fill the cache, then record."""
     subprocess.run([sys.executable, "-c", EXERCISE], check=True)
-    lines = ",\n".join(json.dumps(entry) for entry in record())
-    LIST.write_text(f"[\n{lines}\n]\n")
+    with noted_calls() as found:
+        exercise()
+    lines = ",\n".join(found)
+    LIST.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ import tyro
 from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.exit_codes import INTERRUPTED, echo
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.json_text import read_json
 
-PAGE = "replay.html"
+PAGE, MOST_BYTES = "replay.html", 5_000_000  # of a configuration
 REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a page that one wrote"
 
 
@@ -35,22 +35,25 @@ class Replay(Command):
     out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself
     browser: bool = False  # show it in the browser
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay import read_page, write_page
+        from mecp_env.render.replay import play_again, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)
         if page.exists():
-            played = read_page(page)
+            count = play_again(page, out)
         elif self.run_folder.is_dir():
             played = explored_again(self.run_folder)
+            if not played:
+                return INTERRUPTED
+            write_page(played, out)
+            count = len(played["frames"])
         else:
             raise ConfigError(f"{self.run_folder}: there is no such file or folder; {REMEDY}")
-        if not played:
-            return INTERRUPTED
-        write_page(played, out)
-        echo(f"{len(played['frames'])} frames: {out}")
+        echo(f"{count} frames: {out}")
         if self.browser:
             webbrowser.open(out.absolute().as_uri())
         return 0
@@ -77,7 +80,7 @@ def recipe_of(folder: Path) -> dict[str, Any]:
     """`config.json` of a run of `demo`. Raises `ConfigError` where there is none, or another kind of file."""
     path = folder / "config.json"
     try:
-        recipe = json.loads(path.read_text())
+        recipe = read_json(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: neither {PAGE} nor a config.json that can be read ({error}); {REMEDY}") from None
     known = isinstance(recipe, dict) and recipe.get("policy") == "breadth_first"

@@ -77,6 +77,8 @@ class Slam(WithModules):
     config: SlamFields = field(default_factory=SlamFields)  # any field of the estimator
     noise: NoiseFields = field(default_factory=NoiseFields)
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources

@@ -43,6 +43,8 @@ class Submit(WithModules):
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
         from mecp_env.cli.evaluate import Evaluate, write_submission

@@ -22,6 +22,15 @@ class WithModules(Command):
     modules: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="with", metavar="MODULE")] = ()
 
     @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with the preset of the reward that weights without one stand for."""
+        if not any(".reward." in word for word in line):
+            return list(line)
+        from mecp_env.cli.fields import with_reward_preset
+
+        return with_reward_preset(line)
+
+    @classmethod
     def own_modules(cls, line: Sequence[str]) -> list[str]:
         after = [word for option, word in pairwise(line) if option == OPTION]
         return [*after, *(word.partition("=")[2] for word in line if word.startswith(f"{OPTION}="))]

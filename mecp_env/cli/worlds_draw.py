@@ -31,6 +31,8 @@ class Draw(Command):
     dpi: Annotated[int, Field(ge=30, le=600)] = 200  # pixels per inch of a PNG, 30 to 600
     reading: ReadingOptions = field(default_factory=Reading)
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Draw, and say where the picture is."""
         from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only here

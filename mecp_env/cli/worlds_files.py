@@ -101,6 +101,8 @@ class Convert(Command):
     map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
     reading: ReadingOptions = field(default_factory=Reading)
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())
@@ -133,7 +135,7 @@ def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
 
 
 WRITERS: dict[str, Callable[[Layout, Path, float], object]] = {
-    ".json": lambda layout, path, _: path.write_text(layout.to_json()),
+    ".json": lambda layout, path, _: path.write_text(layout.to_json(), encoding="utf-8"),
     ".yaml": _write_map,
     ".svg": lambda layout, path, _: save_svg(layout, path),
 }

@@ -63,13 +63,15 @@ class Generate(Command):
         chosen = words[words.index(OPTION) + 1] if OPTION in words[:-1] else "medium"
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
+    keeps_results = True
+
     def run(self, line: Sequence[str]) -> int:
         """Write the files, one line on each."""
         self._check()
         drawn = []
         for path, layout in self._buildings():
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(layout.to_json())
+            path.write_text(layout.to_json(), encoding="utf-8")
             echo(f"{path}: {counted(layout)}")
             drawn += [(path.stem, layout)] if self.sheet else []
         if self.sheet:

@@ -19,7 +19,7 @@ def cores(root: Path = ROOT) -> int:
 def _limits(root: Path) -> Iterator[float]:
     """The CPU limits, in cores, of the cgroup of this process and of all that contain it (versions 1 and 2)."""
     try:
-        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text().splitlines()]
+        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()]
     except OSError:  # not Linux
         return
     for _, controllers, path in groups:
@@ -35,9 +35,11 @@ def _limit(folder: Path) -> Iterator[float]:
     """The limit of one cgroup, if it has one; inside a container the folders of its host are missing."""
     try:
         if (folder / "cpu.max").exists():
-            quota, period = (folder / "cpu.max").read_text().split()
+            quota, period = (folder / "cpu.max").read_text(encoding="utf-8").split()
         else:
-            quota, period = ((folder / f"cpu.cfs_{name}_us").read_text().strip() for name in ("quota", "period"))
+            quota, period = (
+                (folder / f"cpu.cfs_{name}_us").read_text(encoding="utf-8").strip() for name in ("quota", "period")
+            )
         if quota not in ("max", "-1"):
             yield float(quota) / float(period)
     except OSError:

@@ -20,6 +20,7 @@ from numba.core.sigutils import normalize_signature
 from numba.core.types import Array
 from numba.core.types.misc import unliteral
 
+from mecp_env.core.interrupts import interrupts_later
 from mecp_env.core.jit_cache import within_another_compilation
 from mecp_env.core.warm_up_list import called_from_python
 
@@ -64,7 +65,8 @@ class LeanDispatcher(CPUDispatcher):  # type: ignore[misc]
         if not self._inner and isinstance(getattr(self.overloads.get(arguments), "library", None), _InnerLibrary):
             del self.overloads[arguments]
         try:
-            return super().compile(sig)
+            with interrupts_later():  # LLVM's bindings would lose one, or end the process
+                return super().compile(sig)
         finally:
             self._inner = outer
 

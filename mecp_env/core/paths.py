@@ -102,8 +102,13 @@ def is_running(pid: int) -> bool:
 def write_atomic(path: Path, data: bytes) -> None:
     """Write a file so that after a crash at any time the old or the new one exists, never a part.
 
-    Raises `OSError` that names it, as when the disk is full.
+    What is no plain file, such as a pipe or /dev/stdout, is written to as it is. Raises `OSError` that names it, as
+    when the disk is full.
     """
+    if path.exists() and not path.is_file():
+        with naming(path):
+            path.write_bytes(data)
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent)
     temporary = path.with_name(f".{path.name}.{machine()}-{os.getpid()}.tmp")

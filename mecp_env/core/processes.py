@@ -22,6 +22,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
+from mecp_env.core.interrupts import interrupts_later
 from mecp_env.core.own_modules import import_modules, imported_modules
 
 PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
@@ -202,13 +203,9 @@ def _ctrl_c_later(method: str) -> Iterator[None]:
         return
     if method != "fork":
         resource_tracker.ensure_running()  # its start would unblock the signal
-    pressed = list[int]()
-    handler = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))  # called from any other thread
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-        if pressed:
-            signal.raise_signal(signal.SIGINT)
+    with interrupts_later():  # a handler is called from any other thread, too
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import subprocess
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -41,4 +42,12 @@ def dependencies(*folders: Path) -> dict[str, str]:
 
 def checksum(data: bytes) -> str:
     """16 hexadecimal digits."""
-    return hashlib.sha256(data).hexdigest()[:16]
+    return checksum_of_parts([data])
+
+
+def checksum_of_parts(parts: Iterable[bytes]) -> str:
+    """That of all of them together, which need not be in memory at once."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()[:16]

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, fie
 from mecp_env.core.array_types import Rows
 from mecp_env.core.errors import ConfigError
 
+MOST_FIELDS = 200  # of a part of an untrusted document
 MOST_TOLD = 8  # wrong fields that one message tells of
 NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
 UNION = re.compile(r"(literal|tuple)\[")  # how pydantic names a part of a union in a path
@@ -124,6 +125,21 @@ def number(value: Any) -> Any:
     return value
 
 
+def named(fields: Any) -> Any:
+    """`fields` themselves. Raises `ValueError` where a mapping has keys that are no texts."""
+    wrong = next((name for name in fields if not isinstance(name, str)), None)
+    if wrong is not None or None in fields:
+        raise ValueError(f"{shown(wrong)}: no such field, a text expected")
+    return fields
+
+
+def few(fields: Any) -> Any:
+    """`fields` themselves. Raises `ValueError` for so many that the errors of all of them would fill the memory."""
+    if isinstance(fields, Mapping) and len(fields) > MOST_FIELDS:
+        raise ValueError(f"{len(fields)} fields, at most {MOST_FIELDS}")
+    return fields
+
+
 @cache
 def _kinds(model: type[BaseModel], field: str) -> frozenset[Any]:
     """The types of which the value of a field may be, with `tuple` those of its entries."""
@@ -151,6 +167,8 @@ class Settings(BaseModel):
     def _of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
         """Refuse numbers and truth values in disguise ("10", True for 1), which pydantic would take."""
         assert info.field_name is not None
+        if isinstance(value, Mapping):
+            named(value)
         kinds = _kinds(cls, info.field_name)
         if kinds == {bool} and not isinstance(value, bool):
             raise ValueError("Input should be true or false")
@@ -205,7 +223,12 @@ class Settings(BaseModel):
             return cls()
         if not isinstance(given, dict):
             raise ConfigError(f"{cls.__name__}: expected a dict or {cls.__name__}, given {type(given).__name__}")
-        return cls(**given)
+        try:
+            return cls(**named(given))
+        except ConfigError:
+            raise
+        except ValueError as error:
+            raise ConfigError(f"{cls.__name__}.{error}") from None
 
 
 def _without_gone(kind: Any, value: Any) -> Any:

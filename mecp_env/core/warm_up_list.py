@@ -26,7 +26,7 @@ Entry = list[Any]  # module, name, encoded argument types
 def entries() -> list[Entry]:
     """The list; empty where the file is missing or damaged."""
     try:
-        found: list[Entry] = json.loads(LIST.read_text())
+        found: list[Entry] = json.loads(LIST.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return []
     return found

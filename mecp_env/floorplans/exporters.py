@@ -12,19 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-import yaml
 from numpy.typing import NDArray
-from PIL import Image
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.text import sanitised
+from mecp_env.slam.export import Level, save_grid, save_levels
 from mecp_env.slam.messages import Cell, SemanticGrid
 from mecp_env.world.layout import Layout
 from mecp_env.world.outline import Outline, build_outline, door_ring, thin_walls_m
 
-FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # as map_server's own saver writes them
+FREE, OCCUPIED, UNKNOWN = int(Level.FREE), int(Level.OCCUPIED), int(Level.UNKNOWN)
 WALL_M = 0.15  # so much of what bounds the floor is drawn as wall; behind it nothing is known
 THIN = 0.95  # of a pixel: a thinner wall would have holes
 MAX_PIXELS = 4096 * 4096
@@ -39,17 +38,11 @@ def save_map_server(
     pixels, for walls thinner than a pixel, and OSError where the files cannot be written.
     """
     stem = Path(stem)
-    if isinstance(given, Layout):
-        levels, origin = _raster(build_outline(given), resolution_m)
-    else:
-        levels, origin, resolution_m = _levels(given), given.origin, given.resolution_m
     sheet, image = (stem.with_name(stem.name + ending) for ending in (".yaml", ".pgm"))
-    Image.fromarray(levels[::-1]).save(image, format="PPM")
-    x, y = origin.tolist()
-    fields = {"image": image.name, "mode": "trinary", "resolution": round(resolution_m, 6)}
-    fields |= {"origin": [round(x, 6), round(y, 6), 0.0], "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196}
-    text = yaml.safe_dump(fields, sort_keys=False, allow_unicode=True, default_flow_style=None, width=math.inf)
-    sheet.write_text(text, encoding="utf-8")
+    if isinstance(given, Layout):
+        save_levels(*_raster(build_outline(given), resolution_m), resolution_m, sheet)
+    else:
+        save_grid(given, sheet)
     return sheet, image
 
 
@@ -83,13 +76,6 @@ def _covered(area: Polygon, x: NDArray[np.float64], y: NDArray[np.float64]) -> N
             crossings[np.arange(first, last), np.searchsorted(x, across)] += 1
     covered: NDArray[np.bool_] = np.cumsum(crossings[:, :-1], axis=1) % 2 == 1
     return covered
-
-
-def _levels(grid: SemanticGrid) -> NDArray[np.uint8]:
-    table = np.full(256, UNKNOWN, dtype=np.uint8)
-    table[[int(Cell.FREE), int(Cell.DOOR)]], table[int(Cell.OCCUPIED)] = FREE, OCCUPIED
-    levels: NDArray[np.uint8] = table[grid.label]
-    return levels
 
 
 def save_svg(given: Layout | SemanticGrid, path: str | os.PathLike[str]) -> Path:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mecp_env.core.array_types import Bools
+from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.paths import exists, read_bytes
 from mecp_env.floorplans.image_check import check_content
@@ -74,9 +74,10 @@ def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
     """Grey levels (h,w) 0-255 of an image, and where (h,w) it is opaque."""
     if image.mode == "P":
         image = image.convert("RGBA" if "transparency" in image.info else "RGB")
-    levels = np.asarray(image.convert("L"))
-    opaque = np.asarray(image.getchannel("A")) == 255 if "A" in image.mode else np.ones(levels.shape, np.bool_)
-    return levels, opaque
+    alpha = np.asarray(image.getchannel("A")) if "A" in image.mode else None
+    image = image if image.mode == "L" else image.convert("L")  # the colours of a large image go first
+    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else alpha == 255
+    return np.asarray(image), opaque
 
 
 def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
@@ -88,17 +89,26 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     levels, opaque = grey(read_image(path))
     threshold = otsu(levels) if options.free_above is None else options.free_above
     placement = Placement(options.resolution_m)
-    area = floor_polygon((levels > threshold) & opaque, placement)
-    between = _grey_between(levels[opaque], threshold) if options.free_above is None else ""
+    between = "" if options.free_above is not None else _grey_between(shares(levels, opaque), threshold)
+    floor = levels > threshold
+    floor &= opaque
+    del levels, opaque  # of large images
+    area = floor_polygon(floor, placement)
     if between:
         warnings.warn(f"{path.name!r:.80}: {between}; free_above decides", PlanWarning, stacklevel=2)
     note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."
     return FreeSpace(path.stem, f"{note} {between[:1].upper()}{between[1:]}".strip(), area, placement.noise_m)
 
 
-def _grey_between(levels: NDArray[np.uint8], threshold: int) -> str:
+def shares(levels: NDArray[np.uint8], opaque: Bools) -> Array:
+    """(256,) the share of each grey level in the opaque pixels; 0 without any. NumPy would count in 8 bytes a pixel."""
+    counts = np.array(Image.fromarray(levels).histogram(Image.fromarray(opaque.view(np.uint8))), np.float64)
+    share: Array = counts / max(1.0, counts.sum())
+    return share
+
+
+def _grey_between(share: Array, threshold: int) -> str:
     """What a common grey level between those of wall and floor is read as, in words; empty if there is none."""
-    share = np.bincount(levels, minlength=256) / levels.size
     likely = [int(level) for level in np.flatnonzero(share >= UNKNOWN_SHARE)]
     common = [level for level in likely if share[level] == share[max(0, level - APART + 1) : level + APART].max()]
     middle = [level for level in common if common[0] + APART < level < common[-1] - APART]

@@ -19,7 +19,7 @@ from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.paths import exists, read_bytes
 from mecp_env.core.settings import shown
 from mecp_env.floorplans.foreign import of_yaml
-from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image
+from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image, shares
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 from mecp_env.world.schema import Document
@@ -76,7 +76,10 @@ def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     image = _beside(path, sheet.image)
     _tell_moved(path, sheet.image, image)
     levels, opaque = grey(read_image(image))
-    area = floor_polygon(_free(sheet, levels, opaque, path.name)[levels] & opaque, placement)
+    floor = _free(sheet, levels, opaque, path.name)[levels]
+    floor &= opaque
+    del levels, opaque  # of large images
+    area = floor_polygon(floor, placement)
     note = f"From {path.name} and {image.name}: {sheet.resolution:g} m per pixel."
     return FreeSpace(path.stem, note, area, placement.noise_m)
 
@@ -87,7 +90,7 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     The mark of unknown cells of a map_saver is unknown, also where `free_thresh` would make it free, as the one of nav2
     does, which saves 205 and 0.25.
     """
-    free, share = sheet.floor_levels(), np.bincount(levels[opaque], minlength=256) / max(1, int(opaque.sum()))
+    free, share = sheet.floor_levels(), shares(levels, opaque)
     if sheet.mode == "raw":
         return free
     saved = sheet.mode == "trinary" and not sheet.negate and share[SAVED_FREE:].sum() > 0.0

@@ -99,11 +99,12 @@ def _without_specks(floor: Bools) -> Bools:
 
 def _contour(floor: Bools) -> Polygon:
     """The outline of `floor` in pixels, between the centres of its pixels and of those beside them."""
+    corners = sum(int(np.count_nonzero(np.diff(floor, axis=axis))) for axis in (0, 1))  # one at each edge of a pixel
+    if corners > MAX_CORNERS:
+        raise LayoutError(f"image: its walls have {corners} corners, at most {MAX_CORNERS}")
     generator = contourpy.contour_generator(z=floor.astype(np.float64), fill_type=contourpy.FillType.OuterOffset)
     filled: Any = generator.filled(0.5, 2.0)
     points, offsets = filled
-    if sum(map(len, points)) > MAX_CORNERS:
-        raise LayoutError(f"image: its walls have {sum(map(len, points))} corners, at most {MAX_CORNERS}")
     outlines = [
         Polygon(ring_points[ends[0] : ends[1]], [ring_points[a:b] for a, b in pairwise(ends[1:])])
         for ring_points, ends in zip(points, offsets, strict=True)

@@ -260,7 +260,7 @@ def read_config(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_CONFIG_BYTES:
             raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")
-        fields = json.loads(path.read_text(), object_pairs_hook=migrated)
+        fields = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=migrated)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except ConfigError as error:

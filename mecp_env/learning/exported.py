@@ -116,7 +116,7 @@ def read_fields(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MOST_JSON_BYTES:
         raise ConfigError(f"{path}: more than {MOST_JSON_BYTES} bytes, no description of a network")
     try:
-        fields = json.loads(path.read_text())
+        fields = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not JSON: {error}") from None
     if not isinstance(fields, dict):

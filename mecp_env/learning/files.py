@@ -44,7 +44,7 @@ def lock(path: Path) -> Any:
     Raises `BlockingIOError` when another process holds it. Without such locks on a system it holds nothing. (`flock`
     locks would be inherited by forked workers, which outlive a killed process for a while.)
     """
-    file = path.open("a")
+    file = path.open("a", encoding="utf-8")
     if fcntl is None:
         return file
     try:

@@ -81,7 +81,7 @@ class RunFolder:
         path = self.folder / ABOUT
         known: list[Any] = []
         with suppress(OSError, ValueError):  # none yet, or damaged
-            known = list(json.loads(path.read_text()))
+            known = list(json.loads(path.read_text(encoding="utf-8")))
         write_json(path, [*known, {"event": event, **provenance()}])
 
     def keep_policy(self, model: OnPolicyAlgorithm, state: TrainingState, **facts: Any) -> None:

@@ -45,7 +45,7 @@ class CsvTable(KVWriter):
         """Append a row; a column without a value stays empty."""
         values = {key.rpartition("/")[2]: value for key, value in key_values.items()}
         row = {name: f"{values[name]:.6g}" for name in self.columns if name in values} | {"decisions": str(step)}
-        with self.path.open("a", newline="") as file:
+        with self.path.open("a", newline="", encoding="utf-8") as file:
             csv.DictWriter(file, self.columns, restval="").writerow(row)
 
     def close(self) -> None:
@@ -55,7 +55,9 @@ class CsvTable(KVWriter):
         """All complete rows."""
         if not self.path.exists():
             return []
-        with self.path.open(newline="", errors="replace") as file:  # a power failure may leave a cut or zeroed tail
+        with self.path.open(
+            newline="", errors="replace", encoding="utf-8"
+        ) as file:  # a power failure may leave a cut or zeroed tail
             complete = [line for line in file if line.endswith("\n") and "\0" not in line]
         return [row for row in csv.DictReader(complete) if row.get("decisions")]
 

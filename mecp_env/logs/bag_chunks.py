@@ -1,15 +1,13 @@
-"""The packed chunks of a ROS 1 bag: how much they unpack to, before the whole of one is unpacked at once."""
+"""The packed parts of a bag: how much they unpack to, before the whole of one is unpacked at once."""
 
 from __future__ import annotations
 
-import bz2
-import importlib
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from mecp_env.core.errors import LogError
+from mecp_env.logs.bag2_parts import TooMuch, packed_parts, unpacker_of
 
 MAGIC = b"#ROSBAG V2.0\n"
 CHUNK, COMPRESSION, OP = b"\x05", b"compression=", b"op="
@@ -17,16 +15,16 @@ PIECE = 2**16
 
 
 def check_chunks(path: Path, most: int) -> None:
-    """Raise `LogError` where a packed chunk of a `.bag` unpacks to more than `most` bytes."""
-    if path.suffix != ".bag" or not path.is_file():
+    """Raise `LogError` where a packed chunk of a `.bag` unpacks to more than `most` bytes; of a ROS 2 bag any part."""
+    found = _packed_chunks(path) if path.suffix == ".bag" and path.is_file() else packed_parts(path, most)
+    try:
+        for packing, data in found:
+            if unpacked_size(packing, data, most) > most:
+                raise TooMuch
+    except TooMuch:
+        raise LogError(f"a chunk unpacks to more than {most} bytes, too much for the size of the bag") from None
+    except Exception:  # damaged bytes may raise anything; the reader of the bag says so
         return
-    for packing, data in _packed_chunks(path):
-        try:
-            size = _unpacked_size(packing, data, most)
-        except Exception:  # damaged bytes may raise anything; the reader of the bag says so
-            return
-        if size > most:
-            raise LogError(f"a chunk unpacks to more than {most} bytes, too much for the size of the bag")
 
 
 def _packed_chunks(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -59,15 +57,16 @@ def _fields(head: bytes) -> dict[bytes, bytes]:
     return found
 
 
-def _unpacked_size(packing: str, data: bytes, most: int) -> int:
-    """Bytes that a chunk unpacks to, counted piece by piece up to a few more than `most`."""
-    unpacker: Any = bz2.BZ2Decompressor()
-    if packing == "lz4":
-        unpacker = importlib.import_module("lz4.frame").LZ4FrameDecompressor()
-    size = len(unpacker.decompress(data, max_length=PIECE))
-    while not unpacker.eof and size <= most:
-        piece = unpacker.decompress(b"", max_length=PIECE)
-        if not piece:
-            break
-        size += len(piece)
+def unpacked_size(packing: str, data: bytes, most: int) -> int:
+    """Bytes that a part unpacks to, counted piece by piece up to a few more than `most`."""
+    size = 0
+    while data and size <= most:
+        unpacker = unpacker_of(packing)
+        size += len(unpacker.decompress(data, max_length=PIECE))
+        while not unpacker.eof and size <= most:
+            piece = unpacker.decompress(b"", max_length=PIECE)
+            if not piece:
+                return size
+            size += len(piece)
+        data = unpacker.unused_data if unpacker.eof and packing == "zstd" else b""  # several frames follow each other
     return size

@@ -24,6 +24,7 @@ EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in de
 UNEVEN = 0.25  # of a step, by which a bearing may be off
 LONGEST_LINE = 2**20
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
+MOST_TICKS = 1e18  # of a counter, and microseconds of a stamp
 FIRST_RANGE, DAT_VIEW_DEG, DAT_AHEAD_M, DAT_LIMIT_M = 24, 240.0, 0.145, 5.6  # of its URG-04LX
 
 
@@ -72,7 +73,7 @@ def _read_dat(data: bytes, recording: Recording, view_deg: float | None) -> None
     recording.T_robot_laser = np.array([DAT_AHEAD_M, 0.0, 0.0])
     for number, words in _rows(data):
         row = _numbers(words[:-1])
-        if row is None or len(row) < FIRST_RANGE + 2:
+        if row is None or len(row) < FIRST_RANGE + 2 or not (np.abs(row[:4]) < MOST_TICKS).all():
             _damaged(recording, number, words)
             continue
         wheels.append(row[2:4] * math.pi * WHEEL_M / TICKS)

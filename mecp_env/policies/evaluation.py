@@ -122,7 +122,7 @@ class Evaluation:
     def write_episodes(self, path: Path) -> None:
         """Write one CSV row per episode, in the order of policy, estimator and building."""
         ordered = sorted(self.results, key=lambda e: (e.task.policy, e.task.setting.estimator, e.task.building))
-        with path.open("w", newline="") as file:
+        with path.open("w", encoding="utf-8", newline="") as file:
             lines = csv.writer(file)
             lines.writerow(["policy", "estimator", "building", *ordered[0].figures])
             for result in ordered:

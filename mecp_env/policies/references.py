@@ -36,7 +36,7 @@ def check_name(name: str, field: str = "name") -> str:
 def reference_rows(suite: str, frozen: str) -> list[dict[str, Any]]:
     """The rows of a suite with that hash, as the results of a file; none where the package has none."""
     path = FOLDER / f"{suite}.json"
-    content = json.loads(path.read_text()) if path.is_file() else {}
+    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     return list(content["results"]) if content.get("hash") == frozen else []
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import importlib
-import json
 import re
 import sys
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.json_text import read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
 from mecp_env.core.settings import guess, shown
@@ -33,6 +33,7 @@ LOADERS = {  # suffix of a file -> module and function
     ".onnx": ("mecp_env.learning.exported", "load_onnx"),
     "": ("mecp_env.learning.learned", "load"),
 }
+MOST_BYTES = 1_000_000  # of policy.json
 BESIDE = (".json", "_vecnormalize.pkl")  # what belongs to a model file, after its stem
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
 CLASS_PATH = re.compile(r"([A-Za-z_][\w.]*):([A-Za-z_]\w*)")
@@ -89,7 +90,11 @@ def training_hours(name: str) -> float | None:
     folder = WEIGHTS / name if name in LEARNED else Path(name)
     if not (folder / "policy.json").is_file():
         return None
-    seconds = json.loads((folder / "policy.json").read_text()).get("seconds")
+    try:
+        about = read_json(folder / "policy.json", MOST_BYTES)
+    except ValueError as error:
+        raise ConfigError(f"{folder / 'policy.json'}: {error!s:.200}") from None
+    seconds = about.get("seconds") if isinstance(about, dict) else None
     return round(seconds / 3600.0, 2) if isinstance(seconds, int | float) else None
 
 

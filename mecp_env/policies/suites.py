@@ -9,11 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, TypeAdapter
+from pydantic import BeforeValidator, Field, TypeAdapter
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.provenance import checksum, commit
-from mecp_env.core.settings import guess
+from mecp_env.core.json_text import read_json
+from mecp_env.core.provenance import checksum, checksum_of_parts, commit
+from mecp_env.core.settings import few, guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.leaderboard import TRAINING
@@ -24,6 +25,7 @@ from mecp_env.policies.rollout import make_rooms
 from mecp_env.policies.setting import Setting
 
 FORMAT, VERSION = "mecp_env/suite", 1
+MOST_BYTES = 50_000_000  # of a result file
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
 METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
@@ -46,8 +48,8 @@ class Result:
     task: str
     policy: str
     estimator: str
-    figures: dict[str, Interval]
-    episodes: list[dict[str, float]]
+    figures: Annotated[dict[str, Interval], BeforeValidator(few)]
+    episodes: Annotated[list[Annotated[dict[str, float], BeforeValidator(few)]], Field(fail_fast=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +154,18 @@ def submission(
     ]
     content = {"format": FORMAT, "version": VERSION, "suite": name, "hash": SUITES[name].frozen}
     content |= {"command": command, "commit": commit(), **(training or Training()).named(), "results": results}
-    return content | {"checksum": checksum(json.dumps(content, sort_keys=True).encode())}
+    return content | {"checksum": checksum_of(content)}
+
+
+def checksum_of(content: Any) -> str:
+    """That of the JSON text, which is never in memory at once."""
+    return checksum_of_parts(part.encode() for part in json.JSONEncoder(sort_keys=True).iterencode(content))
 
 
 def read_submission(path: Path) -> dict[str, Any]:
     """A result file. Raises `ConfigError` for another format, version or suite, a wrong hash, or a damaged file."""
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path, MOST_BYTES)
         found = content.pop("checksum")
         format_, version, name, frozen = (content[key] for key in ("format", "version", "suite", "hash"))
     except OSError as error:
@@ -168,9 +175,9 @@ def read_submission(path: Path) -> dict[str, Any]:
     if (format_, version) != (FORMAT, VERSION):
         raise ConfigError(f"{path}: {format_} version {version}, this mecp_env reads {FORMAT} version {VERSION}")
     check_suite(path, name, frozen)
-    own = checksum(json.dumps(content, sort_keys=True).encode())
+    own = checksum_of(content)
     if found != own:
-        raise ConfigError(f"{path}: its checksum is {found}, that of its content {own}; it was changed by hand")
+        raise ConfigError(f"{path}: its checksum is {found!s:.40}, that of its content {own}; it was changed by hand")
     check_results(path, content.get("results"), SUITES[name])
     try:
         TypeAdapter(Training).validate_python({key: content.get(key) for key in TRAINING})
@@ -190,7 +197,7 @@ def check_suite(path: Path, name: Any, frozen: Any) -> None:
 def check_results(path: Path, results: Any, suite: Suite) -> None:
     """Raise `ConfigError` for results of another form or task, a name that forges rows, and a missing metric."""
     try:
-        found = TypeAdapter(list[Result]).validate_python(results)
+        found = TypeAdapter(Annotated[list[Result], Field(fail_fast=True)]).validate_python(results)
     except ValueError as error:  # of pydantic, too
         raise ConfigError(f"{path}: results: {' '.join(str(error).split()):.160}") from None
     for row in found:

@@ -10,7 +10,6 @@ from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 
-from mecp_env import __version__
 from mecp_env.core.array_types import Array
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import shown
@@ -18,6 +17,7 @@ from mecp_env.core.snapshot import StateError, damage_refused, decode, encode
 from mecp_env.core.snapshot_check import check_fields, examples_of
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.core.snapshot_shapes import FAR, check_shapes
+from mecp_env.core.version import __version__
 from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters.mounting import mount

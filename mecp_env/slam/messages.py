@@ -12,6 +12,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -483,6 +486,16 @@ class SlamOutput:
     def polygon_corners(self) -> Corners:
         """The corners that `Polygon.corners` of `polygons` are indices of."""
         return self.corners if self.panorama is None else self.panorama
+
+    def export(self, **paths: str | PathLike[str] | None) -> list[Path]:
+        """Write files for other programs: `landmarks` (.csv), `rooms` (.geojson), `g2o` (.g2o), `grid` (.yaml).
+
+        Each keyword is the path of a file; those that were written are returned. Raises `ConfigError` for an unknown
+        keyword, and `OSError` that names the file. docs/estimator.md describes them.
+        """
+        export = import_module("mecp_env.slam.export")  # by name: it is made of these messages
+        written: list[Path] = export.save(export.EstimatedMap(self.belief, self.graph, self.grid), paths)
+        return written
 
     @property
     def T_map_laser(self) -> Array:

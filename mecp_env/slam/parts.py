@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,7 +14,7 @@ from mecp_env.slam.association import Associator, make_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.divergence import Divergence
-from mecp_env.slam.filters.mounting import mount
+from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
 from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
@@ -81,6 +82,21 @@ class SlamParts:
     def save_map(self, path: str | Path) -> None:
         """Write everything that this pipeline knows into a file, whole or not at all. Raises `MapError`, `OSError`."""
         SlamMap.of(self).save(path)
+
+    def export(self, **paths: str | PathLike[str] | None) -> list[Path]:
+        """Write files as `SlamOutput.export` does, and `joint_covariance` (.npz or .csv) of pose and landmarks.
+
+        Raises as it does.
+        """
+        from mecp_env.slam.export import EstimatedMap, Joint, save  # here, as a step writes none
+
+        view = self.config.sensor
+        belief, graph = robot_belief(self.filter.belief(), view), self.rooms.graph()
+
+        def joint() -> Joint:
+            return Joint(self.filter.ids.copy(), *robot_joint(self.filter, view))
+
+        return save(EstimatedMap(belief, graph, self.grid.canvas.grid, joint), paths)
 
     def lose_pose(self) -> None:
         """The robot may be anywhere: its pose is searched for in the whole map, and nothing is mapped before."""

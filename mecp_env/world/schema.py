@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.settings import describe
+from mecp_env.core.settings import describe, few
 
 EXTENT_M = 1000.0
 MAX_WALLS = 10_000
@@ -35,6 +35,11 @@ Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_few_fields(cls, fields: Any) -> Any:
+        return few(fields)
 
 
 class WallSpec(_Part):
@@ -55,7 +60,7 @@ class Solid(_Part):
     """Wall of any shape: the inside of `outer` without the holes."""
 
     outer: LongRing
-    holes: Annotated[tuple[LongRing, ...], Field(max_length=MAX_WALLS)] = ()
+    holes: Annotated[tuple[LongRing, ...], Field(max_length=MAX_WALLS, fail_fast=True)] = ()
 
 
 class RoomSpec(_Part):
@@ -148,12 +153,12 @@ class Layout(Document):
     version: Literal[1] = 1
     name: Name
     description: Annotated[str, Field(max_length=2000)] = ""
-    solids: Annotated[tuple[Solid, ...], Field(max_length=MAX_WALLS)] = ()
-    walls: Annotated[tuple[WallSpec, ...], Field(max_length=MAX_WALLS)]
-    rooms: Annotated[tuple[RoomSpec, ...], Field(min_length=1, max_length=1000)]
-    doors: Annotated[tuple[DoorSpec, ...], Field(max_length=2000)] = ()
-    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MAX_WALLS)] = ()
-    starts: Annotated[tuple[Start, ...], Field(min_length=1, max_length=1000)]
+    solids: Annotated[tuple[Solid, ...], Field(max_length=MAX_WALLS, fail_fast=True)] = ()
+    walls: Annotated[tuple[WallSpec, ...], Field(max_length=MAX_WALLS, fail_fast=True)]
+    rooms: Annotated[tuple[RoomSpec, ...], Field(min_length=1, max_length=1000, fail_fast=True)]
+    doors: Annotated[tuple[DoorSpec, ...], Field(max_length=2000, fail_fast=True)] = ()
+    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MAX_WALLS, fail_fast=True)] = ()
+    starts: Annotated[tuple[Start, ...], Field(min_length=1, max_length=1000, fail_fast=True)]
 
     @model_validator(mode="after")
     def _has_walls_where_needed(self) -> Self:

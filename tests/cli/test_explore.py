@@ -12,8 +12,9 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.registry import EXPLORERS
-from mecp_env.slam import SlamPipeline
+from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.world.layout import LIBRARY
+from tests.cli.pipes import closed_pipe
 
 Captured = pytest.CaptureFixture[str]
 
@@ -133,3 +134,55 @@ def test_a_closed_pipe_gives_no_traceback() -> None:
         running.stdout.close()
         assert b"Traceback" not in running.stderr.read()
     assert running.returncode == 0
+
+
+def test_difficulty_task_and_split_name_the_building_that_evaluate_names(capsys: pytest.CaptureFixture[str]) -> None:
+    ends = ["--seed", "3", "--start", "random", "--steps", "5"]
+    shown = []
+    for place in (["--layout", "easy:validation:3"], ["--difficulty", "easy", "--split", "validation"]):
+        assert cli.main(["explore", "nearest", *place, *ends]) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("--layout paper --difficulty hard", "--difficulty: --layout selects the building, too"),
+        ("--difficulty hard --task ActiveHalls-v0", "--task: --difficulty selects the building, too"),
+        ("--difficulty hrd", "did you mean 'hard'?"),
+        ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'?"),
+        ("--difficulty hard --split tst", "did you mean 'test'?"),
+        ("--split test", "of the buildings of --difficulty or --task"),
+    ],
+)
+def test_words_that_do_not_name_one_building_are_refused(
+    line: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["explore", "nearest", *line.split()]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_an_exploration_that_cannot_save_its_map_keeps_everything_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    def save_map(self: SlamPipeline, path: Path) -> None:
+        raise MapError("map: damaged")
+
+    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
+    saved, played = tmp_path / "map.zip", tmp_path / "played"
+    line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(saved)]
+    assert cli.main([*line, "--replay", str(played)]) == 1
+    said = capsys.readouterr()
+    assert "coverage" in said.out
+    assert f"{saved} was not written: map: damaged" in said.err
+    assert [path.name for path in played.iterdir()] == ["episode-0000.html"]
+
+
+def test_an_exploration_whose_reader_is_gone_keeps_its_map(tmp_path: Path, capsys: Captured) -> None:
+    saved = tmp_path / "map.zip"
+    line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(saved)]
+    with closed_pipe():
+        assert cli.main(line) == 0
+    assert SlamPipeline.from_map(saved).step_count == 13
+    assert capsys.readouterr().err.count("the output pipe is closed") == 1

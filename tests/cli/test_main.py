@@ -29,6 +29,7 @@ from mecp_env.floorplans import load_plan
 from mecp_env.slam import SlamPipeline
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
+from tests.cli.pipes import closed_pipe
 
 Said = pytest.CaptureFixture[str]
 FILES = {
@@ -75,6 +76,42 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_demo_leaves_its_nine_files(kept: Path) -> None:
     assert {path.name for path in kept.iterdir()} == FILES
+
+
+def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Said) -> None:
+    """`demo | head -1` once ended at the first line that it could not print, and wrote nothing."""
+    with closed_pipe():
+        assert cli.main(["demo", "--layout", "two_rooms", "--no-replay", "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"replay.html"}
+    assert capsys.readouterr().err.count("the output pipe is closed") == 1
+
+
+@pytest.fixture(scope="module")
+def explored() -> Run:
+    run = Run(MecpEnv(EnvConfig.build(layout="two_rooms", max_steps=40)), seed=3)
+    run.explore(lambda _: None)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("bytes_left", "name"),
+    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (100_000, "map.png")],
+)
+def test_a_full_disk_names_the_file_and_keeps_the_data(
+    bytes_left: int, name: str, explored: Run, tmp_path: Path
+) -> None:
+    """Libraries raise errors that name no file. Here a file can have no more than some bytes."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, hard))
+    try:
+        with pytest.raises(OSError, match="too large") as error:
+            explored.keep(tmp_path, Stopwatch())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert error.value.filename == str(tmp_path / name)
+    if name != "metrics.json":
+        assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {p.name for p in tmp_path.iterdir()}
 
 
 def test_the_map_of_a_demo_continues_where_it_ended(kept: Path) -> None:

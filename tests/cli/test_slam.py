@@ -16,6 +16,7 @@ from mecp_env.evaluation.log_run import LogDrive
 from mecp_env.floorplans import load_plan
 from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.cli.pipes import closed_pipe
 from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
@@ -232,6 +233,12 @@ def test_a_map_that_cannot_be_saved_loses_nothing_else(
     assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
     assert {path.name for path in out.iterdir()} == FILES
     assert f"{saved} was not written" in capsys.readouterr().err
+
+
+def test_a_run_whose_reader_is_gone_keeps_its_files(log: Path, tmp_path: Path) -> None:
+    with closed_pipe():
+        assert cli.main(["slam", str(log), "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
 def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -206,3 +207,9 @@ def test_the_paper_in_one_switch():
     assert (slam.clustering.threshold, slam.polygon.tolerance_sigmas) == ("adaptive", 0.0)
     assert not slam.polygon.check_walls
     assert not slam.association.use_descriptor
+
+
+@pytest.mark.parametrize("given", [{1: 2}, {"panorama": {1: 2}}, {None: 2}, {"filter": {(1, 2): "ekf"}}])
+def test_a_field_whose_name_is_no_text_is_named(given: dict[Any, Any]) -> None:
+    with pytest.raises(ConfigError, match="no such field"):
+        SlamConfig.parse(given)

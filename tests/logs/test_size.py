@@ -84,3 +84,26 @@ def test_bombs(tmp_path: Path, name: str, write) -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < MOST_BYTES
+
+
+@pytest.mark.parametrize(
+    ("storage", "mode"), [(s, m) for s in ("MCAP", "SQLITE3") for m in ("MESSAGE", "FILE", "STORAGE")]
+)
+def test_packed_parts_of_ros2_bags(storage: str, mode: str, tmp_path: Path) -> None:
+    rosbag2, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
+    if (storage, mode) == ("SQLITE3", "STORAGE"):
+        pytest.skip("databases are not packed")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for size, words in ((80_000_000, "chunk unpacks"), (1000, "no scan that can be used")):
+        writer = rosbag2.Writer(tmp_path / str(size), version=9, storage_plugin=rosbag2.StoragePlugin[storage])
+        writer.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
+        with writer:
+            end = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
+            for stamp in range(2):
+                writer.write(end, stamp, bytes(size))
+        tracemalloc.start()
+        with pytest.raises(LogError, match=words):
+            read_log(tmp_path / str(size))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < MOST_BYTES

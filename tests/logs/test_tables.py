@@ -74,3 +74,11 @@ def test_dat(tmp_path: Path) -> None:
     assert log.ranges.shape == (10, 682)
     assert np.isnan(log.ranges[:, -2:]).all()
     assert log.field_of_view_deg == pytest.approx(240.0)
+
+
+def test_ticks_without_end_are_a_damaged_row(tmp_path: Path) -> None:
+    row = [1, 0, 10, 10, *[0] * 20, *[1000] * 9, 0]
+    rows = [row, [2, 0, "inf", 10, *row[4:]], [3, 0, "1e300", 10, *row[4:]], [4, 0, 20, 20, *row[4:]]]
+    (tmp_path / "a.dat").write_text("".join(" ".join(map(str, each)) + "\n" for each in rows))
+    log = read_log(tmp_path / "a.dat")
+    assert (len(log), log.counts["damaged rows"]) == (2, 2)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import map_size
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.snapshot import encode
@@ -327,3 +328,24 @@ def test_maps_with_changed_fields_end_in_one_error_or_run(drive: Drive, saved: P
             continue
         run(pipeline, drive, 3, 6)
     assert 0.3 * CHANGED < refused < CHANGED
+
+
+@pytest.mark.slow
+def test_the_limits_on_what_is_made_leave_room_for_large_maps(
+    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1,500 landmarks, and a grid of 100 x 60 m in cells of 5 cm, most of which are empty and would pack to nothing."""
+    pipeline = SlamPipeline({"grid": {"resolution_m": 0.05}})
+    run(pipeline, drive, 0, 20)
+    monkeypatch.setattr(map_size, "FIRST", len(pipeline.filter.ids))
+    monkeypatch.setattr(map_size, "APART_M", 2.0)  # within the 500 m of a map
+    monkeypatch.setattr(map_size, "ROOMS", 10)
+    map_size.enlarge(pipeline, 1500)
+    pipeline.grid.canvas.contain(np.array([[0.0, 0.0], [2000.0, 1200.0]]))
+    file = tmp_path / "large.zip"
+    pipeline.save_map(file)
+    loaded = SlamPipeline.from_map(file)
+    assert len(loaded.filter.ids) == 1500
+    assert (np.array(loaded.grid.canvas.grid.label.shape) >= (1200, 2000)).all()
+    assert same(encode(loaded), encode(pipeline))
+    assert same(run(loaded, drive, 20, 22), run(pipeline, drive, 20, 22))

@@ -49,7 +49,7 @@ def test_layouts_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) ->
         ("too many corners of rooms", r"30010 faces, at most 20000"),
         ("starts beyond number", r"layout\.starts: .*at most 1000"),
         ("doors beyond number", r"layout\.doors: .*at most 2000"),
-        ("nothing but wrong walls", r"walls\.1\.points: Field required; .*and 8992 more"),
+        ("nothing but wrong walls", r"walls\.1\.points: Field required"),
         ("names of unknown rooms", r"doors\.0\.rooms\.0: no room is called 'hal'; did you mean 'hall'\?"),
         ("a name of a megabyte", r"rooms\.0\.name: .*at most 80 characters"),
     ],

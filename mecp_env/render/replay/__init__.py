@@ -1,6 +1,21 @@
-"""The replay of a run: one HTML page that plays it in a browser and shows why the robot believes what it believes."""
+"""A page that plays a run: what is recorded of each step, and the page itself.
 
-from mecp_env.render.replay.page import ReplayError, read_page, write_page
-from mecp_env.render.replay.recorder import Recorder
+The names are loaded when they are first used: a page is read without the messages of the estimator.
+"""
 
-__all__ = ["Recorder", "ReplayError", "read_page", "write_page"]
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mecp_env.render.replay.page import ReplayError, play_again, read_page, write_page
+    from mecp_env.render.replay.recorder import Recorder
+
+__all__ = ["Recorder", "ReplayError", "play_again", "read_page", "write_page"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{'recorder' if name == 'Recorder' else 'page'}"), name)

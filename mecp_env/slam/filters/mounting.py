@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from mecp_env.core.array_types import Array
 from mecp_env.core.laser_view import LaserView
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse
@@ -36,10 +39,23 @@ def robot_belief(belief: Belief, view: LaserView) -> Belief:
     """The belief with the pose of the robot's centre in place of the laser's."""
     if view.is_centred:
         return belief
-    T_map_robot, pose_cov = compose(belief.T_map_robot, inverse(view.T_robot_laser)), belief.pose_cov.copy()
-    x, y = T_map_robot[:2] - belief.T_map_robot[:2]
-    for row, by_heading in enumerate((-y, x)):  # F P F^T, F = [[1, 0, -y], [0, 1, x], [0, 0, 1]]
-        pose_cov[row] += by_heading * pose_cov[2]
-    for column, by_heading in enumerate((-y, x)):
-        pose_cov[:, column] += by_heading * pose_cov[:, 2]
+    T_map_robot, pose_cov = _at_robot(belief.T_map_robot, belief.pose_cov, view)
     return replace(belief, T_map_robot=T_map_robot, pose_cov=pose_cov)
+
+
+def robot_joint(landmark_filter: Filter, view: LaserView) -> tuple[Array, Array]:
+    """Mean (3+2N,) of the robot's centre and all landmarks, and its covariance, in world coordinates; copies."""
+    mean, cov = landmark_filter.marginal(landmark_filter.ids)
+    T_map_robot, cov = _at_robot(mean[:3], cov, view)
+    return np.concatenate([T_map_robot, mean[3:]]), cov
+
+
+def _at_robot(T_map_laser: Array, cov: Array, view: LaserView) -> tuple[Array, Array]:
+    """The pose of the robot's centre, and the covariance of which that of the pose is the first three rows."""
+    T_map_robot, cov = compose(T_map_laser, inverse(view.T_robot_laser)), cov.copy()
+    x, y = T_map_robot[:2] - T_map_laser[:2]
+    for row, by_heading in enumerate((-y, x)):  # F P F^T, F = [[1, 0, -y], [0, 1, x], [0, 0, 1]]
+        cov[row] += by_heading * cov[2]
+    for column, by_heading in enumerate((-y, x)):
+        cov[:, column] += by_heading * cov[:, 2]
+    return T_map_robot, cov

@@ -20,6 +20,7 @@ Side = Annotated[float, Field(ge=2.4, le=15.0)]
 Thickness = Annotated[float, Field(ge=0.05, le=0.4)]
 Width = Annotated[float, Field(ge=0.6, le=2.0)]
 Turn = Annotated[float, Field(ge=-180.0, le=180.0)]
+Shapes = Annotated[tuple[Shape, ...], Field(min_length=1, fail_fast=True), Word]
 
 ROOMS_OF = {"rectangle": 1, "L": 2, "U": 2, "T": 3, "yard": 0}  # a shape with those that fill its notches
 
@@ -52,7 +53,7 @@ class GeneratorSpec(Settings):
     corridor_width_m: Annotated[tuple[Width, Width], Single, Ordered] = (1.6, 2.0)  # between the middles of its walls
     room_side_m: Annotated[tuple[Side, Side], Single, Ordered] = (3.2, 5.5)  # the side of a square of the room's area
     shaped_rooms: int = Field(0, ge=0, le=60)  # rooms that are not rectangles
-    shapes: Annotated[tuple[Shape, ...], Field(min_length=1), Word] = ("L", "T", "U")  # their possible shapes
+    shapes: Shapes = ("L", "T", "U")  # what those may be
     yards: int = Field(0, ge=0, le=10)  # parts of the plot that are not built on
     slanted_corners: int = Field(0, ge=0, le=3)  # outer corners of the building cut off by a slanted wall
     turned_deg: Annotated[tuple[Turn, Turn], Single, Ordered] = (0.0, 0.0)  # the whole building against the axes
@@ -62,7 +63,12 @@ class GeneratorSpec(Settings):
     # pieces on 10 m^2 of rooms, none in corridors; in rooms of 3.2-5.5 m about 2 find room (boxes 1), over 6 m 3
     furniture: float = Field(0.0, ge=0.0, le=3.0)
     # what the furniture may be
-    pieces: Annotated[tuple[Piece, ...], Field(min_length=1), Word] = ("shelf", "box", "square_pillar", "round_pillar")
+    pieces: Annotated[tuple[Piece, ...], Field(min_length=1, fail_fast=True), Word] = (
+        "shelf",
+        "box",
+        "square_pillar",
+        "round_pillar",
+    )
 
     @classmethod
     def preset(cls, difficulty: str = "medium", **fields: Any) -> Self:

@@ -1,0 +1,187 @@
+"""An estimated map in files for other programs: landmarks, their joint covariance, rooms and doors, a graph, the grid.
+
+`SlamOutput.export`, `SlamPipeline.export` and `mecp-env export` write them by `save`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.paths import write_atomic
+from mecp_env.core.settings import guess
+from mecp_env.slam.messages import Belief, Cell, RoomGraph, SemanticGrid
+from mecp_env.slam.outlines import Ring, door_outline, room_outline
+
+COLUMNS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+
+PathLike = str | os.PathLike[str]
+
+
+class Level(IntEnum):
+    """Grey levels as map_server's own saver writes them."""
+
+    OCCUPIED = 0
+    UNKNOWN = 205
+    FREE = 254
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Pose of the robot's centre and all landmarks, with their joint covariance."""
+
+    ids: Ints  # (N,) of the landmarks
+    mean: Array  # (3+2N,) x, y, heading, then x, y of each landmark: m and rad, map frame
+    cov: Array  # (3+2N,3+2N)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedMap:
+    """What can be written; the joint covariance only where the filter is at hand."""
+
+    belief: Belief
+    graph: RoomGraph
+    grid: SemanticGrid
+    joint: Callable[[], Joint] | None = None
+
+
+def save(what: EstimatedMap, paths: dict[str, PathLike | None]) -> list[Path]:
+    """Write each file of `paths`, a name of `WRITERS` -> where; None is left out. The files that were written.
+
+    Each is written whole or not at all. Raises `ConfigError` for a name that ends otherwise than `SUFFIXES` says, and
+    for nothing to write, before the first is written; `OSError` that names the file.
+    """
+    wanted = checked(paths)
+    return [file for name, path in wanted.items() for file in WRITERS[name](what, path)]
+
+
+def checked(paths: dict[str, PathLike | None]) -> dict[str, Path]:
+    """The files that are wanted. Raises `ConfigError` as `save` does."""
+    wanted = {name: Path(path) for name, path in paths.items() if path is not None}
+    for name, path in wanted.items():
+        if name not in WRITERS:
+            raise ConfigError(f"export: {name}, one of {', '.join(WRITERS)} expected{guess(name, WRITERS)}")
+        if path.suffix not in SUFFIXES.get(name, (path.suffix,)):
+            raise ConfigError(f"{name}: {path}: a name that ends in {' or '.join(SUFFIXES[name])} expected")
+    if not wanted:
+        raise ConfigError(f"export: name what to write, one or more of {', '.join(WRITERS)}")
+    return wanted
+
+
+def save_landmarks(what: EstimatedMap, path: Path) -> list[Path]:
+    """Write a line per landmark: id, position in the map frame (m), and its marginal covariance (m2)."""
+    belief, lines = what.belief, [COLUMNS]
+    for i, (x, y), cov in zip(belief.ids.tolist(), belief.p_map.tolist(), belief.covs.tolist(), strict=True):
+        lines.append((i, x, y, cov[0][0], cov[0][1], cov[1][1]))
+    return _write(path, _csv(lines))
+
+
+def save_joint(what: EstimatedMap, path: Path) -> list[Path]:
+    """Write the joint covariance as arrays `ids`, `mean`, `cov`, or as a table with a row for each number."""
+    if what.joint is None:
+        raise ConfigError("joint_covariance: it is the filter's, which an output does not hold: SlamPipeline.export")
+    joint = what.joint()
+    if path.suffix == ".npz":
+        file = io.BytesIO()
+        np.savez_compressed(file, ids=joint.ids, mean=joint.mean, cov=joint.cov)
+        return _write(path, file.getvalue())
+    names = ["pose.x_m", "pose.y_m", "pose.heading_rad", *(f"{i}.{u}_m" for i in joint.ids.tolist() for u in "xy")]
+    rows = zip(names, joint.mean.tolist(), joint.cov.tolist(), strict=True)
+    return _write(path, _csv([("", "mean", *names), *((name, mean, *cov) for name, mean, cov in rows)]))
+
+
+def save_g2o(what: EstimatedMap, path: Path) -> list[Path]:
+    """Write the pose as vertex 0 and each landmark as vertex id + 1, with an edge to it from the pose.
+
+    The information of an edge is the inverse of the landmark's marginal covariance, in the robot's frame.
+    """
+    belief = what.belief
+    x, y, heading = belief.T_map_robot.tolist()
+    cos, sin = math.cos(heading), math.sin(heading)
+    R_robot_map = np.array([(cos, sin), (-sin, cos)])
+    lines = [f"VERTEX_SE2 0 {x!r} {y!r} {heading!r}", "FIX 0"]
+    for i, p_map, cov in zip(belief.ids.tolist(), belief.p_map, belief.covs, strict=True):
+        px, py = (R_robot_map @ (p_map - belief.T_map_robot[:2])).tolist()
+        (a, b), (_, c) = np.linalg.inv(R_robot_map @ cov @ R_robot_map.T).tolist()
+        lines += [f"VERTEX_XY {i + 1} {p_map.item(0)!r} {p_map.item(1)!r}"]
+        lines += [f"EDGE_SE2_XY 0 {i + 1} {px!r} {py!r} {a!r} {b!r} {c!r}"]
+    return _write(path, "\n".join([*lines, ""]).encode())
+
+
+def save_rooms(what: EstimatedMap, path: Path) -> list[Path]:
+    """Write rooms and doors as outlines with ids, as GeoJSON (RFC 7946) with coordinates in metres of the map frame."""
+    parts = {room: room_outline(what.grid, room) for room in what.graph.rooms}
+    features = [_feature("room", room, outline, {}) for room, outline in parts.items() if outline]
+    for door in what.graph.doors:
+        rooms = [room for room in door.rooms if room >= 0]
+        features.append(
+            _feature("door", door.id, [[door_outline(what.belief, door, what.grid.resolution_m)]], {"rooms": rooms})
+        )
+    return _write(path, json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False).encode())
+
+
+def _feature(kind: str, number: int, parts: list[list[Ring]], more: dict[str, Any]) -> dict[str, Any]:
+    rings = [[ring.tolist() for ring in part] for part in parts]
+    one = len(rings) == 1
+    geometry = {"type": "Polygon" if one else "MultiPolygon", "coordinates": rings[0] if one else rings}
+    return {
+        "type": "Feature",
+        "id": f"{kind}-{number}",
+        "properties": {"kind": kind, "id": number, **more},
+        "geometry": geometry,
+    }
+
+
+def save_grid(grid: SemanticGrid, path: Path) -> list[Path]:
+    """Write the grid for map_server: `path` is the yaml, the image is beside it."""
+    table = np.full(256, Level.UNKNOWN, dtype=np.uint8)
+    table[[Cell.FREE, Cell.DOOR]], table[Cell.OCCUPIED] = Level.FREE, Level.OCCUPIED
+    return save_levels(table[grid.label], grid.origin, grid.resolution_m, path)
+
+
+def save_levels(levels: NDArray[np.uint8], origin: Array, resolution_m: float, path: Path) -> list[Path]:
+    """Write grey levels (H,W), row 0 at the bottom, for map_server: `path` is the yaml, the image is beside it."""
+    image = path.with_suffix(".pgm")
+    x, y = origin.tolist()
+    fields = {"image": image.name, "mode": "trinary", "resolution": round(resolution_m, 6)}
+    fields |= {"origin": [round(x, 6), round(y, 6), 0.0], "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196}
+    text = yaml.safe_dump(fields, sort_keys=False, allow_unicode=True, default_flow_style=None, width=math.inf)
+    file = io.BytesIO()
+    Image.fromarray(levels[::-1]).save(file, format="PPM")
+    return _write(image, file.getvalue()) + _write(path, text.encode())
+
+
+def _csv(rows: Any) -> bytes:
+    file = io.StringIO(newline="")
+    csv.writer(file).writerows(rows)
+    return file.getvalue().encode()
+
+
+def _write(path: Path, data: bytes) -> list[Path]:
+    write_atomic(path, data)
+    return [path]
+
+
+WRITERS: dict[str, Callable[[EstimatedMap, Path], list[Path]]] = {
+    "landmarks": save_landmarks,
+    "rooms": save_rooms,
+    "g2o": save_g2o,
+    "grid": lambda what, path: save_grid(what.grid, path),
+    "joint_covariance": save_joint,
+}
+SUFFIXES = {"grid": (".yaml",), "joint_covariance": (".npz", ".csv")}

@@ -1,0 +1,16 @@
+"""Standard output whose reader has gone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+
+
+@contextmanager
+def closed_pipe() -> Iterator[None]:
+    """As in `mecp-env demo | true`. (As a fixture it would be undone by the capture of pytest.)"""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", buffering=1) as output, redirect_stdout(output):
+        yield

@@ -1,0 +1,71 @@
+"""A terminal with another encoding than UTF-8: every command prints, and characters that it lacks become `?`."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mecp_env.cli import main as cli
+from tests.command_lines import ROOT
+
+LINES = (
+    "worlds stats paper",
+    "worlds list",
+    "worlds validate nö.json",
+    "demo --layout two_rooms --config.max-steps 5 --out out",
+    "explore nearest --layout two_rooms --steps 5",
+    "evaluate nearest --layout two_rooms --episodes 1 --max-steps 5 --no-truth --out évalué",
+    "leaderboard",
+    "train ppö",
+)
+
+
+class Terminal(io.TextIOWrapper):
+    """A stream of the encoding ASCII that keeps what is printed."""
+
+    def __init__(self) -> None:
+        super().__init__(io.BytesIO(), encoding="ascii", errors="strict")
+
+    @property
+    def shown(self) -> str:
+        self.flush()
+        kept: bytes = self.buffer.getvalue()  # type: ignore[attr-defined]
+        return kept.decode("ascii")
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_every_command_prints(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    out, err = Terminal(), Terminal()
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setattr(sys, "stderr", err)
+    code = cli.main(line.split())
+    assert code == (2 if line.split()[-1] in ("nö.json", "ppö") else 0)
+    assert len(out.shown + err.shown) > 20
+
+
+def test_a_character_that_is_missing_becomes_a_question_mark(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = Terminal()
+    monkeypatch.setattr(sys, "stdout", out)
+    assert cli.main(["worlds", "stats", "paper"]) == 0
+    assert "m?" in out.shown  # square metres
+
+
+def test_files_do_not_depend_on_the_language_of_the_system(tmp_path: Path) -> None:
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONPATH": str(ROOT)}
+    line = [sys.executable, "-m", "mecp_env", "demo", "--layout", "two_rooms", "--config.max-steps", "5"]
+    subprocess.run([*line, "--out", "run"], cwd=tmp_path, env=environment, check=True, capture_output=True)
+    assert "<title>" in (tmp_path / "run/replay.html").read_text(encoding="utf-8")
+
+
+def test_every_text_file_is_read_and_written_as_utf_8() -> None:
+    lines = [line for path in (ROOT / "mecp_env").rglob("*.py") for line in path.read_text().splitlines()]
+    calls = [line for line in lines if re.search(r"\.(?:read_text|write_text)\(", line)]
+    assert len(calls) > 10
+    assert not [line for line in calls if "utf-8" not in line]

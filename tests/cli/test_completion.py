@@ -1,0 +1,53 @@
+"""`mecp-env completion`: scripts for shells that complete commands and options."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from mecp_env.cli import main as cli
+
+Captured = pytest.CaptureFixture[str]
+ASK = """
+source "$1"; shift
+COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}
+$(complete -p mecp-env | sed 's/.*-F \\([^ ]*\\).*/\\1/')
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+def script(shell: str, capsys: Captured) -> str:
+    """What the command prints."""
+    assert cli.main(["completion", shell]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_has_every_command_and_options(shell: str, capsys: Captured) -> None:
+    text = script(shell, capsys)
+    assert [word for words in cli.COMMANDS for word in words.split() if word not in text] == []
+    assert "--save-map" in text or "save-map" in text
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="runs bash")
+def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Captured) -> None:
+    file = tmp_path / "completion"
+    file.write_text(script("bash", capsys))
+
+    def completed(*words: str) -> list[str]:
+        line = ["bash", "-c", ASK, "bash", str(file), "mecp-env", *words]
+        return subprocess.run(line, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("ex") == ["explore", "export"]
+    assert "stats" in completed("worlds", "st")
+    assert "--save-map" in completed("demo", "--save")
+
+
+def test_an_unknown_shell_is_refused(capsys: Captured) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(["completion", "csh"])
+    assert end.value.code == 2
+    assert "fish" in capsys.readouterr().err

@@ -1,0 +1,74 @@
+"""Options that take several words may be given again: the words add up."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from benchmarks.__main__ import parser
+from mecp_env.cli import main as cli
+from mecp_env.cli.base import LISTS, gathered
+from mecp_env.config import REWARDS
+from mecp_env.core import own_modules
+
+Captured = pytest.CaptureFixture[str]
+
+
+def options_of_lists(words: str, capsys: Captured) -> set[str]:
+    """The options of a command that take several words, by its help."""
+    with pytest.raises(SystemExit):
+        cli.main([*words.split(), "--help"])
+    shown = capsys.readouterr().out
+    return set(re.findall(r"^\W*(--[\w.-]+) .*\.\.\.\]", shown, re.MULTILINE))
+
+
+def test_the_lists_are_those_of_the_commands(capsys: Captured) -> None:
+    found = {option for words in cli.COMMANDS for option in options_of_lists(words, capsys)}
+    assert found == set(LISTS)
+
+
+@pytest.mark.parametrize("option", LISTS)
+def test_words_of_an_option_add_up_in_their_order(option: str) -> None:
+    line = ["here", option, "a", "-1", "--seed", "1", f"{option}=b", "2", "--out", "x", option, "c"]
+    assert gathered(line) == ["here", option, "a", "-1", "b", "2", "c", "--seed", "1", "--out", "x"]
+
+
+def test_other_options_stay_as_they_are() -> None:
+    line = ["bfs", "--seed", "1", "--seed=2", "--no-truth", "--door-width-m", "1", "2"]
+    assert gathered(line) == line
+
+
+@pytest.mark.parametrize(
+    ("words", "line", "path", "value"),
+    [
+        ("worlds generate", "--shapes L --seed 3 --shapes T", "spec.shapes", ("L", "T")),
+        ("worlds generate", "--pieces=shelf --pieces box", "spec.pieces", ("shelf", "box")),
+        ("train", "ppo --buildings.difficulty easy --buildings.difficulty hard", "fields.buildings.difficulty", None),
+        ("train", "ppo --buildings.spec rooms 5 --buildings.spec loops 1", "fields.buildings.spec", None),
+        ("train", "ppo --env.reward.custom a 1 --env.reward.custom b 2", "fields.env.reward.custom", {"a": 1, "b": 2}),
+        ("demo", "--config.reward.custom a 1 --config.reward.custom b 2", "config.reward.custom", {"a": 1, "b": 2}),
+        ("slam", "x.bag --scan-topic /a --scan-topic /b", "scan_topic", ("/a", "/b")),
+        ("demo", "--with a --with b", "modules", ("a", "b")),
+    ],
+)
+def test_a_command_has_all_words(words: str, line: str, path: str, value: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(REWARDS, "others", ["a", "b"])
+    monkeypatch.setattr(cli, "import_modules", lambda names: None)
+    monkeypatch.setattr(own_modules, "_imported", {})
+    found: Any = cli.parse(words, line.split())
+    for name in path.split("."):
+        found = getattr(found, name)
+    assert found == value if value is not None else len(found) == 2
+
+
+@pytest.mark.parametrize(("option", "field"), [("with", "modules"), ("sets", "sets"), ("policies", "policies")])
+def test_a_benchmark_has_all_words(option: str, field: str) -> None:
+    given = parser().parse_args(["association", f"--{option}", "a", "b", "--jobs", "2", f"--{option}", "c"])
+    assert getattr(given, field) == ["a", "b", "c"]
+    assert getattr(parser().parse_args(["association"]), field) == []
+
+
+def test_sweeps_of_a_benchmark_add_up() -> None:
+    assert parser().parse_args(["speed", "--sweeps", "1", "--sweeps", "4"]).sweeps == [1, 4]

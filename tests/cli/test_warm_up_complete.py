@@ -1,0 +1,91 @@
+"""After `mecp-env warmup` no documented command compiles: what Python calls is in the list that is compiled ahead."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from mecp_env.core import jit
+from tests.command_lines import ROOT
+
+SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
+ALONE = "--buildings.layout two_rooms --environments 1 --groups 1"  # in one process
+LINES = (  # as in the documents, shorter
+    "doctor --seconds 1",
+    "demo --layout two_rooms --out demo --save-map map.zip",
+    "demo --layout paper --config.slam.filter.kind ekf --config.max-steps 60 --out ekf",
+    "demo --config.laser.preset urg04lx --config.odometry.preset turtlebot --config.max-steps 150 --out urg",
+    "demo --layout office --config.crowd.people 3 --config.clutter.movable-boxes 3 --config.max-steps 60 --out crowd",
+    "explore gain --layout hard:7 --steps 60",
+    "explore pause --task ActiveHalls-v0 --steps 150",
+    "explore returning --task ActiveCorridors-v0 --steps 150",
+    "explore stachniss --task ActiveCheapRobot-v0 --steps 100",
+    "explore next_best_view --difficulty easy --estimator known --steps 60",
+    "explore random_walk --difficulty easy --estimator truth --steps 60 --replay page",
+    "evaluate nearest gain --difficulty easy --episodes 1 --max-steps 60 --known --out compared",
+    "slam log.npz --out slam --save-map slam.zip",
+    "slam log.npz --odometry none --out registered",
+    "slam log.npz --from-map slam.zip --start unknown --out localised",
+    "export slam.zip --landmarks x.csv --rooms x.geojson --grid x.yaml",
+    "one-scan --step 6 --out scan",
+    "replay demo --out page.html",
+    "worlds stats paper hard:0",
+    "worlds convert demo/belief.yaml plan.json",
+)
+LEARNING = (
+    f"train ppo {SMALL} {ALONE} --out ppo",
+    f"train maskable_ppo {SMALL} {ALONE} --out maskable",
+    "explore maskable_ppo --steps 60",
+)
+LOST = 1  # exit code where the pose is not found in the map
+SCRIPT = """
+import json, sys
+import numpy as np
+from mecp_env.cli import main as cli
+from mecp_env.cli.exercise import made_log
+from mecp_env.cli.record_signatures import noted_calls
+from mecp_env.core.warm_up_list import entries
+
+log = made_log()
+beams = {"t": log.t, "ranges": log.ranges, "angles": log.bearings, "max_range_m": log.max_range_m}
+np.savez("log.npz", odo=log.T_odom_robot, **beams)
+codes = {}
+with noted_calls() as found:
+    for line in json.loads(sys.argv[1]):
+        codes[line] = cli.main(line.split())
+listed = set(map(json.dumps, entries()))
+missing = [entry for key, entry in found.items() if key not in listed]
+with open("result.json", "w") as file:
+    json.dump([codes, len(found), missing], file)
+"""
+
+
+def documented(lines: tuple[str, ...], folder: Path) -> tuple[dict[str, int], int, list[object]]:
+    """The exit codes of commands, how many functions they call, and those that are not compiled ahead."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MECP_ENV_WARM_UP": "0"}
+    line = [sys.executable, "-c", SCRIPT, json.dumps(lines)]
+    subprocess.run(line, cwd=folder, env=environment, check=True, capture_output=True, timeout=600)
+    codes, called, missing = json.loads((folder / "result.json").read_text())
+    return codes, called, missing
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(numba.config.DISABLE_JIT or not jit.CHECKED_CACHE, reason="nothing is compiled ahead")
+def test_no_documented_command_calls_a_function_that_is_not_compiled_ahead(tmp_path: Path) -> None:
+    learning = LEARNING if all(map(installed, ("torch", "sb3_contrib"))) else ()
+    codes, called, missing = documented((*LINES, *learning), tmp_path)
+    assert {line: code for line, code in codes.items() if code not in (0, LOST if "unknown" in line else 0)} == {}
+    assert called > 60
+    assert missing == [], "record the list again: python -m mecp_env.cli.record_signatures"
+
+
+def installed(module: str) -> bool:
+    """Whether a library can be imported."""
+    return importlib.util.find_spec(module) is not None

@@ -1,0 +1,178 @@
+"""Ctrl-C is never lost, and ends the process of the command with one line and exit code 130."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from mecp_env.core.interrupts import interrupts_later, is_command, watch_interrupts
+from mecp_env.core.jit import compiled
+
+ROOT = Path(__file__).parents[2]
+AS_COMMAND = "import sys; sys.argv = ['mecp-env']; sys.orig_argv = ['python', 'mecp-env']; import mecp_env, signal\n"
+ONE_LINE = "mecp-env: interrupted\n"
+
+
+@pytest.fixture(autouse=True)
+def _heard() -> Any:
+    """Tests that run in the background of a shell are deaf to Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def run(*line: str, path: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """A Python process that hears Ctrl-C."""
+
+    def hear() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    environment = os.environ | {"PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}
+    pipes: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 60}
+    return subprocess.run([sys.executable, *line], env=environment, preexec_fn=hear, check=False, **pipes)
+
+
+def test_an_interrupt_comes_after_the_work() -> None:
+    done = list[str]()
+
+    def work() -> None:
+        with interrupts_later(), interrupts_later():
+            signal.raise_signal(signal.SIGINT)
+            done.append("work")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["work"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_without_an_interrupt_nothing_changes() -> None:
+    with interrupts_later():
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_where_ctrl_c_is_ignored_it_stays_so() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with interrupts_later():
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_a_thread_changes_no_handler() -> None:
+    found = []
+
+    def work() -> None:
+        with interrupts_later():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_an_interrupt_while_a_function_is_compiled_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM's bindings have `__del__` and functions that C calls, in which Python would print and lose it."""
+
+    class Lossy:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+            done.append("deleted")
+
+    def compile_and_delete(self: Any, sig: Any) -> Any:
+        Lossy()
+        return real(self, sig)
+
+    done = list[str]()
+    real = numba.core.dispatcher.Dispatcher.compile
+    monkeypatch.setattr(numba.core.dispatcher.Dispatcher, "compile", compile_and_delete)
+    function = compiled(add_one)
+    with pytest.raises(KeyboardInterrupt):
+        function(1.0)
+    assert done == ["deleted"]
+    assert function.signatures
+
+
+def add_one(value: float) -> float:
+    return value + 1.0
+
+
+@pytest.mark.parametrize(
+    ("program", "expected"),
+    [
+        (["-m", "mecp_env"], True),
+        (["-W", "ignore", "-m", "mecp_env"], True),
+        (["/usr/bin/mecp-env"], True),
+        (["mecp-env.exe"], True),
+        (["-m", "mecp_env.core.warm_up"], False),
+        (["train.py"], False),
+        (["-c"], False),
+        ([], False),
+    ],
+)
+def test_the_process_of_the_command_is_known(program: list[str], expected: bool) -> None:
+    first = ["-m"] if "-m" in program else program[-1:] or [""]
+    orig = ["python", *program, "demo", "mecp-env"] if program else ["python"]
+    assert is_command([*first, "demo", "mecp-env"] if program else [""], orig) is expected
+
+
+def test_another_process_keeps_its_handlers() -> None:
+    hooks = sys.excepthook, sys.unraisablehook
+    watch_interrupts()
+    assert (sys.excepthook, sys.unraisablehook) == hooks
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("package", ["gymnasium", "tyro"])
+def test_an_interrupt_while_modules_are_imported_is_one_line(package: str, tmp_path: Path) -> None:
+    (tmp_path / f"{package}.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\n")
+    ended = run("-m", "mecp_env", "explore", "nearest", path=tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", ONE_LINE)
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        "class A:\n  def __del__(self): signal.raise_signal(signal.SIGINT)\nA()\nimport time; time.sleep(60)",
+        "try: signal.raise_signal(signal.SIGINT)\nexcept BaseException: raise ValueError",
+        "signal.raise_signal(signal.SIGINT)",
+        "exec('signal.raise_signal(signal.SIGINT)')",
+    ],
+)
+def test_an_interrupt_that_python_would_lose_ends_the_command(script: str) -> None:
+    ended = run("-c", AS_COMMAND + script)
+    assert (ended.returncode, ended.stderr) == (130, ONE_LINE)
+
+
+def test_an_interrupt_that_was_caught_on_its_way_shows_in_the_exit_code() -> None:
+    script = (
+        "from mecp_env.cli.exit_codes import at_end, run_command\ndef work():\n"
+        "  try: signal.raise_signal(signal.SIGINT)\n  except BaseException: return 0\n"
+        "sys.exit(at_end(run_command(work)))"
+    )
+    assert run("-c", AS_COMMAND + script).returncode == 130
+
+
+def test_an_interrupt_after_the_end_prints_nothing() -> None:
+    script = (
+        "from mecp_env.cli.exit_codes import at_end\nimport atexit\nprint('done')\n"
+        "atexit.register(signal.raise_signal, signal.SIGINT)\nsys.exit(at_end(0))"
+    )
+    ended = run("-c", AS_COMMAND + script)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "done\n", "")
+
+
+def test_other_errors_keep_their_traceback() -> None:
+    ended = run("-c", AS_COMMAND + "raise ValueError('other')")
+    assert ended.returncode == 1
+    assert ended.stderr.rstrip().endswith("ValueError: other")

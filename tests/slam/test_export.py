@@ -1,0 +1,154 @@
+"""Files for other programs: one implementation for outputs, pipelines and the command; outlines against shapely."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import shape
+
+from mecp_env.cli.main import main
+from mecp_env.core.errors import ConfigError
+from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
+from mecp_env.slam.config import SensorModel
+from mecp_env.slam.messages import Belief, Door, SemanticGrid
+from mecp_env.slam.outlines import area, door_outline, room_outline
+from tests.slam.drives import scripted_drive
+
+FILES = {"landmarks": "x.csv", "rooms": "x.geojson", "g2o": "x.g2o", "grid": "x.yaml"}
+
+
+@pytest.fixture(scope="module")
+def mapped() -> tuple[SlamPipeline, SlamOutput]:
+    """A drive through two rooms."""
+    drive = scripted_drive()
+    pipeline = SlamPipeline()
+    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
+        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    return pipeline, output
+
+
+def test_output_pipeline_and_command_write_the_same_files(
+    mapped: tuple[SlamPipeline, SlamOutput], tmp_path: Path
+) -> None:
+    pipeline, output = mapped
+    folders = {name: tmp_path / name for name in ("output", "pipeline", "command")}
+    written = output.export(**{name: folders["output"] / file for name, file in FILES.items()})
+    assert sorted(path.name for path in written) == ["x.csv", "x.g2o", "x.geojson", "x.pgm", "x.yaml"]
+    pipeline.export(**{name: folders["pipeline"] / file for name, file in FILES.items()})
+    pipeline.save_map(tmp_path / "map.zip")
+    options = [word for name, file in FILES.items() for word in (f"--{name}", str(folders["command"] / file))]
+    assert main(["export", str(tmp_path / "map.zip"), *options]) == 0
+    for path in written:
+        for folder in folders.values():
+            assert (folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_rooms_and_doors_of_the_map(mapped: tuple[SlamPipeline, SlamOutput], tmp_path: Path) -> None:
+    mapped[1].export(rooms=tmp_path / "x.geojson")
+    features = json.loads((tmp_path / "x.geojson").read_text())["features"]
+    shapes = {feature["id"]: shape(feature["geometry"]) for feature in features}
+    assert all(outline.is_valid for outline in shapes.values())
+    assert len([name for name in shapes if name.startswith("room-")]) == 2
+    (door,) = (name for name in shapes if name.startswith("door-"))
+    (found,) = (feature for feature in features if feature["id"] == door)
+    assert sorted(found["properties"]["rooms"]) == [0, 1]
+    assert 0.05 < shapes[door].area < 0.5
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_the_joint_covariance_names_its_rows(
+    suffix: str, mapped: tuple[SlamPipeline, SlamOutput], tmp_path: Path
+) -> None:
+    pipeline, output = mapped
+    path = tmp_path / f"joint{suffix}"
+    pipeline.export(joint_covariance=path)
+    if suffix == ".npz":
+        with np.load(path) as file:
+            ids, mean, cov = file["ids"], file["mean"], file["cov"]
+    else:
+        rows = list(csv.DictReader(path.open()))
+        names = [row[""] for row in rows]
+        assert names[:3] == ["pose.x_m", "pose.y_m", "pose.heading_rad"]
+        ids = np.array([int(name.removesuffix(".x_m")) for name in names[3::2]])
+        mean = np.array([float(row["mean"]) for row in rows])
+        cov = np.array([[float(row[name]) for name in names] for row in rows])
+    belief = output.belief
+    assert ids.tolist() == belief.ids.tolist()
+    np.testing.assert_allclose(mean, [*belief.T_map_robot, *belief.p_map.ravel()], atol=1e-9)
+    np.testing.assert_allclose(cov[:3, :3], belief.pose_cov, atol=1e-12)
+    for k in range(len(ids)):
+        at = slice(3 + 2 * k, 5 + 2 * k)
+        np.testing.assert_allclose(cov[at, at], belief.covs[k], atol=1e-12)
+    assert np.linalg.eigvalsh(cov).min() > 0.0
+
+
+def test_the_joint_covariance_is_that_of_the_robots_centre(tmp_path: Path) -> None:
+    angles = np.linspace(-math.pi, math.pi, 361)[1:]
+    ranges = np.minimum(3.0 / np.maximum(np.abs(np.cos(angles)), 1e-9), 2.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
+    pipeline = SlamPipeline(SlamConfig(sensor=SensorModel.preset("rplidar_a1", x_m=0.3, y_m=-0.2)))
+    output = pipeline.start(Scan.of(ranges, angles, 12.0))
+    for _ in range(4):
+        output = pipeline.step(Odometry.between(np.zeros(3), np.zeros(3), (0.01, 0.01)), Scan.of(ranges, angles, 12.0))
+    pipeline.export(joint_covariance=tmp_path / "joint.npz")
+    with np.load(tmp_path / "joint.npz") as file:
+        np.testing.assert_allclose(file["mean"][:3], output.belief.T_map_robot, atol=1e-12)
+        np.testing.assert_allclose(file["cov"][:3, :3], output.belief.pose_cov, atol=1e-15)
+        np.testing.assert_allclose(file["cov"], file["cov"].T, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("paths", "named"),
+    [
+        ({}, "landmarks"),
+        ({"landmark": "x.csv"}, "landmarks"),
+        ({"grid": "x.png"}, "x.png"),
+        ({"joint_covariance": "x.txt"}, "npz"),
+        ({"joint_covariance": "x.npz"}, "SlamPipeline"),
+    ],
+)
+def test_what_an_output_cannot_write_is_named(
+    paths: dict[str, str], named: str, mapped: tuple[SlamPipeline, SlamOutput], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=named):
+        mapped[1].export(**{name: tmp_path / path for name, path in paths.items()})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_pipe_is_written_to_and_stays(mapped: tuple[SlamPipeline, SlamOutput]) -> None:
+    mapped[1].export(landmarks="/dev/null")
+    assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_outline_of_any_cells_is_their_union(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = np.where(rng.random((9, 13)) < rng.uniform(0.2, 0.9), 0, -1).astype(np.int16)
+    parts = room_outline(grid_of(room), 0)
+    polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in parts]
+    assert all(polygon.is_valid for polygon in polygons)
+    assert all(area(rings[0]) > 0.0 and all(area(hole) < 0.0 for hole in rings[1:]) for rings in parts)
+    cells = [shapely.box(x / 2 + 1, y / 2 - 2, x / 2 + 1.5, y / 2 - 1.5) for y, x in np.argwhere(room == 0)]
+    assert shapely.union_all(polygons).symmetric_difference(shapely.union_all(cells)).area == pytest.approx(0.0)
+    assert sum(polygon.area for polygon in polygons) == pytest.approx(0.25 * len(cells))
+
+
+def grid_of(room: np.ndarray) -> SemanticGrid:
+    label = np.zeros(room.shape, np.uint8)
+    return SemanticGrid(label, label > 0, room, np.array([1.0, -2.0]), 0.5, 1)
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+@pytest.mark.parametrize("turn", [0.0, 0.7, 2.0])
+def test_the_outline_of_a_door(faces: int, turn: float) -> None:
+    across = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    points = np.array([[0.0, 0.0], [0.9, 0.0], [0.0, 0.2], [0.9, 0.2]]) @ across
+    belief = Belief(np.zeros(3), np.eye(3), np.arange(4), points, np.tile(np.eye(2), (4, 1, 1)))
+    ring = door_outline(belief, Door(5, (0, 1), (2, 3) if faces == 2 else None, (0, 1), 3), 0.1)
+    assert area(ring) == pytest.approx(0.9 * (0.2 if faces == 2 else 0.1))
+    assert shapely.Polygon(ring).is_valid

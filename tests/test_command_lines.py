@@ -1,0 +1,113 @@
+"""Every command line that is shown to a user parses."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+
+import pytest
+import tyro
+
+from benchmarks import __main__ as benchmarks
+from mecp_env import config
+from mecp_env.cli import main as cli
+from mecp_env.core import own_modules
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.potentials import register_reward
+from mecp_env.slam import association, filters, mecp
+from mecp_env.slam import config as slam_config
+from tests import command_lines
+from tests.command_lines import ROOT, command_of
+
+SOURCES = {  # and how many lines there are at least
+    command_lines.lines_of_documents: 80,
+    command_lines.lines_of_results: 25,
+    command_lines.lines_of_help: 40,
+    command_lines.lines_of_docstrings: 12,
+}
+PAGE = ROOT / "docs/own-parts.md"  # has the modules that lines name after --with
+_parsed: set[tuple[str, ...]] = set()
+
+
+@pytest.fixture
+def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The modules of `PAGE`, in the working directory; what they register is forgotten in the end."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_modules, "_imported", {})
+    modules = re.findall(r'```python\n("""(\w+)\.py""".*?)```', PAGE.read_text(), re.DOTALL)
+    for text, name in modules:
+        Path(f"{name}.py").write_text(text)
+    Path("my_rewards.py").write_text("")
+    register_reward("landmarks_seen", lambda inputs: 0.0)
+    yield
+    config.REWARDS.others.remove("landmarks_seen")
+    parts = (
+        (slam_config.METHODS, association.ASSOCIATORS),
+        (slam_config.KINDS, filters.FILTERS),
+        (slam_config.STRUCTURE_NAMES, mecp.STRUCTURES),
+    )
+    for names, makers in parts:
+        for name in names.others:
+            del makers[name]
+        names.others.clear()
+    for name in ("my_rewards", *(name for _, name in modules)):
+        sys.modules.pop(name, None)
+
+
+def parse(words: list[str]) -> None:
+    """Parse a line with the parser of its program. Raises `ConfigError`, or ends the process."""
+    if words[0] == "mecp-env" or words[2:3] == ["mecp_env"]:
+        cli.parse(*cli.split(words[1:] if words[0] == "mecp-env" else words[3:]))
+    elif words[2:3] == ["benchmarks"]:
+        given = benchmarks.parser().parse_args(words[3:])
+        benchmarks.options_of(given, importlib.import_module(f"benchmarks.{given.name}"))
+    else:
+        agent = words[1].removesuffix(".py").replace("/", ".")
+        tyro.cli(pytest.importorskip(agent, exc_type=ImportError).Args, args=words[2:])
+
+
+def failure(where: str, line: str) -> str | None:
+    """What is wrong with a line; None where it parses."""
+    words = command_of(line)
+    if words is None or tuple(words) in _parsed:
+        return None
+    try:
+        parse(words)
+    except SystemExit as end:
+        if end.code:
+            return f"{where}: {line}"
+    except (ConfigError, pytest.skip.Exception) as error:
+        if isinstance(error, ConfigError):
+            return f"{where}: {line}: {error}"
+    _parsed.add(tuple(words))
+    return None
+
+
+@pytest.mark.usefixtures("own_parts")
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.__name__)
+def test_every_command_line_parses(
+    source: Callable[[], Iterator[tuple[str, str]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [(where, line) for where, line in source() if command_of(line)]
+    assert len(lines) >= SOURCES[source]
+    failures = [failure(where, line) for where, line in lines]
+    assert not [text for text in failures if text], capsys.readouterr().err[-3000:]
+
+
+def test_lines_are_found_as_a_shell_reads_them() -> None:
+    found = {line: command_of(line) for _, line in chain.from_iterable(source() for source in SOURCES)}
+    assert command_of("ls -l") is None
+    assert command_of("nice mecp-env demo --seed $seed  # a comment") == ["mecp-env", "demo", "--seed", "1"]
+    assert command_of("sbatch --wrap 'mecp-env evaluate --shard $ID/8'")[1:] == ["evaluate", "--shard", "1/8"]
+    assert command_of("mecp-env evaluate a-{3..4} b | head -1")[2:] == ["a-3", "a-4", "b"]
+    assert any(words and "--shard" in words for words in found.values())
+
+
+@pytest.mark.parametrize("line", ["mecp-env explore gain --dificulty hard", "python -m benchmarks sped"])
+def test_a_wrong_line_is_found(line: str) -> None:
+    assert failure("here", line) is not None
