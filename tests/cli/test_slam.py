@@ -21,9 +21,12 @@ from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
-    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
-}
+FILES = (
+    {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
+    | {f"belief.{ending}" for ending in ("yaml", "pgm", "svg")}
+    | {f"{name}_final.{ending}" for name, ending in (("trajectory", "tum"), ("landmarks", "csv"), ("map", "png"))}
+    | {"belief_final.yaml", "belief_final.pgm"}
+)
 
 
 @pytest.fixture(scope="module", autouse=True)

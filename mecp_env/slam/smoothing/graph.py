@@ -31,7 +31,7 @@ class Links:
         if not links:
             return cls(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3, 3)))
         start, end, motions, covs = (np.array(column) for column in zip(*links, strict=True))
-        return cls(start, end, motions, np.linalg.inv(covs))
+        return cls(start, end, motions, inverses(covs))
 
     def errors(self, T_map_laser: Array) -> tuple[Array, Array, Array]:
         """Errors (k,3) at poses (n,3), and their derivatives (k,3,3) by the start and by the end."""
@@ -63,8 +63,8 @@ class Sightings:
             empty, nothing = np.empty(0, np.int64), csr_array((0, 0), dtype=np.float64)
             return cls(empty, empty, np.empty((0, 2)), nothing, np.empty((0, 2, 2)))
         pose, landmark, z, R = zip(*scans, strict=True)
-        information = csr_array(block_diag(list(map(np.linalg.inv, R)), format="csr"))
-        own = np.linalg.inv(np.concatenate(list(map(own_blocks, R))))
+        information = csr_array(block_diag(list(map(inverses, R)), format="csr"))
+        own = inverses(np.concatenate(list(map(own_blocks, R))))
         rows = np.repeat(pose, list(map(len, z)))
         return cls(rows, np.concatenate(landmark), np.concatenate(z), information, own)
 
@@ -116,3 +116,9 @@ def own_blocks(R: Array) -> Array:
     c = np.arange(len(R) // 2)
     blocks: Array = R.reshape(len(c), 2, len(c), 2)[c, :, c]
     return blocks
+
+
+def inverses(covs: Array) -> Array:
+    """The inverses of covariances (...,d,d)."""
+    found: Array = np.linalg.inv(covs)
+    return found

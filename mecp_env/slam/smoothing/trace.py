@@ -14,7 +14,7 @@ from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.mounting import predict_mounted
 from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings
+from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings, inverses
 from mecp_env.slam.smoothing.optimum import smooth
 
 NO_IDS = np.empty(0, np.int64)
@@ -128,11 +128,10 @@ class Trace:
         before, old = self.before, self._resolved(self.before.ids)
         first = np.isin(old, ids) & (old == before.ids)
         rows = np.searchsorted(ids, old[first])
-        places: tuple[Ints, Array, Array] = rows, before.p_map[first], np.linalg.inv(before.covs[first])
+        places = rows, before.p_map[first], inverses(before.covs[first])
         if not self.localised:  # the first pose is searched for: what holds it is the map
             return Priors(self.T_map_laser[0], np.eye(3), *places)
-        information: Array = np.linalg.inv(before.pose_cov)
-        return Priors(before.T_map_robot, information, *places)
+        return Priors(before.T_map_robot, inverses(before.pose_cov), *places)
 
     def _grid(self, belief: Belief, T_map_laser: Array) -> SemanticGrid:
         """The grid with the key scans at the final poses, and polygons and doors at the final landmarks."""
