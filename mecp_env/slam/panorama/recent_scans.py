@@ -67,7 +67,7 @@ class RecentScans:
     limits: RegistrationLimits
     scans: list[RecentScan] = field(default_factory=list)
     next_mark: int = FIRST_MARK
-    registered: Registered | None = None  # the registration of the last scan, unless the window was emptied since
+    registered: Registered | None = None  # that of the last scan
 
     def __init__(self, config: SlamConfig) -> None:
         self.config, self.sensor = config.panorama, config.sensor
@@ -133,7 +133,6 @@ class RecentScans:
         for scan in self.scans:
             landmark_filter.remove(scan.marks)
         self.scans.clear()
-        self.registered = None
 
     @property
     def floor(self) -> Array:

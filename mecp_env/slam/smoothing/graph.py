@@ -120,5 +120,4 @@ def own_blocks(R: Array) -> Array:
 
 def inverses(covs: Array) -> Array:
     """The inverses of covariances (...,d,d)."""
-    found: Array = np.linalg.inv(covs)
-    return found
+    return np.asarray(np.linalg.inv(covs), np.float64)
