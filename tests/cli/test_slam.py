@@ -59,17 +59,24 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
     metrics = metrics_of(kept)
     assert (metrics["ended"], metrics["rooms"], metrics["doors"]) == ("complete", 2, 1)
     assert metrics["ate_m"] < 0.05 < metrics["dead_reckoning_ate_m"]
+    assert metrics["final_converged"]
+    assert metrics["final_ate_m"] < 0.05
     assert metrics["polygon_share"] > 0.5
-    assert len(load_plan(kept / "belief.yaml").rooms) == 2
+    assert len(load_plan(kept / "belief.yaml").rooms) == len(load_plan(kept / "belief_final.yaml").rooms) == 2
+    assert len((kept / "landmarks_final.csv").read_text().splitlines()) == 1 + metrics["landmarks"]
     with Image.open(kept / "run.gif") as film:
         assert film.n_frames > 10
 
 
 def test_the_paths_are_in_one_frame(kept: Path) -> None:
-    estimated, reference = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
+    names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
+    estimated, final, reference = (np.loadtxt(kept / name) for name in names)
     assert estimated.shape == reference.shape
     np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
+    np.testing.assert_array_equal(final[:, 0], reference[:, 0])
     assert np.hypot(*(estimated - reference)[:, 1:3].T).max() < 0.2
+    assert np.hypot(*(final - reference)[:, 1:3].T).max() < 0.2
+    assert (final != estimated).any()
 
 
 def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
