@@ -46,6 +46,7 @@ OPEN = (  # compare registered parts too
 )
 COMPARED = ("speed", "start")  # comparable with another commit
 IN_UNITS = (
+    "ablation",
     "association",
     "association_time",
     "claims",
@@ -75,6 +76,7 @@ NAMES = (
     "filters",
     "association",
     "association_time",
+    "ablation",
     "clutter",
     "kidnap",
     "loop",
@@ -112,6 +114,7 @@ OVER_POLICIES = ("uncertainty", "returns")  # --task, --policies, --buildings
 COLOURS = 128  # of a committed picture: lines and areas need no more
 RECORD = "record"  # makes what others replay, and has no figures
 WITH_RECORDS = (
+    "ablation",
     "association",
     "association_time",
     "claims",

@@ -2,11 +2,12 @@
 
 The default estimator maps a drive that was recorded with the true pose as the driver. For each scan that is drawn, the
 filter gets the true pose with a random error of a given sigma in x, y and heading, this prior, and no correlation with
-the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs.
-The scans are among those that the map was made of. `mecp in one pass` pairs everything at the prediction, however wide
-that is. `jcbb` and `ccda` work in one pass and without polygons (docs/associators.md). `jcbb with descriptor in two
-passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and bound in place of the greedy
-pairing.
+the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs. The
+scans are among those that the map was made of. In `mecp`, polygons and cliques propose poses where the prediction is
+wide; the rows without one of them have the other. `mecp in one pass` pairs everything at the prediction, however wide
+that is. `jcbb`, `ccda` and `clipper` (benchmarks/clipper.py) work in one pass and without polygons
+(docs/associators.md). `jcbb with descriptor in two passes` is `mecp` without polygons, and `jcbb with all of mecp` is
+`mecp`, with branch and bound in place of the greedy pairing.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
@@ -30,8 +31,10 @@ from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import (
+    CLIPPER,
     DEFAULT,
     ONE_PASS,
+    POLYGONS_ALONE,
     WITHOUT_POLYGONS,
     Variant,
     rival,
@@ -62,12 +65,14 @@ VARIANTS: dict[str, Variant] = {
     "mecp without polygons": WITHOUT_POLYGONS,
     "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
     "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
+    "mecp without cliques": POLYGONS_ALONE,
     "mecp in one pass": ONE_PASS,
     "jcbb": rival("jcbb"),
     "jcbb with descriptor": rival("jcbb with descriptor"),
     "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
     "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
     "ccda with descriptor": rival("ccda with descriptor"),
+    "clipper with descriptor": CLIPPER,
     "nearest": Variant({"association": {"method": "nearest"}}),
     "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
 }

@@ -6,12 +6,12 @@ imported rooms that match no label. `explored`: breadth first, three starts in e
 m2 of the floor that a robot can reach. An exploration is seen when it ends by itself with 95 % of that floor seen,
 ended early when it ends by itself with less, complete when it is seen, not lost, and has every room and door; lost and
 the other figures are those of the benchmark `worlds`. `fr079`: odometry is made of the reference path with the paper's
-noise, five seeds; `intel_raw`, `csail_raw`: raw odometry, whose noise `benchmarks/real_logs.py` gives. Relations are
-the mean errors of relative poses measured by hand (Kuemmerle et al. 2009), with poses interpolated to their times;
-`at_scans` are those that need no interpolation; times are those of one core. `final` are the figures of the path that
-is smoothed over all scans after the run, and `final_s` the seconds of the smoothing. `view_180_deg`: drives on `paper`
-with the true pose as the driver, cut to 180 degrees as in `noise`, and an estimator that knows it. `urg04lx`:
-explorations with that laser.
+noise, five seeds; `intel_raw`, `csail_raw`: raw odometry, calibrated as `mecp-env slam` does without an option, which
+reads no reference path. Relations are the mean errors of relative poses measured by hand (Kuemmerle et al. 2009), with
+poses interpolated to their times; `at_scans` are those that need no interpolation; times are those of one core. `final`
+are the figures of the path that is smoothed over all scans after the run, and `final_s` the seconds of the smoothing.
+`view_180_deg`: drives on `paper` with the true pose as the driver, cut to 180 degrees as in `noise`, and an estimator
+that knows it. `urg04lx`: explorations with that laser.
 """
 
 from __future__ import annotations

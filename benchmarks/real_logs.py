@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,37 +11,26 @@ import numpy as np
 from benchmarks.common import Figures, estimate
 from benchmarks.real_maps import MapData
 from mecp_env.core.trajectories import composed
-from mecp_env.evaluation.log_run import LogRun, LogRunConfig, run_log
+from mecp_env.evaluation.calibration import calibrate_log
+from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log
 from mecp_env.evaluation.trajectory import align
-from mecp_env.logs import Log, read_log
+from mecp_env.logs import read_log
 from mecp_env.slam.messages import Cell
-from mecp_env.world.config import OdometryConfig
-
-PAPER_TURN_DEG = OdometryConfig().turn_sigma_deg
 
 
 @dataclass(frozen=True, slots=True)
 class LogSet:
-    """How a log is run. Its figures are those of the laser's path.
-
-    The noise of raw odometry was found from its residuals against the reference, per step between two scans, over the
-    square root of the path that the model counts. Intel: 4.1 deg and a bias of -1.8 deg per sqrt(m) in heading,
-    together 3.0 times the paper's figure, 0.08 m in distance (0.8 times); CSAIL: 7.8 deg (5.2 times) and 0.06 m. The
-    distance noise is left as the paper's. Intel's odometry is that of the robot's centre: the residuals are least
-    (0.038 m instead of 0.053 m, medians) where the laser, whose path the reference is, sits 0.08 m ahead of it.
-    """
+    """How a log is run: raw odometry as `mecp-env slam` does without an option, by a calibration from its own scans."""
 
     runs: int = 1
     run: LogRunConfig = field(default_factory=LogRunConfig)
-    laser_ahead_m: float = 0.0  # of the robot's centre
+    calibrated: bool = False
 
 
 LOGS: dict[str, LogSet] = {
     "fr079": LogSet(5, LogRunConfig(odometry="reference")),
-    "intel_raw": LogSet(
-        run=LogRunConfig(noise=OdometryConfig(turn_sigma_deg=3.0 * PAPER_TURN_DEG)), laser_ahead_m=0.08
-    ),
-    "csail_raw": LogSet(run=LogRunConfig(noise=OdometryConfig(turn_sigma_deg=5.0 * PAPER_TURN_DEG))),
+    "intel_raw": LogSet(calibrated=True),
+    "csail_raw": LogSet(calibrated=True),
 }
 COLUMNS = (
     *("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg"),
@@ -54,19 +43,11 @@ COLUMNS = (
 
 def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tuple[Figures, MapData]:
     """Metrics of one run on a log, and its map; only of its first `scans` if given."""
-    given = LOGS[name]
-    run = run_log(
-        at_laser(read_log(folder / f"{name}.npz"), given.laser_ahead_m),
-        run=given.run.model_copy(update={"seed": seed, "scans": scans}),
-    )
+    given, log = LOGS[name], read_log(folder / f"{name}.npz")
+    calibration = calibrate_log(log, config_for(log), {}, {}) if given.calibrated else None
+    options = given.run.model_copy(update={"seed": seed, "scans": scans})
+    run = run_log(log, run=options, calibration=calibration)
     return run.metrics(), map_of(run)
-
-
-def at_laser(log: Log, ahead_m: float) -> Log:
-    """The log with the odometry of a laser that sits so far ahead of the robot's centre."""
-    if log.T_odom_robot is None or ahead_m == 0.0:
-        return log
-    return replace(log, T_odom_robot=composed(log.T_odom_robot, np.array([ahead_m, 0.0, 0.0])))
 
 
 def map_of(run: LogRun) -> MapData:

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from benchmarks.clipper import ClipperAssociator
 from mecp_env.config import merge
 from mecp_env.core.array_types import Array
 from mecp_env.slam.association import MecpAssociator, make_associator
+from mecp_env.slam.association.first_pass import FirstPass
 from mecp_env.slam.association.jcbb import pair_jointly
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.association.polygon_matching import PolygonMatch
@@ -28,6 +30,25 @@ class OnePassAssociator(MecpAssociator):
     ) -> MatchBuilder:
         """The decisions at the prediction."""
         return self._paired(corners, polygons, view, belief)
+
+
+class PolygonsAlone(FirstPass):
+    """Only a polygon proposes a pose."""
+
+    __slots__ = ()
+
+    def propose_cliques(self, costs: Array) -> None:
+        """None."""
+
+
+class PolygonAssociator(MecpAssociator):
+    """`mecp` whose first pass has no cliques: without a polygon that is recognised, nothing is paired."""
+
+    __slots__ = ()
+
+    def _first_pass(self) -> type[FirstPass]:
+        """One without cliques."""
+        return PolygonsAlone
 
 
 class TwoPassJcbbAssociator(MecpAssociator):
@@ -68,6 +89,8 @@ def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
 DEFAULT = "mecp"
 WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
 ONE_PASS = Variant(make=OnePassAssociator)
+POLYGONS_ALONE = Variant(make=PolygonAssociator)
+CLIPPER = Variant({"association": {"use_rooms": False}}, ClipperAssociator)
 
 RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none uses polygons
     "jcbb": {"method": "jcbb", "use_rooms": False, "use_descriptor": False},

@@ -48,4 +48,25 @@ def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool 
     return names
 
 
+def calibrate(scans: Any, odometry: Any, sensor: Any = None) -> Any:
+    """Sensor and odometry models of a robot, from its own scans and the poses by its odometry: no truth is needed.
+
+    `scans`: n scans in order, as the estimator takes them (`mecp_env.slam.Scan`: ranges and bearings (K,B), m and rad).
+    `odometry`: (n,3) x, y, heading of the robot at each scan, m and rad, in any fixed frame. `sensor`: what is known of
+    the laser, fields of `SensorModel` or a whole one; by default it is centred on the robot and looks ahead.
+
+    The result has `.sensor`, a `SensorModel` with forward offset, heading and range noise of the laser; `.odometry`, an
+    `OdometryModel`, whose `between(T_before, T_after)` gives the corrected `Odometry` of a step with its covariance;
+    `.estimates` of every field with standard deviations; and `.notes`, which name each default that is used because
+    the scans do not tell the value, as in the dark, along a single wall, or with too few scans.
+
+    Raises `SensorError` for an invalid scan, for odometry of another shape or that is not finite, and for odometry that
+    never moves or jumps by more than 5 m between two scans; `ConfigError` for an unknown field of the sensor.
+
+    Method: registration of scans from point to line (Censi 2008), a hand-eye equation in the plane for mounting, scale
+    and bias, and robust variances for the noise (docs/logs.md).
+    """
+    return import_module("mecp_env.evaluation.calibration").calibrate(scans, odometry, sensor)
+
+
 register_environments()

@@ -17,7 +17,7 @@ from rich.table import Table
 from mecp_env.core.array_types import Array
 from mecp_env.core.paths import naming, write_atomic
 from mecp_env.core.text import sanitised
-from mecp_env.core.trajectories import composed
+from mecp_env.core.trajectories import between, composed
 from mecp_env.evaluation.log_run import LogRun
 from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -110,13 +110,18 @@ def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]
 
 
 def _reference(run: LogRun) -> Array:
-    """(n,3) the reference path from the first known pose on, laid over the estimated one; none, or nan, without."""
+    """(n,3) the reference path from the first known pose on, laid over the estimated one; none, or nan, without.
+
+    It is that of the robot as the estimator knows it.
+    """
     if run.T_ref_robot is None or not run.localised.any():
         return np.empty((0, 3))
     T_ref, T_map = run.T_ref_robot[run.scored], run.T_map_robot[run.scored]
     known = np.isfinite(T_ref[:, 0])
     if not known.any():
         return np.empty((0, 3))
+    to_robot = between(run.T_robot_frame, np.zeros(3))
+    T_ref = composed(T_ref, np.broadcast_to(to_robot, T_ref.shape))
     return composed(align(T_map[known, :2], T_ref[known, :2]), T_ref)
 
 

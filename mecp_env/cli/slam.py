@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +20,8 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
 
 if TYPE_CHECKING:
-    from mecp_env.evaluation.log_run import LogDrive, LogRun, LogRunConfig
+    from mecp_env.evaluation.calibration import Calibration
+    from mecp_env.evaluation.log_run import LogRun, LogRunConfig
     from mecp_env.logs import Log
     from mecp_env.slam import SlamPipeline
     from mecp_env.slam.map_file import MapStart
@@ -33,9 +34,12 @@ class SlamFields(SlamConfig):
 
 
 class NoiseFields(OdometryConfig):
-    """Noise of the odometry, per square root of a metre: of the one that is made, and in the covariance of all."""
+    """Noise of the odometry per square root of a metre, and what is corrected; given fields win over `--noise auto`."""
 
     reading: Annotated[Literal["per_metre"], tyro.conf.Suppress] = "per_metre"
+    distance_scale: float = Field(1.0, ge=0.1, le=10.0)  # true distance per distance of the odometry
+    turn_scale: float = Field(1.0, ge=0.1, le=10.0)  # true turn per turn of the odometry
+    turn_bias_deg_per_m: float = Field(0.0, ge=-90.0, le=90.0)  # true turn per metre straight ahead by the odometry
 
 
 SlamFields.__name__, NoiseFields.__name__ = "--config", "--noise"  # errors then name the option
@@ -51,6 +55,8 @@ class Slam(WithModules):
         "mecp-env slam fr079.npz --odometry reference --seed 1 --save-map fr079.zip",
         "mecp-env slam monday.bag --from-map fr079.zip --start unknown",
         "mecp-env slam intel.log --config.sensor.range-sigma-m 0.03 --config.sensor.x-m 0.1",
+        "mecp-env slam intel.log --noise.turn-sigma-deg 4.5 --noise.distance-scale 1.02",
+        "mecp-env slam intel.log --noise paper",
     )
 
     log: Annotated[Path, tyro.conf.Positional]
@@ -75,6 +81,8 @@ class Slam(WithModules):
     rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)
     config: SlamFields = field(default_factory=SlamFields)  # any field of the estimator
+    noise_from: Annotated[Literal["auto", "paper"], tyro.conf.arg(name="noise")] = "auto"  # auto: found by registration
+    # of the log's scans, with scale and bias of its odometry and mounting of its laser; paper: nothing is corrected
     noise: NoiseFields = field(default_factory=NoiseFields)
 
     keeps_results = True
@@ -82,21 +90,24 @@ class Slam(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources
+        from mecp_env.cli.calibration_table import print_calibration
         from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_result
         from mecp_env.cli.map_option import check_map, save_map
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.core import warm_up
-        from mecp_env.evaluation.log_run import LogDrive, LogRunConfig
+        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in FILES], [str(path) for path in (self.log, self.from_map) if path])
         check_map(self.save_map, str(self.log), "slam")
-        log = self._read()
-        pipeline = self._pipeline(log, line)
+        log, fault = self._checked(self._read())
+        pipeline, calibration = self._estimator(log, fault, line)
         keys = "odometry", "seed", "rest_m", "rest_deg"
         options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
-        drive = LogDrive(log, pipeline, options)
-        log = self._checked(drive)
+        drive = LogDrive(log, pipeline, options, calibration)
+        log = drive.log
+        echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
+        print_calibration(calibration)
         planned = len(drive.planned())
         warm_up.prepare()
         files = LogFiles(log, planned, rerun_log(self.rerun))
@@ -109,7 +120,7 @@ class Slam(WithModules):
             return INTERRUPTED
         run = drive.result()
         saved = save_map(run.pipeline, self.save_map)
-        print_result(files.keep(folder, run, self._recipe(run.pipeline.config, options)), folder)
+        print_result(files.keep(folder, run, self._recipe(run, options)), folder)
         return exit_code(self._ended(run, options), saved)
 
     def _ended(self, run: LogRun, options: LogRunConfig) -> int:
@@ -122,17 +133,19 @@ class Slam(WithModules):
             return FAILED
         return {"interrupted": INTERRUPTED, "complete": 0}.get(run.ended, FAILED)
 
-    def _checked(self, drive: LogDrive) -> Log:
-        """The log as it is driven through, with a note where its laser and its odometry disagree."""
-        from mecp_env.evaluation.log_run import REGISTERED
+    @property
+    def _is_measured(self) -> bool:
+        """True when the odometry is that of the log, which may be calibrated and may contradict the laser."""
+        return self.odometry == "log"
+
+    def _checked(self, log: Log) -> tuple[Log, str | None]:
+        """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
         from mecp_env.logs.laser_check import laser_fault
 
-        own = self.odometry == "log" and drive.log.notes[-1:] != (REGISTERED,)
-        fault = laser_fault(drive.log) if own else None
+        fault = laser_fault(log) if self._is_measured else None
         said = () if fault is None else (f"warning: {fault}",)
-        echo(*drive.log.notes[-1:] * (not own), *said)
-        drive.log = replace(drive.log, notes=(*drive.log.notes, *said))
-        return drive.log
+        echo(*said)
+        return replace(log, notes=(*log.notes, *said)), fault
 
     def _read(self) -> Log:
         """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
@@ -155,8 +168,11 @@ class Slam(WithModules):
         echo(*(f"note: {note}" for note in log.notes))
         return log
 
-    def _pipeline(self, log: Log, line: Sequence[str]) -> SlamPipeline:
-        """A new estimator for the log's laser, or one in a saved map. Raises `ConfigError` and `MapError`."""
+    def _estimator(self, log: Log, fault: str | None, line: Sequence[str]) -> tuple[SlamPipeline, Calibration | None]:
+        """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
+
+        Raises `ConfigError` and `MapError`.
+        """
         from mecp_env.evaluation.log_run import config_for
         from mecp_env.slam import SlamPipeline
 
@@ -164,10 +180,33 @@ class Slam(WithModules):
         if self.from_map is None:
             if self.start != "saved":
                 raise ConfigError(f"--start: {self.start} is a place in a map; name one by --from-map")
-            return SlamPipeline(config_for(log, fields))
+            calibration = self._calibration(log, config_for(log, fields), fields.get("sensor", {}), fault, line)
+            return SlamPipeline(config_for(log, fields, calibration)), calibration
         if fields:
             raise ConfigError(f"--config: {', '.join(fields)} given, but a map has its own configuration (--from-map)")
-        return SlamPipeline.from_map(self.from_map, self._start())
+        pipeline = SlamPipeline.from_map(self.from_map, self._start())
+        sensor = pipeline.config.sensor.model_dump()
+        return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
+
+    def _calibration(
+        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Sequence[str]
+    ) -> Calibration | None:
+        """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
+
+        `config` describes the laser; fields of `sensor` are kept.
+        """
+        from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
+
+        noise = named_fields(self.noise, line, "--noise.")
+        if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
+            given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
+            return calibrate_log(log, config, given, noise, fault)
+        useless = [name for name in CORRECTIONS if name in noise]
+        if useless:
+            raise ConfigError(
+                f"--noise: {', '.join(useless)} given, but only --noise auto corrects odometry of the log"
+            )
+        return None
 
     def _start(self) -> MapStart:
         """Where to begin in the map. Raises `ConfigError`."""
@@ -182,9 +221,12 @@ class Slam(WithModules):
         return (x, y, heading)
 
     def _noise(self, line: Sequence[str]) -> OdometryConfig:
-        return OdometryConfig(**named_fields(self.noise, line, "--noise."))
+        named = named_fields(self.noise, line, "--noise.")
+        return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
 
-    def _recipe(self, config: SlamConfig, options: Any) -> dict[str, Any]:
+    def _recipe(self, run: LogRun, options: Any) -> dict[str, Any]:
         """What another run needs to give the same."""
         start = {"from_map": str(self.from_map), "start": self.start} if self.from_map is not None else {}
-        return {"log": str(self.log), **start, "run": options.model_dump(), "config": config.model_dump()}
+        found = {} if run.calibration is None else {"odometry": run.calibration.odometry.model_dump()}
+        config = run.pipeline.config.model_dump()
+        return {"log": str(self.log), **start, "run": options.model_dump(), **found, "config": config}

@@ -15,7 +15,9 @@ from mecp_env.core.array_types import Array, Bools
 from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.messages import Odometry
 from mecp_env.core.settings import Settings
-from mecp_env.core.trajectories import between, chained
+from mecp_env.core.trajectories import between, chained, composed
+from mecp_env.evaluation.calibration import Calibration
+from mecp_env.evaluation.calibration.of_log import RANGE_SIGMA_M, UNIFORM
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 from mecp_env.logs.motion import arcs, end_of, reading
@@ -26,10 +28,6 @@ from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.smoothing import FinalMap, SmoothingError, Trace
 from mecp_env.world.config import OdometryConfig
 
-RANGE_SIGMA_M = 0.02  # of a SICK LMS-200 and its successors
-UNIFORM = math.sqrt(12.0)  # a beam looks anywhere within its step: the standard deviation is step / sqrt(12)
-
-
 REGISTERED = "odometry none: it is made by registration of successive scans"
 
 
@@ -38,7 +36,8 @@ class LogRunConfig(Settings):
 
     odometry: Literal["log", "reference", "none"] = "log"  # reference: of the reference path, with noise of `noise`;
     # none: made by registration of successive scans, as for a log without odometry
-    noise: OdometryConfig = OdometryConfig()  # per metre: what the covariance of a reading is computed from
+    noise: OdometryConfig = OdometryConfig()  # per metre: what the covariance of a reading is computed from, where no
+    # calibration says more of the odometry of the log
     seed: int = Field(0, ge=0)  # of that noise
     rest_m: float = Field(0.001, ge=0.0, le=1.0)  # a scan is skipped where the robot has moved less than this, and
     rest_deg: float = Field(0.05, ge=0.0, le=45.0)  # turned less than this, since the last one that was used
@@ -71,6 +70,7 @@ class LogRun:
     step_s: Array  # (n,) processor time of each scan
     counts: Mapping[str, int]  # those of the log, and of what was left out here
     notes: tuple[str, ...] = ()  # those of the log, and of what was chosen here
+    calibration: Calibration | None = None  # by which the odometry of the log was corrected
     final: FinalMap | None = None  # path and map smoothed over all scans; None where the optimum is not reached
     final_s: float = 0.0  # processor time of the smoothing
 
@@ -92,7 +92,8 @@ class LogRun:
             "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
         }
         said = {"counts": dict(self.counts), "notes": list(self.notes)}
-        return found | self._against_reference() | self._relations() | self._of_final() | said
+        calibration = {} if self.calibration is None else {"calibration": self.calibration.as_dict()}
+        return found | self._against_reference() | self._relations() | self._of_final() | said | calibration
 
     @property
     def T_final_robot(self) -> Array:
@@ -121,6 +122,15 @@ class LogRun:
         return int(getattr(self.pipeline.filter, "dropped", 0))
 
     @property
+    def T_robot_frame(self) -> Array:
+        """(3,) the frame in which the log is scored, on the robot as the estimator knows it.
+
+        It is the robot's as the log describes it. Where the log says nothing of the mounting, that is the laser: its
+        path is what a reference is made of.
+        """
+        return composed(self.pipeline.config.sensor.T_robot_laser, between(self.log.T_robot_laser, np.zeros(3)))
+
+    @property
     def scored(self) -> slice:
         """The scans from the first on whose pose was known."""
         return slice(int(self.localised.argmax()), None)
@@ -130,8 +140,8 @@ class LogRun:
         if self.T_ref_robot is None or not self.localised.any():
             return {}
         reference = self.T_ref_robot[self.scored]
-        slam = trajectory_error(self.T_map_robot[self.scored], reference)
-        dead = trajectory_error(self.T_odom_robot[self.scored], reference)
+        slam = trajectory_error(self._framed(self.T_map_robot), reference)
+        dead = trajectory_error(self._framed(self.T_odom_robot), reference)
         return {
             "ate_m": slam.rmse_m,
             "ate_worst_m": slam.worst_m,
@@ -139,9 +149,14 @@ class LogRun:
             "dead_reckoning_ate_m": dead.rmse_m,
         }
 
+    def _framed(self, T_map_robot: Array) -> Array:
+        """(m,3) of poses (n,3) those that are scored, of the frame that is scored."""
+        poses = T_map_robot[self.scored]
+        return composed(poses, np.broadcast_to(self.T_robot_frame, poses.shape))
+
     def _relations(self) -> dict[str, float]:
         """The error of the relations, with interpolated poses, and of those that need no interpolation."""
-        t, poses, found = self.t[self.scored], self.T_map_robot[self.scored], dict[str, float]()
+        t, poses, found = self.t[self.scored], self._framed(self.T_map_robot), dict[str, float]()
         both = {"relations": self.log.relations, "relations_at_scans": coincident(self.log.t, self.log.relations)}
         for name, relations in both.items() if self.localised.any() else ():
             if len(relations):
@@ -157,10 +172,13 @@ def sensor_of(log: Log, given: Mapping[str, Any] | None = None) -> dict[str, Any
     return log.sensor() | sigmas | dict(given or {})
 
 
-def config_for(log: Log, fields: Mapping[str, Any] | None = None) -> SlamConfig:
-    """The configuration of the estimator for a log; `fields` of `SlamConfig` override what the log says."""
-    fields = dict(fields or {})
-    return SlamConfig.parse(fields | {"sensor": sensor_of(log, fields.get("sensor"))})
+def config_for(log: Log, fields: Mapping[str, Any] | None = None, calibration: Calibration | None = None) -> SlamConfig:
+    """The configuration of the estimator for a log, and for what a `calibration` found of its laser.
+
+    `fields` of `SlamConfig` override both.
+    """
+    fields, found = dict(fields or {}), {} if calibration is None else calibration.of_sensor
+    return SlamConfig.parse(fields | {"sensor": sensor_of(log, found | dict(fields.get("sensor", {})))})
 
 
 @dataclass(slots=True, eq=False)
@@ -170,6 +188,7 @@ class LogDrive:
     log: Log
     pipeline: SlamPipeline
     config: LogRunConfig
+    calibration: Calibration | None = None  # of the odometry of the log
     rows: list[int] = field(default_factory=list)  # of the log, that were used
     outputs: list[tuple[Array, bool, bool, float]] = field(default_factory=list)
     """Of each scan the pose (3,), whether it is known, whether there is a polygon, and the time in s."""
@@ -228,7 +247,11 @@ class LogDrive:
 
     def _odometry(self, before: int, row: int, rng: np.random.Generator | None) -> Odometry:
         path = self._path()
-        return reading(arcs(between(path[before], path[row])), self.config.noise, rng)
+        motion = between(path[before], path[row])
+        if self.calibration is None:
+            return reading(arcs(motion), self.config.noise, rng)
+        model = self.calibration.odometry
+        return reading(arcs(model.corrected(motion)), model)
 
     def _step(self, row: int, odometry: Odometry | None) -> SlamOutput:
         scan, start = self.log.scan(row), time.thread_time()
@@ -253,7 +276,9 @@ class LogDrive:
             *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
             *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
             *(dict(self.log.counts) | {what: n for what, n in skipped.items() if n}, (*self.log.notes, *said)),
-            *(final, final_s),
+            calibration=self.calibration,
+            final=final,
+            final_s=final_s,
         )
 
     def _final(self) -> tuple[FinalMap | None, float, tuple[str, ...]]:
@@ -272,14 +297,17 @@ def run_log(
     run: LogRunConfig | None = None,
     pipeline: SlamPipeline | None = None,
     after: Callable[[SlamOutput], None] | None = None,
+    calibration: Calibration | None = None,
 ) -> LogRun:
     """The estimator on a whole log; raises `LogError` where the log lacks what `run` asks for.
 
     `config`: fields of `SlamConfig` that override the log's laser, or a whole `SlamConfig`, which is taken as it is.
     `pipeline`: one to go on with, as from a saved map, in place of a new one. `after` is called after every scan.
+    `calibration`: that of the log's odometry and laser (`calibrate_log`); without one, odometry is taken as it is, with
+    the noise of `run`.
     """
-    slam = config if isinstance(config, SlamConfig) else config_for(log, config)
-    drive = LogDrive(log, pipeline or SlamPipeline(slam), run or LogRunConfig())
+    slam = config if isinstance(config, SlamConfig) else config_for(log, config, calibration)
+    drive = LogDrive(log, pipeline or SlamPipeline(slam), run or LogRunConfig(), calibration)
     for output in drive.steps():
         if after is not None:
             after(output)

@@ -11,28 +11,14 @@ from mecp_env.core.array_types import Array
 from mecp_env.core.messages import Odometry
 from mecp_env.core.trajectories import chained
 
-QUARTER_TURN = math.pi / 2.0
 FLOOR_M = FLOOR_RAD = 1e-6  # least sigmas of a reading, so that its covariance is positive
 
 
 class NoiseModel(Protocol):
-    """Noise that grows with the path: `OdometryConfig` in its reading `per_metre` is one."""
+    """Noise that grows with the path: `OdometryModel`, and `OdometryConfig` in its reading `per_metre`."""
 
-    @property
-    def distance_sigma_m(self) -> float:
-        """Of the distance, per square root of a metre of path."""
-
-    @property
-    def turn_sigma_rad(self) -> float:
-        """Of the heading, per square root of a metre of path."""
-
-    @property
-    def turn_m(self) -> float:
-        """Path that a turn of 90 degrees counts as."""
-
-    @property
-    def scale(self) -> float:
-        """Of all sigmas."""
+    def sigmas(self, distance_m: float, turn_rad: float) -> Array:
+        """(2,) m, rad: standard deviations of distance and turn of a motion of this path and turn."""
 
 
 def arcs(motion: Array) -> Array:
@@ -72,9 +58,7 @@ def _noise(increments: Array, noise: NoiseModel, rng: np.random.Generator) -> Ar
 
 def _sigmas(increments: Array, noise: NoiseModel) -> Array:
     """(2,) m, rad: standard deviations of the sum of increments (M,2)."""
-    distance, turn = abs(increments.sum(axis=0)).tolist()
-    path = noise.scale * math.sqrt(distance + noise.turn_m * turn / QUARTER_TURN)
-    return np.array([path * noise.distance_sigma_m, path * noise.turn_sigma_rad])
+    return noise.sigmas(*abs(increments.sum(axis=0)).tolist())
 
 
 def _covariances(increments: Array, noise: NoiseModel) -> Array:

@@ -20,6 +20,7 @@ from mecp_env.slam.messages import Decision, Match
 
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
 COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
+ROUNDING = math.sqrt(np.finfo(np.float64).eps)  # of a product of variances, by which a covariance may be off
 DECISIONS = frozenset(map(int, Decision))
 WITH_ID = frozenset((int(Decision.LANDMARK), int(Decision.PROVISIONAL)))
 
@@ -98,28 +99,35 @@ def is_sound(ranges: Array, bearings: Array, max_range: float) -> bool:
 
 
 def check_odometry(odometry: Odometry) -> None:
-    """Raise `SensorError` unless the reading is M increments with finite, non-negative variances."""
+    """Raise `SensorError` unless the reading is M increments with finite, symmetric, non-negative covariances."""
     shape = np.shape(odometry.increments)
     if len(shape) != 2 or shape[1] != 2:
         raise SensorError(f"odometry.increments: shape {shape} is not (M, 2)")
     if np.shape(odometry.cov) != (shape[0], 2, 2):
         raise SensorError(f"odometry.cov: shape {np.shape(odometry.cov)} is not {(shape[0], 2, 2)}")
-    finite, least = look_over(np.asarray(odometry.increments, float), np.asarray(odometry.cov, float))
+    finite, least, sound = look_over(np.asarray(odometry.increments, float), np.asarray(odometry.cov, float))
     if not finite:
         raise SensorError("odometry.increments, odometry.cov: every value must be finite")
     if least < 0.0:
         raise SensorError(f"odometry.cov: variance {least:g} is below 0")
+    if not sound:
+        raise SensorError("odometry.cov: not symmetric, or not positive (a correlation of distance and turn beyond 1)")
 
 
 @compiled
-def look_over(increments: Array, cov: Array) -> tuple[bool, float]:
-    """Whether increments (M,2) and covariances (M,2,2) are finite, and the least variance, at most 0."""
-    finite, least = True, 0.0
+def look_over(increments: Array, cov: Array) -> tuple[bool, float, bool]:
+    """Of increments (M,2) and covariances (M,2,2): are all finite, the least variance, at most 0, and are all sound.
+
+    A sound covariance is symmetric with a correlation of at most 1, up to rounding.
+    """
+    finite, least, sound = True, 0.0, True
     for m in range(cov.shape[0]):
         for i in range(2):
             finite &= math.isfinite(increments[m, i]) & math.isfinite(cov[m, i, 0]) & math.isfinite(cov[m, i, 1])
             least = min(least, cov[m, i, i])
-    return finite, least
+        size, upper, lower = cov[m, 0, 0] * cov[m, 1, 1], cov[m, 0, 1], cov[m, 1, 0]
+        sound &= (upper - lower) ** 2 <= ROUNDING * size and upper * lower <= (1.0 + ROUNDING) * size
+    return finite, least, sound
 
 
 def check_match(match: Match, corners: int, features: int) -> Match:

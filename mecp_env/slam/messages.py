@@ -481,6 +481,7 @@ class SlamOutput:
     confidence: float = 1.0  # probability that the position error is below `localisation.error_m`
     localised: bool = True  # False while the pose is searched for, and nothing is mapped
     panorama: Corners | None = None  # corners of this scan and of recent ones, where those complete it
+    unsure_from: int = NO_ID  # features from this id on were mapped after the pose was lost, and are not yet sure
 
     @property
     def polygon_corners(self) -> Corners:

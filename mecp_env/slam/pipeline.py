@@ -74,11 +74,13 @@ class SlamPipeline(SlamParts):
         else:
             self.filter = untouched
             match, belief = self._relocalise(around, view)
+        self.guard.settle(match.ids)
         return SlamOutput(
             *(self.step_count, beams, segments, corners, around.polygons, associated, match),
             *(robot_belief(belief, config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
             *(self.grid.canvas.grid, self.divergence.found, config.sensor.T_robot_laser),
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
+            unsure_from=self.guard.unsure_from,
         )
 
     def _localise(self, around: Surroundings, view: MapView, tracked: bool) -> Attempt:
@@ -146,7 +148,7 @@ class SlamPipeline(SlamParts):
         """Search for the pose, as long as it is not trusted; what the scan was matched to, and the belief then."""
         match = ignored(len(around.corners), Reason.NOT_LOCALISED)
         found = self.guard.search(around.corners, around.polygons, view, around.scan.beams, self.grid.canvas.grid)
-        if found is not None or self.guard.resumes(self.filter):
+        if found is not None or self.guard.resumes(self.filter, len(self.map.features)):
             self.recent.forget(self.filter)
         if found is not None:
             match = match.assign(found.corners, found.ids, int(Decision.LANDMARK), int(Reason.RELOCALISED))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from mecp_env.core.array_types import Array
 from mecp_env.core.laser_presets import LASERS
 from mecp_env.core.laser_view import LaserNoise
 from mecp_env.core.preset import PresetSettings
@@ -82,6 +84,7 @@ class LaserConfig(LaserNoise, PresetSettings):
         return self.dark_share > 0.0 and self.dark_dropout > 0.0
 
 
+QUARTER_TURN = math.pi / 2.0
 READINGS = ("per_metre", "per_step", "linear")
 
 
@@ -116,6 +119,11 @@ class OdometryConfig(PresetSettings):
     def turn_sigma_rad(self) -> float:
         """`turn_sigma_deg` in rad."""
         return math.radians(self.turn_sigma_deg)
+
+    def sigmas(self, distance_m: float, turn_rad: float) -> Array:
+        """(2,) m, rad: standard deviations of a motion of this path and turn, in the reading `per_metre`."""
+        path = self.scale * math.sqrt(distance_m + self.turn_m * turn_rad / QUARTER_TURN)
+        return np.array([path * self.distance_sigma_m, path * self.turn_sigma_rad])
 
     @property
     def slip_turn_rad(self) -> float:

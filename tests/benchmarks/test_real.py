@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from benchmarks.common import Options, shared_data
 from benchmarks.real_maps import MapData
 from benchmarks.worlds import explored
 from mecp_env.core.errors import LogError
+from mecp_env.evaluation.calibration import calibrate_log
+from mecp_env.evaluation.log_run import config_for
 from mecp_env.logs import read_log
 from mecp_env.world.layout import load_layout
 
@@ -68,16 +71,14 @@ def test_a_doubt_on_a_log_ends_where_known_corners_are_seen() -> None:
 
 
 @logs
-def test_the_odometry_of_intel_is_moved_to_the_laser() -> None:
+def test_raw_odometry_is_calibrated_without_the_reference() -> None:
     folder = shared_data("logs")
     assert folder is not None
     log = read_log(folder / "intel_raw.npz")
-    moved = real_logs.at_laser(log, 0.08)
-    assert log.T_odom_robot is not None
-    assert moved.T_odom_robot is not None
-    offset = moved.T_odom_robot - log.T_odom_robot
-    np.testing.assert_allclose(np.hypot(offset[:, 0], offset[:, 1]), 0.08)
-    assert real_logs.at_laser(log, 0.0) is log
+    found = calibrate_log(replace(log, T_ref_robot=None), config_for(log), {}, {})
+    assert found.sensor.x_m == pytest.approx(0.095, abs=0.02)  # 0.08 against the reference path
+    figures, _ = real_logs.map_log(folder, "intel_raw", 0, 20)
+    assert figures["calibration"]["fields"]["x_m"]["value"] == found.sensor.x_m
 
 
 def test_without_data_the_sets_are_skipped_and_the_page_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,13 @@ from mecp_env.core.work_units import Shard
 MEASURED = {"association_time", "map_size", "scale", "soak"}  # their figures are times and memory
 TIMES = {"associate_ms", "ms", "us", "time_us", "timed", "steps_per_s"}
 Patches = dict[str, Any]  # "module.name" -> value
+WITHOUT_ROOMS = {"association": {"use_rooms": False}}
 
 TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for two units or a few
+    "ablation": (
+        {"sets": ("odometry_x1:1",)},
+        {"noise.LAYOUT": "two_rooms", "ablation.changes": lambda: {"default": {}, "off": WITHOUT_ROOMS}},
+    ),
     "association": ({"sets": ("two_rooms:2",)}, {}),
     "claims": (
         {"quick": True},

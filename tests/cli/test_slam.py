@@ -68,6 +68,27 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
         assert film.n_frames > 10
 
 
+def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Path, capsys: Said) -> None:
+    calibration = metrics_of(kept)["calibration"]
+    assert calibration["registered"] <= calibration["tried"]
+    recipe = json.loads((kept / "config.json").read_text())
+    for name, found in calibration["fields"].items():
+        of_sensor = name in ("x_m", "heading_deg", "range_sigma_m")
+        assert found["value"] == (recipe["config"]["sensor"] if of_sensor else recipe["odometry"])[name]
+    line = ["slam", str(log), "--out", str(tmp_path / "run"), "--rest-m", "0.5", "--rest-deg", "45"]
+    given = ["--noise.distance-scale", "1.05", "--noise.turn-sigma-deg", "3", "--config.sensor.x-m", "0.02"]
+    assert cli.main([*line, *given]) == 0
+    assert "calibration by" in capsys.readouterr().out
+    fields = metrics_of(tmp_path / "run")["calibration"]["fields"]
+    assert [fields[name]["value"] for name in ("distance_scale", "turn_sigma_deg", "x_m")] == [1.05, 3.0, 0.02]
+    assert fields["distance_scale"]["source"] == "given"
+    assert cli.main([*line, "--noise", "paper"]) == 0
+    assert "calibration" not in metrics_of(tmp_path / "run")
+    assert "calibration by" not in capsys.readouterr().out
+    assert cli.main([*line, "--noise", "paper", "--noise.turn-scale", "1.1"]) == 2
+    assert "turn_scale given" in capsys.readouterr().err
+
+
 def test_the_paths_are_in_one_frame(kept: Path) -> None:
     names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
     estimated, final, reference = (np.loadtxt(kept / name) for name in names)

@@ -39,7 +39,7 @@ class Tree:
         self.launcher = launcher
         self.package, self.cache = folder / "mecp_env", folder / "cache"
         (self.package / "core").mkdir(parents=True)
-        for name in ("jit.py", "jit_cache.py", "jit_dispatcher.py", "jit_key.py", "warm_up_list.py"):
+        for name in ("interrupts.py", "jit.py", "jit_cache.py", "jit_dispatcher.py", "jit_key.py", "warm_up_list.py"):
             shutil.copy(PACKAGE / "core" / name, self.package / "core")
         (self.package / "core" / "__init__.py").touch()
         (self.package / "__init__.py").touch()

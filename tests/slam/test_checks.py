@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Scan
+from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.checks import (
     Fault,
     MatchError,
     SensorError,
     check_match,
+    check_odometry,
     check_scan,
     find_fault,
     look_over,
@@ -56,15 +57,23 @@ def test_the_fault_of_a_scan_is_that_of_the_plain_twin(beams, max_range):
 
 def test_odometry_is_looked_over():
     increments, cov = np.ones((3, 2)), np.tile(np.eye(2), (3, 1, 1))
-    assert look_over(increments, cov) == (True, 0.0)
-    assert look_over(np.empty((0, 2)), np.empty((0, 2, 2))) == (True, 0.0)
+    assert look_over(increments, cov) == (True, 0.0, True)
+    assert look_over(np.empty((0, 2)), np.empty((0, 2, 2))) == (True, 0.0, True)
     cov[1, 0, 1] = -5.0
     cov[2, 1, 1] = -2.0
-    assert look_over(increments, cov) == (True, -2.0)
+    assert look_over(increments, cov) == (True, -2.0, False)
     for array, place in ((increments, (2, 1)), (cov, (0, 1, 0)), (cov, (2, 0, 0))):
         array[place] = math.nan
         assert not look_over(increments, cov)[0]
         array[place] = 1.0
+
+
+@pytest.mark.parametrize("block", [[[1.0, 0.5], [0.4, 1.0]], [[1.0, 1.1], [1.1, 1.0]], [[0.0, 1e-6], [1e-6, 1.0]]])
+def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
+    sound = [[1.0, 0.5], [0.5, 1.0]]
+    check_odometry(Odometry(np.zeros((2, 2)), np.array([sound, np.zeros((2, 2))]), False))
+    with pytest.raises(SensorError, match=r"odometry.cov: not symmetric, or not positive"):
+        check_odometry(Odometry(np.zeros((2, 2)), np.array([sound, block]), False))
 
 
 @pytest.mark.parametrize(

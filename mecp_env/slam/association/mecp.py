@@ -61,7 +61,7 @@ class MecpAssociator(Associator):
         table = pairing_table(corners, view, belief, self.config, self.gate, turn)
         test = PolygonTest(OPEN, OPEN, self.config.iterations)
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
-        poses = FirstPass(self.config, corners, view, belief, pair)
+        poses = self._first_pass()(self.config, corners, view, belief, pair)
         if found is not None:
             poses.propose(found.corners, found.ids)
         poses.propose_cliques(table.costs)
@@ -70,6 +70,10 @@ class MecpAssociator(Associator):
         if builder is None or 2 * builder.paired < known:  # most of them disagree: so few agree by chance
             builder = MatchBuilder(len(corners)).classify_unmatched(table.nis, self.config.ignore_gate)
         return builder
+
+    def _first_pass(self) -> type[FirstPass]:
+        """What proposes poses."""
+        return FirstPass
 
     def _paired(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> MatchBuilder:
         """The decisions at the pose of a filter, with a polygon that is recognised there in one linearisation."""

@@ -9,6 +9,7 @@ from mecp_env.core.array_types import Array, Bools, Bytes
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
 
+MANY = 6  # corners that were recognised together: even from a rough prediction, they are no coincidence
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 
 
@@ -42,7 +43,7 @@ class Evidence(NamedTuple):
 
     @property
     def is_strong(self) -> bool:
-        """True for beams that agree well, and for a share of corners recognised at a sharp prediction."""
+        """True for beams that agree well, and for a share of corners recognised at a sharp prediction, or many."""
         return self._is_recognised or self.said.is_strong
 
     @property
@@ -94,7 +95,7 @@ class Evidence(NamedTuple):
 
     @property
     def _is_recognised(self) -> bool:
-        return self.sharp and self.recognised >= self.said.least
+        return (self.sharp or self.familiar >= MANY) and self.recognised >= self.said.least
 
 
 def agreement(beams: MergedScan, T_map_robot: Array, grid: SemanticGrid, reach_m: float, least: float) -> Agreement:

@@ -18,7 +18,7 @@ from mecp_env.slam.config import LocalisationConfig
 from mecp_env.slam.localisation.hypotheses import NOWHERE, Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located
-from mecp_env.slam.messages import Belief, Corners, MapView, Match, MergedScan, Polygon, Reason, SemanticGrid
+from mecp_env.slam.messages import NO_ID, Belief, Corners, MapView, Match, MergedScan, Polygon, Reason, SemanticGrid
 from mecp_env.slam.protocols import Filter
 
 REFUSED = int(Reason.REFUSED)
@@ -43,6 +43,9 @@ class PoseGuard:
     turned: float = 0.0  # rad
     correction: Array = field(default_factory=lambda: np.zeros(3))  # (3,) moves the filter's pose to the one found
     agreed: int = 0  # scans that speak for it; 0: none was found
+    unmapped: float = 0.0  # m of odometry since a beam ended in mapped space, while the pose was searched for
+    resumed: int = 0  # searches that ended without a pose, and mapping went on
+    unsure_from: int = NO_ID  # features from this id on were mapped since, and no earlier place was recognised
     familiar: int = 0  # landmarks that were recognised in the last trusted scan
     certain: bool = False  # correspondences are known
 
@@ -55,13 +58,12 @@ class PoseGuard:
         return self.config.weight * (1.0 - self.config.explained_share)
 
     def follow(self, odometry: Odometry) -> None:
-        """Note how far the robot has moved until the pose is searched for."""
+        """Note how far the robot has moved until the pose is searched for, and from then on where nothing is mapped."""
+        metres, turn = np.abs(odometry.increments).sum(axis=0).tolist()
         if self.localised:
-            travelled, turned = self.travelled, self.turned
-            for metres, turn in odometry.increments.tolist():
-                travelled += abs(metres)
-                turned += abs(turn)
-            self.travelled, self.turned = travelled, turned
+            self.travelled, self.turned = self.travelled + metres, self.turned + turn
+        else:
+            self.unmapped += metres
 
     def ask(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Agreement:
         """What the map says of a scan at the pose of a belief."""
@@ -100,6 +102,7 @@ class PoseGuard:
     def trusts(self, evidence: Evidence) -> bool:
         """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
         if not self.localised:
+            self.unmapped *= math.isnan(evidence.said.share)
             return False
         self._weigh(evidence.share)
         self._count_doubts(evidence)
@@ -123,7 +126,7 @@ class PoseGuard:
 
     def lose(self, anywhere: bool = False) -> None:
         """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
-        self.localised, self.log_odds, self.agreed = False, -self.sure, 0
+        self.localised, self.log_odds, self.agreed, self.unmapped = False, -self.sure, 0, 0.0
         self.travelled = -math.inf if anywhere else self.travelled
 
     def trust(self) -> None:
@@ -150,20 +153,36 @@ class PoseGuard:
         self.trust()
         return found
 
-    def resumes(self, estimate: Filter) -> bool:
-        """True when the search ends, because the map has too few landmarks for it: mapping goes on where odometry says.
+    def resumes(self, estimate: Filter, features: int) -> bool:
+        """True when the search ends without a pose: mapping goes on where odometry says, and is unsure.
 
-        Sooner where no search could succeed. The filter is loosened by what odometry may have been wrong by. A robot
-        that was put anywhere goes on searching.
+        Where the robot has driven so far on unmapped floor that it sees nothing of the map, with the covariance that
+        the filter has. In a map of few landmarks after some scans, sooner where no search could succeed; the filter is
+        loosened then by what odometry may have been wrong by. What is mapped from now on, after so many `features`, is
+        marked. A robot that was put anywhere goes on searching.
         """
         self.doubts += 1
-        count, least = len(estimate.ids), self.config.least_corners
-        patience = self.patience * (2 if count < least else 10)
-        if self.localised or count >= 2 * least or self.doubts < patience or self.travelled < 0.0:
+        if self.localised or self.travelled < 0.0:
             return False
-        estimate.loosen(self.slack())
+        if self._is_hopeless(len(estimate.ids)):
+            estimate.loosen(self.slack())
+        elif self.unmapped <= self.reach_m:
+            return False
         self.trust()
+        self.resumed += 1
+        self.unsure_from = features if self.unsure_from == NO_ID else self.unsure_from
         return True
+
+    def _is_hopeless(self, landmarks: int) -> bool:
+        """True where a search in a map of so few landmarks has taken long enough."""
+        least = self.config.least_corners
+        patience = self.patience * (2 if landmarks < least else 10)
+        return landmarks < 2 * least and self.doubts >= patience
+
+    def settle(self, ids: Ints) -> None:
+        """What was mapped while the pose was unsure is as good as the rest once enough earlier features are seen."""
+        if np.count_nonzero((ids != NO_ID) & (ids < self.unsure_from)) >= self.config.least_corners:
+            self.unsure_from = NO_ID
 
     def is_clear(
         self,

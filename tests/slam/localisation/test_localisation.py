@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
@@ -16,7 +17,7 @@ from mecp_env.slam.localisation.hypotheses import Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement, count_ends
 from mecp_env.slam.localisation.pose_guard import PoseGuard
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located, count_distinct, fit, moved
-from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
+from mecp_env.slam.messages import NO_ID, Cell, MergedScan, SemanticGrid
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
 
@@ -192,6 +193,11 @@ def test_beams_and_corners_speak_for_a_pose(share, recognised, sharp, enough):
     assert seen(share, recognised, sharp).is_enough == enough
 
 
+@pytest.mark.parametrize(("familiar", "enough"), [(5, False), (6, True)])
+def test_many_corners_recognised_from_a_rough_prediction_are_enough(familiar: int, enough: bool):
+    assert seen(0.3, 0.7, sharp=False)._replace(familiar=familiar).is_enough == enough
+
+
 def test_a_least_share_of_zero_turns_the_guard_off():
     off = Evidence(Agreement(math.nan, 0.0, 0.0), 0.0, sharp=False)
     assert off.is_enough
@@ -217,11 +223,39 @@ def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int
     estimate.augment(z, R, np.arange(landmarks))
     guard.lose(anywhere)
     ends = math.isfinite(after)
-    resumed = [guard.resumes(estimate) for _ in range(int(after) if ends else 200)]
+    resumed = [guard.resumes(estimate, landmarks) for _ in range(int(after) if ends else 200)]
     assert resumed == [False] * (len(resumed) - 1) + [ends]
     assert guard.localised == ends
     sigma_m = math.sqrt(estimate.belief().pose_cov[0, 0])
     assert sigma_m == pytest.approx(CONFIG.inlier_m if ends else 0.0, abs=2e-3)  # odometry may have failed by so much
+
+
+def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed():
+    guard, estimate = PoseGuard(CONFIG, REACH_M, TURN_RAD), make_filter(FilterConfig())
+    z, R = np.column_stack([np.full(9, 2.0), 0.3 * np.arange(9)]), 1e-4 * np.eye(18)
+    estimate.augment(z, R, np.arange(9))
+    guard.lose()
+    metre = Odometry(np.array([[1.0, 0.0]]), np.array([np.diag([1e-4, 1e-4])]), bumper=False)
+
+    def drive(share: float) -> bool:
+        guard.follow(metre)
+        guard.trusts(seen(share, 0.0))
+        return guard.resumes(estimate, 20)
+
+    while guard.unmapped + 1.0 <= REACH_M:
+        assert not drive(math.nan)
+    assert not drive(0.1)  # beams that end in mapped space contradict: the way begins anew
+    assert guard.unmapped == 0.0
+    before = estimate.belief().pose_cov
+    while not drive(math.nan):
+        assert not guard.localised
+    assert guard.localised
+    assert guard.resumed == 1
+    np.testing.assert_array_equal(estimate.belief().pose_cov, before)  # with the covariance of odometry
+    guard.settle(np.array([3, 4, 21, 22, 23]))
+    assert guard.unsure_from == 20
+    guard.settle(np.array([3, 4, 5, 6, 22]))
+    assert guard.unsure_from == NO_ID
 
 
 @pytest.mark.parametrize(("share", "turned", "loosened"), [(0.65, 0.2, True), (0.65, 0.01, False), (0.0, 0.2, False)])

@@ -1,0 +1,159 @@
+"""What each rule and threshold of the estimator is worth: switched off, halved and doubled, one at a time.
+
+Every switch of the configuration is turned round, every number is halved and doubled as far as its bounds allow; only
+what describes the sensor is left as it is. All variants run on the same drives, recorded with the true pose as the
+driver. The cells are those of `noise` (`odometry_x1`, `odometry_x4`, `range_4_m`, `slip_5_pct`), generated buildings
+(`hard`, with pedestrians and boxes in `people`), and `rough`: scans against a finished map at 2 m and 20 degrees
+(`loop`). A table has the mean differences to the default whose 95 % interval excludes 0; an error and the number of
+wrong pairs are better below 0, recall and the share of right scans above. `same bits` are variants that change no
+figure of any drive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any, get_args
+
+import numpy as np
+
+from benchmarks import loop, noise
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, in_parallel, table
+from benchmarks.drives import Drive, replay
+from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.variants import with_change
+from mecp_env.core.errors import ConfigError
+from mecp_env.slam.association import make_associator
+from mecp_env.slam.config import SlamConfig
+
+DRIVES = {**dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", "hard", "people"), 4), "rough": 6}
+SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 500, 1
+FIRST_SEED = 60  # after those that other benchmarks are judged by
+CROWD = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 4}}
+ROUGH_SETS = ("paper", "hard", "twins")
+DEFAULT = "default"
+GATES: tuple[Gate, ...] = ()
+Row = dict[str, float]
+
+
+def changes() -> dict[str, dict[str, Any]]:
+    """Each variant by name: fields of sections of the configuration; the default has none."""
+    found: dict[str, dict[str, Any]] = {DEFAULT: {}}
+    for section, field in SlamConfig.model_fields.items():
+        if section == "sensor":
+            continue
+        settings = field.default
+        for name, of_name in type(settings).model_fields.items():
+            for label, other in variants_of(getattr(settings, name), of_name.annotation):
+                change = {section: {name: other}}
+                if is_valid(change):
+                    found[f"{section}.{name} {label}"] = change
+    return found
+
+
+def variants_of(value: Any, annotation: Any) -> list[tuple[str, Any]]:
+    """Other values of a field, with their labels: a switch turned round, a number halved and doubled, other words."""
+    if isinstance(value, bool):
+        return [("off" if value else "on", not value)]
+    if isinstance(value, int):
+        halved = [("halved", value // 2)] if value > 1 else []
+        return [*halved, ("doubled", 2 * value)] if value else [("1", 1)]
+    if isinstance(value, float):
+        return [("halved", 0.5 * value), ("doubled", 2.0 * value)] if value else []
+    return [(str(word), word) for word in get_args(annotation) if isinstance(word, str) and word != value]
+
+
+def is_valid(change: dict[str, Any]) -> bool:
+    """Whether the configuration allows a change."""
+    try:
+        with_change(SlamConfig(), change)
+    except (ConfigError, ValueError):
+        return False
+    return True
+
+
+def run(options: Options) -> Figures:
+    """The differences of each variant to the default, per cell."""
+    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
+    drives = [
+        (cell, seed)
+        for cell, count in counts.items()
+        for seed in range(FIRST_SEED, FIRST_SEED + (min(QUICK_DRIVES, count) if options.quick else count))
+    ]
+    names = list(changes())[:: 20 if options.quick else 1]
+    units = [(cell, seed, name) for cell, seed in drives for name in names]
+    task = partial(measure, records=Records(options.records))
+    rows = dict(zip(units, in_parallel(task, Row, units, options), strict=True))
+    figures: Figures = {}
+    for name in names[1:]:
+        figures[name] = {}
+        for cell in counts:
+            pairs = [(rows[c, s, name], rows[c, s, DEFAULT]) for c, s in drives if c == cell]
+            figures[name][cell] = {
+                key: estimate([ours[key] - usual[key] for ours, usual in pairs]) for key in pairs[0][1]
+            }
+    return figures
+
+
+def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
+    """The figures of one variant on one drive of a cell."""
+    cell, seed, name = task
+    change = changes()[name]
+    if cell == "rough":
+        return roughly(records, seed, change)
+    drive = drive_of(cell, seed, records)
+    counted = noise.counts(replay(drive, with_change(drive.slam, change)))
+    seen = max(counted["tp"] + counted["fn"], 1)
+    return {
+        "recall": counted["tp"] / seen,
+        "wrong_per_1000": 1e3 * counted["fp"] / seen,
+        "rmse_cm": 100.0 * counted["rmse_m"],
+        "log_nees": math.log(max(counted["nees"], 1e-9) / 3.0),
+    }
+
+
+def drive_of(cell: str, seed: int, records: Records) -> Drive:
+    """The recorded drive of a cell."""
+    if cell in noise.CELLS:
+        drive = noise.recorded(noise.source(cell), seed, records)
+        return noise.CHANGED[cell](drive, seed) if cell in noise.CHANGED else drive
+    fields = {"estimator": "truth", "max_steps": 1500} | (CROWD if cell == "people" else {})
+    return records.drive(Course(f"hard:{800 + seed}", seed, fields))
+
+
+def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
+    """Scans of a drive against the map that the variant makes of it, at 2 m and 20 degrees."""
+    drive = records.drive(loop.course(ROUGH_SETS[seed % len(ROUGH_SETS)], seed))
+    drive = replace(drive, slam=with_change(drive.slam, change))
+    finished, rng = loop.finish(drive), np.random.default_rng(seed)
+    steps = rng.choice(np.arange(loop.FIRST_SCAN, len(drive.scans)), loop.SCANS, replace=False)
+    looks = [loop.look(drive, finished, int(step)) for step in steps]
+    associator = make_associator(drive.slam.association)
+    counted = loop.count_scans(finished, associator, looks, loop.SIGMAS[-1], rng.normal(size=(loop.SCANS, 3)))
+    return {"right": counted["right"] / counted["scans"], "wrong_pairs": float(counted["wrong"])}
+
+
+def report(figures: Figures) -> str:
+    """The variants that make a difference, and the names of those that change nothing."""
+    rows = [
+        [f"`{name}`", cell, key, figure]
+        for name, cells in figures.items()
+        for cell, keys in cells.items()
+        for key, figure in keys.items()
+        if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
+    ]
+    same = [
+        name for name, cells in figures.items() if all(is_zero(f) for keys in cells.values() for f in keys.values())
+    ]
+    quiet = sorted({f"`{name}`" for name in figures} - {row[0] for row in rows} - {f"`{name}`" for name in same})
+    parts = [str(__doc__).partition("\n\n")[2].strip(), f"{len(figures)} variants."]
+    parts.append(table(["variant", "cell", "figure", "minus default"], rows))
+    parts.append(f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.")
+    parts.append(f"Same bits ({len(same)}): {', '.join(f'`{name}`' for name in same) or '-'}.")
+    return "\n\n".join(parts)
+
+
+def is_zero(figure: Figures) -> bool:
+    """Whether no drive differs."""
+    return bool(figure["value"] == 0.0 and figure["low"] == 0.0 and figure["high"] == 0.0)

@@ -1,0 +1,99 @@
+"""How the odometry of a robot errs: what is corrected before the estimator gets it, and the noise that is left."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.errors import SensorError
+from mecp_env.core.messages import Odometry
+from mecp_env.core.settings import Settings
+from mecp_env.core.trajectories import between, wrapped
+from mecp_env.logs.motion import arcs, reading
+
+QUARTER_TURN = math.pi / 2.0
+PAPER_TURNING = math.sqrt(0.5 / QUARTER_TURN)  # a quarter turn counts as .5 m of path
+
+
+class OdometryModel(Settings):
+    """Scale and bias of the odometry, and its noise per metre of path and per radian of turn.
+
+    The turn of a corrected motion is `turn_scale` times the measured one, plus `turn_bias_deg_per_m` times the signed
+    distance. The variance of a distance is `distance_sigma_m`^2 per metre plus `distance_sigma_turning_m`^2 per rad,
+    that of a turn `turn_sigma_deg`^2 per metre plus `turn_sigma_turning_deg`^2 per rad; by default those of the paper.
+    """
+
+    distance_scale: float = Field(1.0, ge=0.1, le=10.0)  # true distance per measured distance
+    turn_scale: float = Field(1.0, ge=0.1, le=10.0)  # true turn per measured turn
+    turn_bias_deg_per_m: float = Field(0.0, ge=-90.0, le=90.0)  # true turn per metre ahead where none is measured
+    distance_sigma_m: float = Field(0.1, ge=0.0, le=10.0)  # of a distance, per square root of a metre and of a rad
+    distance_sigma_turning_m: float = Field(0.1 * PAPER_TURNING, ge=0.0, le=10.0)
+    turn_sigma_deg: float = Field(1.5, ge=0.0, le=180.0)  # of a turn, per square root of a metre and of a rad
+    turn_sigma_turning_deg: float = Field(1.5 * PAPER_TURNING, ge=0.0, le=180.0)
+
+    turn_margin: float = Field(1.0, ge=1.0, le=10.0)  # times the sigma of a turn: what the estimator assumes
+
+    @classmethod
+    def of_noise(cls, noise: Any, **corrections: float) -> Self:
+        """The model with the noise of an `OdometryConfig` in its reading `per_metre`."""
+        distance, turn = noise.scale * noise.distance_sigma_m, noise.scale * noise.turn_sigma_deg
+        turning = math.sqrt(noise.turn_m / QUARTER_TURN)
+        return cls(
+            distance_sigma_m=distance,
+            distance_sigma_turning_m=distance * turning,
+            turn_sigma_deg=turn,
+            turn_sigma_turning_deg=turn * turning,
+            **corrections,
+        )
+
+    @property
+    def correction(self) -> Array:
+        """(3,) scale of distance, scale of turn, bias in rad per metre."""
+        return np.array([self.distance_scale, self.turn_scale, math.radians(self.turn_bias_deg_per_m)])
+
+    def sigmas(self, distance_m: float, turn_rad: float) -> Array:
+        """(2,) m, rad: standard deviations, with the margin, of a motion of this path and turn, both at least 0."""
+        per_root = np.array([self.distance_sigma_m, math.radians(self.turn_sigma_deg)])
+        turning = np.array([self.distance_sigma_turning_m, math.radians(self.turn_sigma_turning_deg)])
+        sigmas: Array = np.sqrt(per_root**2 * distance_m + turning**2 * turn_rad) * [1.0, self.turn_margin]
+        return sigmas
+
+    def corrected(self, motion: Array) -> Array:
+        """(n,3) or (3,) m, rad: relative poses of the robot without scale and bias, of measured ones."""
+        return corrected(motion, self.correction)
+
+    def between(self, T_odom_before: Any, T_odom_after: Any) -> Odometry:
+        """The corrected motion, with its covariance, between two poses (3,) m, rad that the odometry gives.
+
+        Raises `SensorError` for poses that are not finite or of another shape.
+        """
+        before, after = np.asarray(T_odom_before, np.float64), np.asarray(T_odom_after, np.float64)
+        if before.shape != (3,) or after.shape != (3,) or not np.isfinite([before, after]).all():
+            raise SensorError("T_odom_before, T_odom_after: finite, of shape (3,), expected")
+        return reading(arcs(self.corrected(between(before, after))), self)
+
+
+def corrected(motion: Array, correction: Array) -> Array:
+    """(n,3) or (3,) m, rad: motions with scale of distance and turn, and a bias of the turn per metre, applied.
+
+    The chord turns by half of what the heading does, as on an arc.
+    """
+    x, y, turn = np.moveaxis(motion, -1, 0)
+    distance_scale, turn_scale, bias = correction
+    true_turn = turn_scale * turn + bias * np.copysign(np.hypot(x, y), x)
+    chord = distance_scale * (x + 1j * y) * np.exp(0.5j * (true_turn - turn))
+    return np.stack((chord.real, chord.imag, wrapped(true_turn)), axis=-1)
+
+
+def measured(motion: Array, correction: Array) -> Array:
+    """(n,3) or (3,) m, rad: what the odometry measures of true motions, without noise; the inverse of `corrected`."""
+    x, y, turn = np.moveaxis(motion, -1, 0)
+    distance_scale, turn_scale, bias = correction
+    chord = (x + 1j * y) / distance_scale
+    read = (turn - bias * np.copysign(abs(chord), x)) / turn_scale
+    chord *= np.exp(0.5j * (read - turn))
+    return np.stack((chord.real, chord.imag, wrapped(read)), axis=-1)
