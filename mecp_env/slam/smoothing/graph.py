@@ -13,7 +13,12 @@ import numpy as np
 from scipy.sparse import block_diag, csr_array
 
 from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.errors import MecpError
 from mecp_env.core.trajectories import between, wrapped
+
+
+class SmoothingError(MecpError):
+    """The optimum of a pose graph is not reached, or a covariance is singular."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,5 +124,8 @@ def own_blocks(R: Array) -> Array:
 
 
 def inverses(covs: Array) -> Array:
-    """The inverses of covariances (...,d,d)."""
-    return np.asarray(np.linalg.inv(covs), np.float64)
+    """The inverses of covariances (...,d,d). Raises `SmoothingError` where one is singular."""
+    try:
+        return np.asarray(np.linalg.inv(covs), np.float64)
+    except np.linalg.LinAlgError:
+        raise SmoothingError("a covariance is singular") from None

@@ -10,13 +10,8 @@ from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.errors import MecpError
 from mecp_env.core.trajectories import wrapped
-from mecp_env.slam.smoothing.graph import Links, PoseGraph
-
-
-class SmoothingError(MecpError):
-    """The optimum of a pose graph is not reached."""
+from mecp_env.slam.smoothing.graph import Links, PoseGraph, SmoothingError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

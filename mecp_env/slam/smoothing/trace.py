@@ -14,7 +14,7 @@ from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.mounting import predict_mounted
 from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings, inverses
+from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings, SmoothingError, inverses
 from mecp_env.slam.smoothing.optimum import smooth
 
 NO_IDS = np.empty(0, np.int64)
@@ -85,8 +85,10 @@ class Trace:
     def final(self) -> FinalMap:
         """Path and map of the run, smoothed. The pipeline stays as it is.
 
-        Raises `SmoothingError` where the optimum is not reached.
+        Raises `SmoothingError` before the first scan, and where the optimum is not reached.
         """
+        if not self.T_map_laser:
+            raise SmoothingError("no scan was added")
         ids, graph = self.graph()
         found = smooth(graph, self.pipeline.config.association.gate_probability)
         belief = self.pipeline.filter.belief()

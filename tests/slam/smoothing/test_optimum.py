@@ -141,3 +141,9 @@ def test_what_has_no_optimum_is_an_error() -> None:
     seen = replace(graph.sightings, information=0.0 * graph.sightings.information)
     with pytest.raises(SmoothingError, match="solution"):
         smooth(replace(graph, odometry=loose, registrations=nothing, sightings=seen))
+    broken = graph.T_map_laser.copy()
+    broken[3] = np.nan
+    with pytest.raises(SmoothingError):
+        smooth(replace(graph, T_map_laser=broken))
+    with pytest.raises(SmoothingError, match="singular"):
+        Links.of([(0, 1, np.zeros(3), np.zeros((3, 3)))])

@@ -128,3 +128,15 @@ def test_without_an_optimum_the_online_path_is_the_final_one(log: Log, monkeypat
     metrics = run.metrics()
     assert not metrics["final_converged"]
     assert metrics["final_ate_m"] == metrics["ate_m"]
+
+
+def test_the_shortest_runs(log: Log) -> None:
+    with pytest.raises(SmoothingError, match="no scan"):
+        trace.Trace(SlamPipeline()).final()
+    for scans in (1, 2):
+        run = run_log(log, run=OPTIONS.model_copy(update={"scans": scans}))
+        assert run.final is not None
+        assert run.final.T_map_robot.shape == run.T_map_robot.shape
+    dark = replace(log, ranges=np.full_like(log.ranges, np.nan))
+    run = run_log(dark, run=OPTIONS.model_copy(update={"scans": 10}))
+    np.testing.assert_allclose(run.T_final_robot, run.T_map_robot, atol=1e-6)
