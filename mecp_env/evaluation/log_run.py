@@ -23,7 +23,7 @@ from mecp_env.logs.log import Log
 from mecp_env.logs.motion import arcs, end_of, reading
 from mecp_env.logs.registration import registered
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.messages import NO_ID, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.smoothing import FinalMap, SmoothingError, Trace
 from mecp_env.world.config import OdometryConfig
@@ -88,6 +88,7 @@ class LogRun:
             "doors": len(self.output.graph.doors),
             "polygon_share": float(self.polygon.mean()),
             "localised_share": float(self.localised.mean()),
+            "resumed": self.pipeline.guard.resumed,
             "ms_per_scan_median": 1e3 * float(np.median(self.step_s)),
             "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
         }
@@ -264,6 +265,17 @@ class LogDrive:
         self.output = output
         return output
 
+    def _unsure(self) -> tuple[str, ...]:
+        """What was mapped although the pose was not found again."""
+        times, output = self.pipeline.guard.resumed, self.output
+        if not times or output is None:
+            return ()
+        said = f"the pose was lost and mapping went on where odometry said ({times} times)"
+        if output.unsure_from == NO_ID:
+            return (f"{said}; known landmarks were recognised since",)
+        unsure = int(np.count_nonzero(output.belief.ids >= output.unsure_from))
+        return (f"{said}; {unsure} landmarks are not joined to the earlier map since",)
+
     def result(self) -> LogRun:
         """The run so far. Raises `LogError` before the first scan."""
         if self.output is None:
@@ -275,7 +287,10 @@ class LogDrive:
         return LogRun(
             *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
             *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
-            *(dict(self.log.counts) | {what: n for what, n in skipped.items() if n}, (*self.log.notes, *said)),
+            *(
+                dict(self.log.counts) | {what: n for what, n in skipped.items() if n},
+                self.log.notes + self._unsure() + said,
+            ),
             calibration=self.calibration,
             final=final,
             final_s=final_s,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError, LogError
-from mecp_env.evaluation.log_run import LogRunConfig, config_for, run_log
+from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
+from mecp_env.slam.pipeline import SlamPipeline
 from tests.logs.files import BEAMS, drive, write_archive
 
 
@@ -67,3 +69,16 @@ def test_scans_at_rest_are_skipped(tmp_path: Path) -> None:
 def test_noise_that_is_not_per_metre_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"LogRunConfig.noise.*per_metre expected"):
         LogRunConfig(noise={"reading": "per_step"})
+
+
+@pytest.mark.parametrize(("unsure_from", "said"), [(-1, "recognised since"), (0, "not joined to the earlier map")])
+def test_a_run_says_that_it_mapped_on_while_the_pose_was_lost(tmp_path: Path, unsure_from: int, said: str) -> None:
+    log = log_of(tmp_path)
+    pipeline = SlamPipeline(config_for(log))
+    run = LogDrive(log, pipeline, LogRunConfig())
+    assert [output.unsure_from for output in run.steps()] == [-1] * 12
+    assert run.result().notes == log.notes
+    pipeline.guard.resumed, run.output = 1, replace(run.output, unsure_from=unsure_from)
+    (note,) = set(run.result().notes) - set(log.notes)
+    assert said in note
+    assert run.result().metrics()["resumed"] == 1
