@@ -8,7 +8,8 @@ ended early when it ends by itself with less, complete when it is seen, not lost
 the other figures are those of the benchmark `worlds`. `fr079`: odometry is made of the reference path with the paper's
 noise, five seeds; `intel_raw`, `csail_raw`: raw odometry, calibrated as `mecp-env slam` does without an option, which
 reads no reference path. Relations are the mean errors of relative poses measured by hand (Kuemmerle et al. 2009), with
-poses interpolated to their times; `at_scans` are those that need no interpolation; times are those of one core.
+poses interpolated to their times; `at_scans` are those that need no interpolation; times are those of one core. `final`
+are the figures of the path that is smoothed over all scans after the run, and `final_s` the seconds of the smoothing.
 `view_180_deg`: drives on `paper` with the true pose as the driver, cut to 180 degrees as in `noise`, and an estimator
 that knows it. `urg04lx`: explorations with that laser.
 """
@@ -69,6 +70,7 @@ GATES = (
     Gate("explored/kth/seen", "share", 0.06),
     Gate("explored/kth/precision", "share", 0.003),
     Gate("fr079/relations_m", "error", 1.1),
+    Gate("fr079/final_relations_m", "error", 1.1),
     Gate("fr079/polygon_share", "share", 0.02),
     Gate(f"{VIEW}/precision", "share", 0.003),
     *(Gate(f"{name}/complete", "share", 0.1) for name in URG),
@@ -294,7 +296,11 @@ def caption(figures: Figures, name: str) -> str:
     return f"{name}, {mean(figures[name]['log_share']):.0%} of the log: {', '.join(said)}"
 
 
-SAID = {"relations_m": "relations", "ate_m": "trajectory error", "dead_reckoning_ate_m": "dead reckoning"}
+SAID = {
+    "final_relations_m": "final relations",
+    "final_ate_m": "final trajectory error",
+    "dead_reckoning_ate_m": "dead reckoning",
+}
 
 
 def mean(figure: Any) -> float:

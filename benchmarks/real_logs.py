@@ -36,6 +36,8 @@ COLUMNS = (
     *("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg"),
     *("dead_reckoning_ate_m", "landmarks", "landmarks_dropped", "rooms", "doors", "polygon_share", "localised_share"),
     *("log_share", "ms_per_scan_median", "ms_per_scan_mean"),
+    *("final_relations_m", "final_relations_deg", "final_relations_at_scans_m", "final_relations_at_scans_deg"),
+    *("final_ate_m", "final_ate_deg", "final_converged", "final_steps", "final_s"),
 )
 
 
@@ -49,15 +51,15 @@ def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tup
 
 
 def map_of(run: LogRun) -> MapData:
-    """Walls of the grid, both paths, landmarks and doors, in the map frame."""
-    grid, path = run.output.grid, run.T_map_robot[run.scored]
+    """Walls of the grid, both paths, landmarks and doors, in the map frame, all smoothed."""
+    grid, path = run.final_output.grid, run.T_final_robot[run.scored]
     rows, columns = np.nonzero(grid.label == int(Cell.OCCUPIED))
     cells = grid.origin + (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution_m
     reference = np.empty((0, 2))
     if run.T_ref_robot is not None:
         T_ref = run.T_ref_robot[run.scored]
         reference = composed(align(path[:, :2], T_ref[:, :2]), T_ref)[:, :2]
-    return MapData.of_output(run.output, cells=cells, path=path[:, :2], reference=reference)
+    return MapData.of_output(run.final_output, cells=cells, path=path[:, :2], reference=reference)
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:

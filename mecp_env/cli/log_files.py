@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,13 @@ from mecp_env.slam.messages import SlamOutput
 
 FILES = (  # what a run leaves behind; truth.tum only where the log has a reference path
     *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
-    *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
+    *("metrics.json", "trajectory.tum", "truth.tum", "config.json", "trajectory_final.tum", "landmarks_final.csv"),
+    *("map_final.png", "belief_final.yaml", "belief_final.pgm"),
 )
 FILM_SIZE = (800, 640)
 FRAMES = 150
 BAR_WIDTH = 20
+FINAL = "final_"  # before the names of the figures of the smoothed path
 EVERY = 10  # scans between two updates of the bar
 
 
@@ -72,12 +75,14 @@ class LogFiles:
         for name, data in (("metrics.json", metrics), ("config.json", recipe)):  # data first: a full disk keeps it
             write_atomic(folder / name, (json.dumps(data, indent=2) + "\n").encode())
         write_atomic(folder / "trajectory.tum", tum(run.t, run.T_map_robot).encode())
+        write_atomic(folder / "trajectory_final.tum", tum(run.t, run.T_final_robot).encode())
         (folder / "truth.tum").unlink(missing_ok=True)
         if len(reference):
             known = np.isfinite(reference[:, 0])
             write_atomic(folder / "truth.tum", tum(run.t[run.scored][known], reference[known]).encode())
         view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
         self._keep_pictures(folder, run, view, _caption(run.ended, metrics))
+        _keep_final(folder, run, self.log.name, metrics)
         return metrics
 
     def _keep_pictures(self, folder: Path, run: LogRun, view: SceneView, caption: str) -> None:
@@ -91,6 +96,17 @@ class LogFiles:
         with naming(folder / "run.gif"):
             self.film.save(folder / "run.gif")
         write_page(self.recorder.run(self.log.name, caption), folder / "replay.html")
+
+
+def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]) -> None:
+    """Write landmarks, grid and picture of the smoothed path."""
+    output, path = run.final_output, run.T_final_robot[run.scored, :2]
+    output.export(landmarks=folder / "landmarks_final.csv", grid=folder / "belief_final.yaml")
+    errors = {key.removeprefix(FINAL): value for key, value in metrics.items() if key.startswith(FINAL)}
+    reference = _reference(replace(run, T_map_robot=run.T_final_robot))
+    view = _view(output, path, reference[:, :2], _caption(f"{name}, final trajectory", {**metrics, **errors}))
+    with naming(folder / "map_final.png"):
+        save(map_figure(view), folder / "map_final.png")
 
 
 def _reference(run: LogRun) -> Array:
@@ -155,11 +171,15 @@ ROWS = (  # shown name, format; left out where a metric is missing
     ("scans with a polygon", "{polygon_share:.1%}"),
     ("scans with a known pose", "{localised_share:.1%}"),
     ("trajectory error", "RMSE {ate_m:.3f} m, {ate_deg:.2f} deg; dead reckoning {dead_reckoning_ate_m:.3f} m"),
+    ("  final", "RMSE {final_ate_m:.3f} m, {final_ate_deg:.2f} deg"),
     ("relations", "mean {relations_m:.3f} m, {relations_deg:.2f} deg ({relations} relations)"),
     (
         "  that hit two scans",
         "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})",
     ),
+    ("relations, final", "mean {final_relations_m:.3f} m, {final_relations_deg:.2f} deg"),
+    ("  that hit two scans", "mean {final_relations_at_scans_m:.3f} m, {final_relations_at_scans_deg:.2f} deg"),
+    ("final trajectory", "{final_steps} steps, {final_s:.1f} s"),
     ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
 )
 

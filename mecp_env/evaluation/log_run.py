@@ -25,6 +25,7 @@ from mecp_env.logs.registration import registered
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import NO_ID, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.smoothing import FinalMap, SmoothingError, Trace
 from mecp_env.world.config import OdometryConfig
 
 REGISTERED = "odometry none: it is made by registration of successive scans"
@@ -70,6 +71,8 @@ class LogRun:
     counts: Mapping[str, int]  # those of the log, and of what was left out here
     notes: tuple[str, ...] = ()  # those of the log, and of what was chosen here
     calibration: Calibration | None = None  # by which the odometry of the log was corrected
+    final: FinalMap | None = None  # path and map smoothed over all scans; None where the optimum is not reached
+    final_s: float = 0.0  # processor time of the smoothing
 
     def metrics(self) -> dict[str, Any]:
         """The figures of the run; those against a reference or relations only where the log has them."""
@@ -91,7 +94,28 @@ class LogRun:
         }
         said = {"counts": dict(self.counts), "notes": list(self.notes)}
         calibration = {} if self.calibration is None else {"calibration": self.calibration.as_dict()}
-        return found | self._against_reference() | self._relations() | said | calibration
+        return found | self._against_reference() | self._relations() | self._of_final() | said | calibration
+
+    @property
+    def T_final_robot(self) -> Array:
+        """(n,3) m, rad: the smoothed poses; those of `T_map_robot` where there are none."""
+        return self.T_map_robot if self.final is None else self.final.T_map_robot
+
+    @property
+    def final_output(self) -> SlamOutput:
+        """The output after the last scan with the smoothed landmarks, pose and grid; as it is where there are none."""
+        if self.final is None:
+            return self.output
+        return replace(self.output, belief=self.final.belief, grid=self.final.grid)
+
+    def _of_final(self) -> dict[str, Any]:
+        """The errors of the smoothed path, as `final_` and the name of those of the online one."""
+        smoothed = replace(self, T_map_robot=self.T_final_robot)
+        errors = smoothed._against_reference() | smoothed._relations()
+        kept = {f"final_{name}": value for name, value in errors.items() if name.endswith(("_m", "_deg"))}
+        kept.pop("final_dead_reckoning_ate_m", None)
+        steps = 0 if self.final is None else self.final.steps
+        return kept | {"final_converged": self.final is not None, "final_steps": steps, "final_s": self.final_s}
 
     @property
     def dropped(self) -> int:
@@ -172,6 +196,7 @@ class LogDrive:
     measured: list[Array] = field(default_factory=list)  # (3,) of each scan the motion that the odometry measured
     output: SlamOutput | None = None
     ended: str = "interrupted"
+    trace: Trace = field(init=False)
 
     def __post_init__(self) -> None:
         """Make odometry of the scans where there is none. Raises `LogError` where the log lacks what is asked for."""
@@ -179,6 +204,7 @@ class LogDrive:
             made = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
             self.log = made
         self._path()
+        self.trace = Trace(self.pipeline)
 
     def _path(self) -> Array:
         """(n,3) the poses that the odometry is made of."""
@@ -235,6 +261,7 @@ class LogDrive:
         self.rows.append(row)
         self.outputs.append((output.belief.T_map_robot.copy(), output.localised, bool(output.polygons), spent))
         self.measured.append(np.zeros(3) if odometry is None else end_of(odometry.increments))
+        self.trace.add(odometry, output)
         self.output = output
         return output
 
@@ -255,13 +282,28 @@ class LogDrive:
             raise LogError(f"{self.log.name}: no scan was used ({self.ended})")
         poses, localised, polygon, spent = zip(*self.outputs, strict=True)
         reference = None if self.log.T_ref_robot is None else self.log.T_ref_robot[self.rows]
+        final, final_s, said = self._final()
         skipped = {"scans at rest, skipped": self.rows[-1] + 1 - self.rows[0] - len(self.rows)}
         return LogRun(
             *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
             *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
-            *(dict(self.log.counts) | {what: n for what, n in skipped.items() if n}, self.log.notes + self._unsure()),
-            self.calibration,
+            *(
+                dict(self.log.counts) | {what: n for what, n in skipped.items() if n},
+                self.log.notes + self._unsure() + said,
+            ),
+            calibration=self.calibration,
+            final=final,
+            final_s=final_s,
         )
+
+    def _final(self) -> tuple[FinalMap | None, float, tuple[str, ...]]:
+        """Path and map smoothed over all scans so far, the processor time of it, and what is said of it."""
+        start = time.thread_time()
+        try:
+            return self.trace.final(), time.thread_time() - start, ()
+        except SmoothingError as error:
+            said = f"final trajectory: {error}; trajectory_final.tum is the online one"
+            return None, time.thread_time() - start, (said,)
 
 
 def run_log(

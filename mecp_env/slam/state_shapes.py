@@ -72,6 +72,7 @@ SHAPES: Shapes = {
     | {"is_at_rest": "m", "variance": "m"},
     "FirstEstimateEkf": {"slot_ids": "n", "first": f"3+2n in {NEAR}"},
     "RecentScan": {"marks": "2", "ids": "n in -1:F", "still": "n"},
+    "Registered": {"T_past_now": f"3 in {NEAR}", "cov": "3 3"},
     "Surfaces": {"points": f"n 2 in {NEAR}", "normals": "n 2", "sigmas": "n"},
     "PoseGuard": {"correction": f"3 in {NEAR}"},
     "Polygon": {"corners": "k", "intervals": "i 4"},

@@ -21,9 +21,12 @@ from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
 Said = pytest.CaptureFixture[str]
-FILES = {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"} | {
-    f"belief.{ending}" for ending in ("yaml", "pgm", "svg")
-}
+FILES = (
+    {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}
+    | {f"belief.{ending}" for ending in ("yaml", "pgm", "svg")}
+    | {f"{name}_final.{ending}" for name, ending in (("trajectory", "tum"), ("landmarks", "csv"), ("map", "png"))}
+    | {"belief_final.yaml", "belief_final.pgm"}
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,8 +59,11 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
     metrics = metrics_of(kept)
     assert (metrics["ended"], metrics["rooms"], metrics["doors"]) == ("complete", 2, 1)
     assert metrics["ate_m"] < 0.05 < metrics["dead_reckoning_ate_m"]
+    assert metrics["final_converged"]
+    assert metrics["final_ate_m"] < 0.05
     assert metrics["polygon_share"] > 0.5
-    assert len(load_plan(kept / "belief.yaml").rooms) == 2
+    assert len(load_plan(kept / "belief.yaml").rooms) == len(load_plan(kept / "belief_final.yaml").rooms) == 2
+    assert len((kept / "landmarks_final.csv").read_text().splitlines()) == 1 + metrics["landmarks"]
     with Image.open(kept / "run.gif") as film:
         assert film.n_frames > 10
 
@@ -84,10 +90,14 @@ def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Pa
 
 
 def test_the_paths_are_in_one_frame(kept: Path) -> None:
-    estimated, reference = (np.loadtxt(kept / name) for name in ("trajectory.tum", "truth.tum"))
+    names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
+    estimated, final, reference = (np.loadtxt(kept / name) for name in names)
     assert estimated.shape == reference.shape
     np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
+    np.testing.assert_array_equal(final[:, 0], reference[:, 0])
     assert np.hypot(*(estimated - reference)[:, 1:3].T).max() < 0.2
+    assert np.hypot(*(final - reference)[:, 1:3].T).max() < 0.2
+    assert (final != estimated).any()
 
 
 def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import LogError
+from mecp_env.core.trajectories import between
 from mecp_env.logs import Log, ReadOptions, read_log
+from mecp_env.logs.motion import arcs, reading
+from mecp_env.world.config import OdometryConfig
 from tests.logs.files import BEAMS, BEARINGS, CARMEN, MOUNT, drive, flaser, write_archive, write_bag, write_carmen
 
 
@@ -240,7 +243,7 @@ def test_the_python_of_the_documentation_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = (Path(__file__).parents[2] / "docs/logs.md").read_text()
-    own, of_a_log, stream = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    own, smoothed, of_a_log, stream = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     rows = [" ".join(f"{x:g}" for x in (t, *pose, *one)) for t, pose, one in zip(*drive(), strict=True)]
     (tmp_path / "robot.txt").write_text("\n".join(rows))
@@ -249,6 +252,10 @@ def test_the_python_of_the_documentation_runs(
     write_archive(tmp_path / "drive.npz")
     exec(of_a_log, {})
     assert "12 {'readings without a return': 1} 0.0" in capsys.readouterr().out
+    log, poses = read_log("drive.npz"), drive()[1]
+    readings = [reading(arcs(T), OdometryConfig()) for T in between(poses[:-1], poses[1:])]
+    exec(smoothed, {"stream": zip([None, *readings], map(log.scan, range(len(log))), strict=True)})
+    assert capsys.readouterr().out.startswith(f"{poses.shape} (")
     _, poses, ranges = drive()
     exec(stream, {"sensor_stream": lambda: zip(ranges, poses, strict=True), "bearings": BEARINGS})
     said = capsys.readouterr().out

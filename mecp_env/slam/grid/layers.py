@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import attrgetter, is_
 
 import numpy as np
@@ -54,6 +54,13 @@ class ScanLayer:
         self.outline.append(seen[0])
         self.strips.append(seen[1])
         self._vote(canvas, n, 1)
+
+    def painted_at(self, canvas: Canvas, T_map_robot: Array) -> ScanLayer:
+        """The same key scans at other poses (n,3), painted on an empty canvas; their rooms are still to be painted."""
+        moved = replace(self, T_map_robot=T_map_robot, has_room=self.room == UNKNOWN_ROOM)
+        for row in range(len(T_map_robot)):
+            moved._vote(canvas, row, 1)
+        return moved
 
     def _vote(self, canvas: Canvas, row: int, delta: int) -> None:
         """Cast the votes of a scan (`delta` 1) or take them back (-1)."""

@@ -75,6 +75,19 @@ class GridPainter:
         self._update_pockets(graph)
         return self.canvas.publish(self.config.occupied_ratio)
 
+    def redrawn(self, belief: Belief, T_map_laser: Array, graph: RoomGraph) -> SemanticGrid:
+        """The grid with the key scans at poses (n,3) and the landmarks of `belief`; this painter stays as it is."""
+        again = GridPainter(self.config)
+        p_landmark, _ = again._look(belief)
+        again.scans = self.scans.painted_at(again.canvas, T_map_laser)
+        again.polygons.compare(again.canvas, self.polygons.known)
+        again.polygons.paint_waiting(again.canvas, p_landmark)
+        again.polygons.rename_rooms(again.canvas, graph)
+        again.doors.update(again.canvas, graph, p_landmark, moved=True, voted=True)
+        again.scans.paint_rooms(again.canvas, again.doors.cuts(graph))
+        again.complete(self.completed)
+        return again.finish(graph)
+
     def look_again(self) -> None:
         """Paint the next scan though others were taken near it: dynamic objects there may have gone."""
         self.again = True

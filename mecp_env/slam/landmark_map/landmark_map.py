@@ -36,10 +36,12 @@ class LandmarkMap:
     config: SlamConfig
     features: FeatureTable
     polygons: MapPolygonStore
+    merged: dict[int, int]  # landmark that was merged -> landmark it became, before further merges
 
     def __init__(self, config: SlamConfig) -> None:
         self.config = config
         self.features = FeatureTable()
+        self.merged = {}
         self.polygons = MapPolygonStore(config.association.polygons_per_room)
 
     def view(self, predicted: Belief, graph: RoomGraph, through: Ints, step: int, past: Ints | None = None) -> MapView:
@@ -88,6 +90,7 @@ class LandmarkMap:
             return seen, ()
         keep, drop = pair
         landmark_filter.fuse(keep, drop)
+        self.merged[drop] = keep
         rows = self.features.rows
         rows["state"][drop] = int(FeatureState.DEAD)
         rows["seen"][keep] += rows["seen"][drop]

@@ -49,6 +49,15 @@ class RecentScan:
     room: int  # before merges are resolved; UNKNOWN_ROOM in a doorway
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """The motion since a scan of the window, as the surfaces tell."""
+
+    mark: int  # the first mark of that scan's pose
+    T_past_now: Array  # (3,) m, rad
+    cov: Array  # (3,3)
+
+
 @dataclass(slots=True, eq=False, init=False)
 class RecentScans:
     """The window, the newest scan last."""
@@ -58,11 +67,12 @@ class RecentScans:
     limits: RegistrationLimits
     scans: list[RecentScan] = field(default_factory=list)
     next_mark: int = FIRST_MARK
+    registered: Registered | None = None  # that of the last scan
 
     def __init__(self, config: SlamConfig) -> None:
         self.config, self.sensor = config.panorama, config.sensor
         self.limits = RegistrationLimits.of(config)
-        self.scans, self.next_mark = [], FIRST_MARK
+        self.scans, self.next_mark, self.registered = [], FIRST_MARK, None
 
     def are_used(self, beams: MergedScan) -> bool:
         """True for a laser whose scans the window completes."""
@@ -70,6 +80,7 @@ class RecentScans:
 
     def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
         """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
+        self.registered = None
         if not (self.scans and self.are_used(scan.beams)):
             return False
         since, spread = self._poses(self.scans, landmark_filter)
@@ -79,8 +90,9 @@ class RecentScans:
         found = register(window, self._surfaces(scan), last.beams, prior, self.limits)
         if found is None:
             return False
-        z, R = marks_seen(found.T_past_now, found.cov(self.limits) + self.floor)
-        landmark_filter.update(z, R, last.marks)
+        cov = found.cov(self.limits) + self.floor
+        landmark_filter.update(*marks_seen(found.T_past_now, cov), last.marks)
+        self.registered = Registered(int(last.marks[0]), found.T_past_now, cov)
         return True
 
     def around(

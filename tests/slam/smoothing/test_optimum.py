@@ -1,0 +1,149 @@
+"""The batch optimum of a pose graph: derivatives, a dense solution, wrong factors, and what has no optimum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from mecp_env.core.array_types import Array
+from mecp_env.core.trajectories import wrapped
+from mecp_env.slam.smoothing import Links, PoseGraph, Sightings, SmoothingError, smooth
+from tests.slam.smoothing.graphs import drive, error_m
+
+SEEDS = range(12)
+
+
+def moved(graph: PoseGraph, numbers: Array) -> PoseGraph:
+    """The graph with all unknowns changed by `numbers`."""
+    n = len(graph.T_map_laser)
+    poses, places = numbers[: 3 * n].reshape(n, 3), numbers[3 * n :].reshape(-1, 2)
+    return replace(graph, T_map_laser=graph.T_map_laser + poses, p_map=graph.p_map + places)
+
+
+def whitened(graph: PoseGraph) -> Array:
+    """All errors divided by their sigmas, one below the other."""
+    T, roots = graph.T_map_laser, np.linalg.cholesky
+    parts = [
+        np.einsum("kji,kj->ki", roots(links.information), links.errors(T)[0]).ravel()
+        for links in (graph.odometry, graph.registrations)
+    ]
+    seen = graph.sightings.errors(T, graph.p_map)[0].ravel()
+    off = T[0] - graph.priors.T_map_laser
+    off[2] = wrapped(off[2])
+    joint = roots(graph.sightings.information.toarray()).T
+    return np.concatenate([*parts, joint @ seen, roots(graph.priors.information).T @ off])
+
+
+def slopes(of: object, numbers: Array, step: float = 1e-6) -> Array:
+    """(r,c) derivatives by central differences."""
+    columns = []
+    for k in range(numbers.size):
+        high, low = (numbers.copy() for _ in range(2))
+        high.flat[k] += step
+        low.flat[k] -= step
+        columns.append((of(high) - of(low)) / (2.0 * step))  # type: ignore[operator]
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("heading", [0.3, 3.1415, -3.1415])
+def test_derivatives_of_the_factors(heading: float) -> None:
+    T = np.array([[0.2, -0.4, heading], [1.1, 0.6, -heading + 0.2]])
+    links = Links.of([(0, 1, np.array([0.7, 0.1, 3.1]), np.eye(3))])
+    _, by_start, by_end = links.errors(T)
+    numeric = slopes(lambda poses: links.errors(poses)[0][0], T)
+    np.testing.assert_allclose(np.hstack([by_start[0], by_end[0]]), numeric, atol=1e-7)
+
+    seen = Sightings.of([(1, np.array([0]), np.array([[1.0, 3.1]]), np.eye(2))])
+    p_map = np.array([[-2.0, 1.5]])
+    _, by_pose, by_point = seen.errors(T, p_map)
+    np.testing.assert_allclose(by_pose[0], slopes(lambda poses: seen.errors(poses, p_map)[0][0], T)[:, 3:], atol=1e-7)
+    np.testing.assert_allclose(by_point[0], slopes(lambda places: seen.errors(T, places)[0][0], p_map), atol=1e-7)
+
+
+def test_errors_of_angles_are_wrapped() -> None:
+    links = Links.of([(0, 1, np.array([1.0, 0.0, np.pi - 0.01]), np.eye(3))])
+    assert links.errors(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, -np.pi + 0.01]]))[0][0, 2] == pytest.approx(0.02)
+    seen = Sightings.of([(0, np.array([0]), np.array([[1.0, np.pi - 0.01]]), np.eye(2))])
+    behind = np.array([[-np.cos(0.01), -np.sin(0.01)]])
+    assert seen.errors(np.zeros((1, 3)), behind)[0][0, 1] == pytest.approx(0.02)
+
+
+def test_the_optimum_is_that_of_a_dense_solver() -> None:
+    graph = drive(seed=1, poses=16, landmarks=4).graph
+    found = smooth(graph, gate_probability=None, settled=1e-10)
+    limits = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-12}
+    dense = moved(graph, least_squares(lambda x: whitened(moved(graph, x)), np.zeros(graph.size), **limits).x)
+    off = found.T_map_laser - dense.T_map_laser
+    off[:, 2] = wrapped(off[:, 2])
+    np.testing.assert_allclose(off, 0.0, atol=1e-6)
+    np.testing.assert_allclose(found.p_map, dense.p_map, atol=1e-6)
+
+
+def test_the_kernel_leaves_right_factors_alone() -> None:
+    graph = drive(seed=2).graph
+    robust, plain = smooth(graph, settled=1e-9), smooth(graph, None, settled=1e-9)
+    assert robust.odometry_scale < 1.5
+    np.testing.assert_allclose(robust.T_map_laser[:, :2], plain.T_map_laser[:, :2], atol=0.01)
+
+
+def test_the_bits_are_the_same_in_every_run() -> None:
+    first, again = (smooth(drive(seed=3).graph) for _ in range(2))
+    np.testing.assert_array_equal(first.T_map_laser, again.T_map_laser)
+    np.testing.assert_array_equal(first.p_map, again.p_map)
+    assert first.steps == again.steps
+
+
+def test_wrong_associations_count_little() -> None:
+    robust, plain = [], []
+    for seed in SEEDS:
+        one, rng = drive(seed), np.random.default_rng(seed)
+        seen = one.graph.sightings
+        wrong = rng.choice(len(seen.z), len(seen.z) // 20, replace=False)
+        landmark = seen.landmark.copy()
+        landmark[wrong] = (landmark[wrong] + 1) % len(one.p_map)
+        graph = replace(one.graph, sightings=replace(seen, landmark=landmark))
+        robust.append(error_m(smooth(graph).T_map_laser, one.T_map_laser))
+        plain.append(error_m(smooth(graph, None).T_map_laser, one.T_map_laser))
+    assert np.mean(robust) < 0.05 < np.mean(plain)
+    assert np.max(robust) < 0.1
+
+
+def test_a_robot_that_was_carried_is_no_odometry() -> None:
+    one = drive(seed=4, landmarks=2)
+    odometry = one.graph.odometry
+    carried = odometry.T_start_end.copy()
+    carried[20] += [2.0, -1.0, 1.0]
+    kept = ~((one.graph.registrations.start <= 20) & (one.graph.registrations.end > 20))
+    parts = one.graph.registrations
+    parts = Links(parts.start[kept], parts.end[kept], parts.T_start_end[kept], parts.information[kept])
+    graph = replace(one.graph, odometry=replace(odometry, T_start_end=carried), registrations=parts)
+    assert error_m(smooth(graph).T_map_laser, one.T_map_laser) < 0.05
+    assert error_m(smooth(graph, None).T_map_laser, one.T_map_laser) > 0.1
+
+
+def test_the_noise_of_the_odometry_is_estimated() -> None:
+    graph = drive(seed=5, poses=300).graph
+    told = replace(graph, odometry=replace(graph.odometry, information=9.0 * graph.odometry.information))
+    assert smooth(graph).odometry_scale == pytest.approx(1.0, abs=0.3)
+    assert smooth(told).odometry_scale == pytest.approx(9.0, rel=0.4)
+
+
+def test_what_has_no_optimum_is_an_error() -> None:
+    graph = drive(seed=6).graph
+    with pytest.raises(SmoothingError, match="after 2 steps"):
+        smooth(graph, steps=2, settled=1e-9)
+    odometry, registrations = graph.odometry, graph.registrations
+    loose = replace(odometry, information=0.0 * odometry.information)
+    nothing = replace(registrations, information=0.0 * registrations.information)
+    seen = replace(graph.sightings, information=0.0 * graph.sightings.information)
+    with pytest.raises(SmoothingError, match="solution"):
+        smooth(replace(graph, odometry=loose, registrations=nothing, sightings=seen))
+    broken = graph.T_map_laser.copy()
+    broken[3] = np.nan
+    with pytest.raises(SmoothingError):
+        smooth(replace(graph, T_map_laser=broken))
+    with pytest.raises(SmoothingError, match="singular"):
+        Links.of([(0, 1, np.zeros(3), np.zeros((3, 3)))])
