@@ -142,10 +142,10 @@ def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Boo
 
 def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     """The corners of a scan and the time (4,) of each stage, s."""
-    clock = [time.thread_time()]
-    beams = merge_sweeps(scan, config.sensor)
+    rule, clock = config.clustering, [time.thread_time()]
+    beams = merge_sweeps(scan, config.sensor, rule.sweeps)
     clock.append(time.thread_time())
-    clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)
+    clusters = cluster_beams(beams, rule, config.segments, config.sensor, rule.united(len(scan.ranges)))
     clock.append(time.thread_time())
     segments = extract_segments(beams, clusters, config.segments, config.sensor)
     clock.append(time.thread_time())
