@@ -44,7 +44,7 @@ METHODS = Names(  # `register_associator` adds others
     )
 )
 KINDS = Names("riekf", "riekf_submaps", "ekf", "fej")  # `register_filter` does
-STRUCTURE_NAMES = Names("mecp", "largest_area")  # and `register_structure`
+STRUCTURE_NAMES = Names("mecp", "largest_area", "dobkin")  # and `register_structure`
 
 
 class SensorModel(LaserNoise):
@@ -145,7 +145,7 @@ class CornerConfig(Settings):
 class PolygonConfig(Settings):
     """III-A.2, the Maximum Empty Convex Polygon, or another spatial structure (VI)."""
 
-    structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or largest_area, or one registered
+    structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or one of STRUCTURE_NAMES
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
     sites: Literal["posts_too", "corners"] = "posts_too"  # posts where the other corners are too few; paper: "corners"
