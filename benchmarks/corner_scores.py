@@ -154,9 +154,11 @@ def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     return corners, np.diff(clock)
 
 
-def score_places(places: Sequence[Place], preset: tuple[str, int], config: SlamConfig) -> list[Score]:
-    """The scores of the scans of one preset, taken with the sensor model that fits it."""
-    laser = with_noise_of(*preset)
+def score_places(
+    places: Sequence[Place], preset: tuple[str, int], config: SlamConfig, assumed: str = ""
+) -> list[Score]:
+    """The scores of the scans of one preset, taken with the sensor model that fits it, or the `assumed` preset."""
+    laser = with_noise_of(assumed or preset[0], preset[1])
     sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
     config = config.model_copy(update={"sensor": sensor})
     front_end(places[0].scans[preset], config)  # load compiled functions before timing
