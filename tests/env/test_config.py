@@ -206,3 +206,12 @@ def test_the_paper_in_one_switch():
     assert (slam.clustering.threshold, slam.polygon.tolerance_sigmas) == ("adaptive", 0.0)
     assert not slam.polygon.check_walls
     assert not slam.association.use_descriptor
+
+
+def test_the_paper_assumes_its_noise_with_any_laser():
+    """IV: "the standard deviation of the SICK laser is assumed": noise on every beam, or only in the filter."""
+    for laser in ({}, {"preset": "ideal"}):
+        config = EnvConfig.paper(laser=laser)
+        sensor = config.estimator_config.sensor
+        assert (sensor.range_sigma_m, sensor.bearing_sigma_deg) == (0.05, 0.3)
+        assert config.laser.range_sigma_m == (0.0 if laser else 0.05)
