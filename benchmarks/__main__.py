@@ -57,6 +57,7 @@ IN_UNITS = (
     "loop",
     "map_size",
     "noise",
+    "paper_mode",
     "real",
     "restore",
     "returns",
@@ -96,6 +97,7 @@ NAMES = (
     "victoria_park",
     "figures",
     "claims",
+    "paper_mode",
     "structures",
 )
 HERE_ONLY = (
@@ -119,6 +121,7 @@ WITH_RECORDS = (
     "loop",
     "map_size",
     "noise",
+    "paper_mode",
     "real",
     "structures",
     RECORD,

@@ -354,7 +354,10 @@ class SlamConfig(Settings):
 
     @classmethod
     def paper(cls) -> Self:
-        """The estimator to the letter of the paper; what it does not say stays as it is with us."""
+        """The estimator to the letter of the paper, statement by statement in docs/paper.md; what it leaves open is ours.
+
+        The search for polygons finds the region that III-A.2 defines; `polygon.structure="dobkin"` is its algorithm.
+        """
         return cls(
             sensor=SensorModel(range_sigma_m=0.05, bearing_sigma_deg=0.3),  # IV: "assumed", whatever the laser has
             clustering=ClusteringConfig(

@@ -44,6 +44,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         {"kidnap.SEEDS": {"two_rooms": 2}, "kidnap.AFTER": 3, "kidnap.BEFORE": 3, "kidnap.SHOWN": (0, 2)},
     ),
     "loop": ({"quick": True}, {"loop.SEEDS": {"two_rooms": 2}, "loop.FIRST_SCAN": 2}),
+    "paper_mode": ({"sets": ("two_rooms:2",)}, {"paper_mode.SEEDS": {"two_rooms": 2}}),
     "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 1, "view_180_deg": 1}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
     "restore": ({"quick": True}, {"restore.QUICK": 2}),
