@@ -354,7 +354,7 @@ class SlamConfig(Settings):
 
     @classmethod
     def paper(cls) -> Self:
-        """The estimator to the letter of the paper, statement by statement in docs/paper.md; what it leaves open is ours.
+        """The estimator to the letter of the paper (docs/paper.md, by statement); what the paper leaves open is ours.
 
         The search for polygons finds the region that III-A.2 defines; `polygon.structure="dobkin"` is its algorithm.
         """
