@@ -1,9 +1,10 @@
 """The paper's mode, stage by stage, on the same drives, for both readings of the laser's noise (IV).
 
 `mecp_paper` has the association of the paper, and features and filter of ours, and the rows after it change one choice
-each (`no polygons` is the nearest neighbour in the room); `SlamConfig.paper()` is the paper's in every stage; `with dobkin` has the polygon search as written, too, with its kernel rule. Columns are those of
-`association`; `found` and `recognised` are the shares of scans with a polygon, and with one that is recognised. In
-`paper` the noise that the filter assumes is on every beam; in `paper_ideal` the laser is ideal.
+each (`no polygons` is the nearest neighbour in the room); `SlamConfig.paper()` is the paper's in every stage; `with
+dobkin` has the polygon search as written, too, with its kernel rule. Columns are those of `association`; `found` and
+`recognised` are the shares of scans with a polygon, and with one that is recognised. In `paper` the noise that the
+filter assumes is on every beam; in `paper_ideal` the laser is ideal.
 """
 
 from __future__ import annotations
