@@ -104,6 +104,28 @@ def test_corners_and_polygons_of_the_scan_keep_their_numbers(drive):
     assert checked > 5
 
 
+@dataclass
+class Nothing(Associator):
+    """Pairs nothing."""
+
+    def associate(self, corners, polygons, view, belief):
+        return MatchBuilder(len(corners)).match()
+
+
+def test_a_corner_that_is_no_post_is_named_only_as_a_post(drive):
+    plain_named = posts_named = 0
+    for pipeline, output, _, _ in drive.run(SlamConfig(association={"use_posts": False})):
+        corners, nowhere = output.corners, np.full(len(output.corners), -1)
+        view = pipeline.map.view(output.belief, pipeline.rooms.graph(), nowhere, output.step)
+        match = PostsApart(Nothing(), APART).associate(corners, (), view, pipeline.filter)
+        named = np.flatnonzero(match.decision == int(Decision.PROVISIONAL))
+        plain = named[corners.kind[named] != JAMB]
+        assert (kinds(pipeline, match.ids[plain]) == JAMB).all()
+        plain_named, posts_named = plain_named + len(plain), posts_named + len(named) - len(plain)
+    assert plain_named > 0
+    assert posts_named > 50
+
+
 def test_known_correspondences_include_posts():
     config = AssociationConfig(use_posts=False, method="known")
     assert isinstance(make_associator(config), OracleAssociator)
