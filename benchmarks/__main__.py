@@ -60,6 +60,7 @@ IN_UNITS = (
     "map_size",
     "mutated",
     "noise",
+    "paper_mode",
     "real",
     "restore",
     "returns",
@@ -101,6 +102,7 @@ NAMES = (
     "victoria_park",
     "figures",
     "claims",
+    "paper_mode",
     "structures",
 )
 HERE_ONLY = (
@@ -125,6 +127,7 @@ WITH_RECORDS = (
     "loop",
     "map_size",
     "noise",
+    "paper_mode",
     "real",
     "structures",
     RECORD,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -11,32 +11,36 @@ from numpy.typing import NDArray
 
 from benchmarks import association, loop
 from benchmarks.common import Figures
-from benchmarks.corner_scores import Score, make_places, score_places
+from benchmarks.corner_scores import Place, Score, make_places, score_places
 from benchmarks.drives import Drive, replay
 from benchmarks.features import SEED, key_of, threshold
 from benchmarks.polygon_centres import in_the_map, in_the_scan
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import with_change
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.map_scores import covers
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import find_polygons
-from mecp_env.slam.messages import Polygon, SlamOutput
+from mecp_env.slam.mecp.dobkin import rings_around
+from mecp_env.slam.messages import Corners, Polygon, SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
 Array = NDArray[np.float64]
 
-METHODS: dict[str, dict[str, Any]] = {  # of the section `association`; those of the benchmark `association`
-    name: association.METHODS[name]
-    for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest")
+METHODS: dict[str, dict[str, Any]] = {  # some of the benchmark `association`
+    name: association.methods()[name]
+    for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", association.LETTER)
 }
 VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
-PRESETS = (("paper", 4), ("paper", 1))
 THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
+UNION = " of the union"
+DENSE_SCANS = ("adaptive_noise", "adaptive", "adaptive_noise" + UNION, "adaptive" + UNION)
+PRESETS = {("paper", 4): DENSE_SCANS, ("paper", 1): THRESHOLDS, ("ideal", 4): DENSE_SCANS, ("ideal", 1): THRESHOLDS}
 MATCHABLE = 4  # vertices
 POINTS, INSIDE = 4, 0.95  # per polygon, drawn this share of the way from the robot to its edge, at most
 UNCHECKED = PolygonConfig(check_walls=False)
+KERNEL_SCANS = 5  # the kernel rule is tried in every fifth scan
 
 
 def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
@@ -44,6 +48,7 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     kind, layout, number = unit
     tasks: dict[str, Callable[[str, int], Figures]] = {
         "drive": partial(of_drive, records),
+        "ideal": partial(of_ideal, records),
         "loop": partial(of_loop, records),
         "scans": of_scans,
     }
@@ -52,17 +57,28 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
 
 def of_drive(records: Records, layout: str, seed: int) -> Figures:
     """Counts of each method in closed loop, and what the polygons of `mecp` are like."""
-    drive = records.drive(Course(layout, seed))
-    rows = {name: with_change(drive.slam, {"association": fields}) for name, fields in METHODS.items()}
-    counted = {name: association.counts(drive, replay(drive, slam)) for name, slam in rows.items()}
-    return {"methods": counted, "polygons": of_polygons(drive, np.random.default_rng(seed))}
+    drive = records.drive(association.course(layout, seed))
+    return {"methods": of_methods(drive), "polygons": of_polygons(drive, np.random.default_rng(seed))}
+
+
+def of_ideal(records: Records, layout: str, seed: int) -> Figures:
+    """Counts of each method in closed loop with an ideal laser, of whose noise only the filter is told."""
+    return {"methods": of_methods(records.drive(association.course(layout, seed)))}
+
+
+def of_methods(drive: Drive) -> dict[str, Figures]:
+    """Counts of each method in closed loop."""
+    return {
+        name: association.counts(drive, replay(drive, with_change(drive.slam, change)))
+        for name, change in METHODS.items()
+    }
 
 
 def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
     """Sums over the scans of a drive; the share of the free area under polygons, and of rooms with one, at its end."""
     pipeline, sums = (
         SlamPipeline(drive.slam),
-        dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw"), 0),
+        dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw", "searched", "lost", "none"), 0),
     )
     shares = []
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
@@ -71,6 +87,8 @@ def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
             sums["found"] += 1
             sums["unique"] += len(output.polygons) == 1
             shares.append(in_the_scan(output.corners, output.polygons[0].corners).variance_share)
+        for name, count in (of_kernel(output.corners) if output.step % KERNEL_SCANS == 0 else {}).items():
+            sums[name] += count
         raw = find_polygons(output.corners, output.beams, UNCHECKED)
         for suffix, polygons in (("", output.polygons), ("_raw", raw)):
             seen = lines_of_sight(drive, output, polygons, T_world_robot, rng)
@@ -89,6 +107,15 @@ def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
         "rooms": len(output.graph.rooms),
         "rooms_with_polygon": len(rooms & set(output.graph.rooms)),
     }
+
+
+def of_kernel(corners: Corners) -> dict[str, int]:
+    """Whether there is a polygon, and whether the paper's kernel rule loses vertices of the largest, or every one."""
+    points = polar_to_points(corners.z[corners.sites])
+    largest, by_rule = (
+        max((ring.size for ring in rings_around(points, by_kernel)), default=0) for by_kernel in (False, True)
+    )
+    return {"searched": int(largest > 0), "lost": int(by_rule < largest), "none": int(by_rule == 0 < largest)}
 
 
 def lines_of_sight(
@@ -126,14 +153,17 @@ def of_loop(records: Records, layout: str, seed: int) -> Figures:
 
 def of_scans(layout: str, poses: int) -> Figures:
     """Per preset and threshold the counts of every pose: right corners, corners, found and visible true ones."""
-    places = make_places(layout, poses, SEED, PRESETS)
+    places = make_places(layout, poses, SEED, tuple(PRESETS))
     return {
-        key_of(preset): {
-            name: [counts(score) for score in score_places(places, preset, SlamConfig(clustering=threshold(name)))]
-            for name in THRESHOLDS
-        }
-        for preset in PRESETS
+        key_of(preset): {name: [counts(score) for score in scores(places, preset, name)] for name in names}
+        for preset, names in PRESETS.items()
     }
+
+
+def scores(places: Sequence[Place], preset: tuple[str, int], name: str) -> list[Score]:
+    """Scores at each place; whatever noise a laser has, that of the paper is assumed."""
+    rule = threshold(name.removesuffix(UNION)).model_copy(update={"sweeps": "union" if UNION in name else "mean"})
+    return score_places(places, preset, SlamConfig(clustering=rule), assumed="paper")
 
 
 def counts(score: Score) -> list[int]:

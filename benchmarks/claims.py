@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import claim_units
-from benchmarks.association import differences, summarise
-from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, VARIANTS, measure
+from benchmarks import association, claim_units
+from benchmarks.association import LETTER, differences, summarise
+from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
 from benchmarks.common import Figures, Gate, Options, estimate, flatten, in_parallel, ratio, readable, table
 from benchmarks.features import key_of
 from benchmarks.loop import figures_of, named
@@ -27,8 +27,10 @@ from mecp_env.world.layout import shipped_layouts
 DRIVES = {"paper": 12, "furnished": 6}
 LOOPS = {"paper": 6, "hard": 4}
 POSES = 24  # per layout
+KINDS = ("drive", "ideal", "loop", "scans")
 SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
-DENSE, SINGLE = (key_of(preset) for preset in PRESETS)
+DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
+IDEAL = {association.IDEAL: 12}
 ROUGH, ROUGHEST = (named(sigma) for sigma in SIGMAS)
 
 GATES = (
@@ -36,7 +38,7 @@ GATES = (
     Gate("revisiting/closure_recall", "share", 0.05),
     Gate("polygons/visible", "share", 0.01),
     Gate("polygons/cover", "share", 0.03),
-    Gate("clustering/dense_minus_single", "share", 0.02),
+    Gate("clustering/mean_minus_single", "share", 0.02),
 )
 
 
@@ -93,7 +95,14 @@ CLAIMS = (
         "to increase the efficiency and the accuracy of data association",
         "precision of `mecp_paper`, the rule as written, minus that of `nearest`, in closed loop",
         *("closed_loop/paper_minus_nearest", True, 0.0),
-        ("closed_loop/paper_precision", "closed_loop/mecp_precision"),
+        ("closed_loop/paper_precision", "closed_loop/letter_precision", "closed_loop/mecp_precision"),
+    ),
+    Claim(
+        "V",
+        "to increase the efficiency and the accuracy of data association",
+        "the same with an ideal laser, whose noise only the filter assumes (IV)",
+        *("ideal_laser/paper_minus_nearest", True, 0.0),
+        ("ideal_laser/paper_precision", "ideal_laser/letter_precision", "ideal_laser/mecp_precision"),
     ),
     Claim(
         "IV",
@@ -118,15 +127,37 @@ CLAIMS = (
     Claim(
         "III-A.1",
         "a continuous dense representation improved the clustering",
-        "recall of corners with four sweeps minus with one, same poses",
-        *("clustering/dense_minus_single", True, 0.0),
+        "recall of corners with the union of four sweeps minus with one sweep, threshold as written, same poses",
+        *("clustering/union_minus_single", True, 0.0),
+        ("clustering/union_with_noise_minus_single", "clustering_ideal/union_minus_single"),
+    ),
+    Claim(
+        "III-A.1",
+        "a continuous dense representation improved the clustering",
+        "the same with the mean of four sweeps per bearing, our reading, and a noise term",
+        *("clustering/mean_minus_single", True, 0.0),
+        ("clustering_ideal/mean_minus_single",),
     ),
     Claim(
         "III-A.1",
         "a clustering method that clusters data on the basis of an adaptive threshold",
-        "recall with the threshold as written minus that of the best fixed one, one sweep",
+        "recall with the threshold as written minus that of the best fixed one, one sweep, noise on every beam",
         *("clustering/adaptive_minus_fixed", True, 0.0),
         ("clustering/with_noise_minus_fixed",),
+    ),
+    Claim(
+        "III-A.1",
+        "a clustering method that clusters data on the basis of an adaptive threshold",
+        "the same with an ideal laser, whose noise only the filter assumes (IV)",
+        *("clustering_ideal/adaptive_minus_fixed", True, 0.0),
+        ("clustering_ideal/with_noise_minus_fixed",),
+    ),
+    Claim(
+        "III-A.2",
+        "For each p such that the kernel of P_p includes the robot position",
+        "share of scans whose largest polygon has fewer vertices under this rule, or is lost, than without it",
+        *("kernel_rule/lost", False, 0.01),
+        ("kernel_rule/none",),
     ),
     Claim(
         "III-A.2",
@@ -163,15 +194,17 @@ def run(options: Options) -> Figures:
     part = 6 if options.quick else 1
     units = [
         *(("drive", layout, seed) for layout, n in DRIVES.items() for seed in range(max(n // part, 1))),
+        *(("ideal", layout, seed) for layout, n in IDEAL.items() for seed in range(max(n // part, 1))),
         *(("loop", layout, seed) for layout, n in LOOPS.items() for seed in range(max(n // part, 1))),
         *(("scans", layout, POSES // part) for layout in shipped_layouts()),
     ]
     results = in_parallel(partial(measure, records=Records(options.records)), dict[str, Any], units, options)
-    of = {kind: [r for u, r in zip(units, results, strict=True) if u[0] == kind] for kind in ("drive", "loop", "scans")}
+    of = {kind: [r for u, r in zip(units, results, strict=True) if u[0] == kind] for kind in KINDS}
     closed, rough = of_drives([r["methods"] for r in of["drive"]]), of_loops(of["loop"])
     timed = {**rough.pop("timed"), **exponents(SETS // part)}
     return {
         **closed,
+        "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
         **of_polygons([r["polygons"] for r in of["drive"]]),
         **rough,
         **of_scans(of["scans"]),
@@ -182,13 +215,8 @@ def run(options: Options) -> Figures:
 def of_drives(runs: list[dict[str, Figures]]) -> Figures:
     """Closed loop: precision, pairs across a wall, returns."""
     rows = {name: summarise([run[name] for run in runs]) for name in claim_units.METHODS}
-    pairs = differences([(run["mecp_paper"], run["nearest"]) for run in runs])
     return {
-        "closed_loop": {
-            "paper_minus_nearest": pairs["precision_minus_mecp"],
-            "paper_precision": rows["mecp_paper"]["precision"],
-            "mecp_precision": rows["mecp"]["precision"],
-        },
+        "closed_loop": precisions(runs),
         "across_a_wall": {
             "mecp": rows["mecp"]["swapped_per_1000"],
             "rooms_alone": rows["mecp without descriptor"]["swapped_per_1000"],
@@ -204,10 +232,24 @@ def of_drives(runs: list[dict[str, Figures]]) -> Figures:
     }
 
 
+def precisions(runs: list[dict[str, Figures]]) -> Figures:
+    """How exact the paper's rule is beside others, on the same drives."""
+    precision = {name: summarise([run[name] for run in runs])["precision"] for name in claim_units.METHODS}
+    pairs = differences([(run["mecp_paper"], run["nearest"]) for run in runs])
+    return {
+        "paper_minus_nearest": pairs["precision_minus_mecp"],
+        "paper_precision": precision["mecp_paper"],
+        "letter_precision": precision[LETTER],
+        "mecp_precision": precision["mecp"],
+        "nearest_precision": precision["nearest"],
+    }
+
+
 def of_polygons(runs: list[Figures]) -> Figures:
     """What polygons are like."""
     of = {name: [run[name] for run in runs] for name in runs[0]}
     return {
+        "kernel_rule": {"lost": ratio(of["lost"], of["searched"]), "none": ratio(of["none"], of["searched"])},
         "variance": {"in_a_scan": estimate(of["share_in_scan"]), "in_the_map": estimate(of["share_in_map"])},
         "polygons": {
             "visible": ratio(of["free"], of["lines"]),
@@ -243,21 +285,31 @@ def of_loops(runs: list[dict[str, dict[str, Figures]]]) -> Figures:
 
 
 def of_scans(layouts: list[dict[str, dict[str, list[list[int]]]]]) -> Figures:
-    """Recall of corners by sweeps and thresholds."""
+    """Recall of corners by sweeps and thresholds, for both readings of the laser's noise."""
     recall = {
-        (preset, name): recalls([counts for layout in layouts for counts in layout[preset][name]])
-        for preset in (DENSE, SINGLE)
-        for name in THRESHOLDS
-    }
-    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(recall[SINGLE, n]))
-    return {
-        "clustering": {
-            "dense_minus_single": estimate(recall[DENSE, "adaptive_noise"] - recall[SINGLE, "adaptive_noise"]),
-            "adaptive_minus_fixed": estimate(recall[SINGLE, "adaptive"] - recall[SINGLE, fixed]),
-            "with_noise_minus_fixed": estimate(recall[SINGLE, "adaptive_noise"] - recall[SINGLE, fixed]),
-            "best_fixed": fixed,
-            "recall": {name: estimate(recall[SINGLE, name]) for name in THRESHOLDS},
+        key_of(preset): {
+            name: recalls([counts for layout in layouts for counts in layout[key_of(preset)][name]]) for name in names
         }
+        for preset, names in PRESETS.items()
+    }
+    return {
+        "clustering": of_clustering(recall[SINGLE], recall[DENSE]),
+        "clustering_ideal": of_clustering(recall[IDEAL_SINGLE], recall[IDEAL_DENSE]),
+    }
+
+
+def of_clustering(single: dict[str, Any], dense: dict[str, Any]) -> Figures:
+    """Recall with one sweep and with four, by threshold; differences at the same poses."""
+    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(single[n]))
+    return {
+        "union_minus_single": estimate(dense["adaptive" + UNION] - single["adaptive"]),
+        "union_with_noise_minus_single": estimate(dense["adaptive_noise" + UNION] - single["adaptive_noise"]),
+        "mean_minus_single": estimate(dense["adaptive_noise"] - single["adaptive_noise"]),
+        "adaptive_minus_fixed": estimate(single["adaptive"] - single[fixed]),
+        "with_noise_minus_fixed": estimate(single["adaptive_noise"] - single[fixed]),
+        "best_fixed": fixed,
+        "recall": {name: estimate(values) for name, values in single.items()},
+        "recall_dense": {name: estimate(values) for name, values in dense.items()},
     }
 
 

@@ -142,10 +142,10 @@ def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Boo
 
 def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     """The corners of a scan and the time (4,) of each stage, s."""
-    clock = [time.thread_time()]
-    beams = merge_sweeps(scan, config.sensor)
+    rule, clock = config.clustering, [time.thread_time()]
+    beams = merge_sweeps(scan, config.sensor, rule.sweeps)
     clock.append(time.thread_time())
-    clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)
+    clusters = cluster_beams(beams, rule, config.segments, config.sensor, rule.united(len(scan.ranges)))
     clock.append(time.thread_time())
     segments = extract_segments(beams, clusters, config.segments, config.sensor)
     clock.append(time.thread_time())
@@ -154,9 +154,11 @@ def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     return corners, np.diff(clock)
 
 
-def score_places(places: Sequence[Place], preset: tuple[str, int], config: SlamConfig) -> list[Score]:
-    """The scores of the scans of one preset, taken with the sensor model that fits it."""
-    laser = with_noise_of(*preset)
+def score_places(
+    places: Sequence[Place], preset: tuple[str, int], config: SlamConfig, assumed: str = ""
+) -> list[Score]:
+    """The scores of the scans of one preset, taken with the sensor model that fits it, or the `assumed` preset."""
+    laser = with_noise_of(assumed or preset[0], preset[1])
     sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
     config = config.model_copy(update={"sensor": sensor})
     front_end(places[0].scans[preset], config)  # load compiled functions before timing

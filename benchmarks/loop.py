@@ -211,8 +211,9 @@ def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]
 
 def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
     """Corners of a scan, its beams, and which of these end on a wall."""
-    beams = merge_sweeps(scan, slam.sensor)
-    clusters = cluster_beams(beams, slam.clustering, slam.segments, slam.sensor)
+    rule = slam.clustering
+    beams = merge_sweeps(scan, slam.sensor, rule.sweeps)
+    clusters = cluster_beams(beams, rule, slam.segments, slam.sensor, rule.united(len(scan.ranges)))
     segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
     corners = extract_corners(beams, segments, slam.corners, slam.sensor)
     return corners.with_floor(slam.filter.linearisation_sigma_m), beams, beams_on_walls(clusters, beams)

@@ -200,8 +200,9 @@ class EnvConfig(Settings):
     def paper(cls, **keywords: Any) -> Self:
         """The whole pipeline as in the text of the paper (2010), in one switch; keywords override it.
 
-        `SlamConfig.paper()` disables every deviation of the estimator; the laser has the noise of section IV on every
-        beam. The burst of sweeps stays: it is the paper's dense scan (III-A.1).
+        `SlamConfig.paper()` disables every deviation of the estimator. The laser has the noise of section IV on every
+        beam; `laser={"preset": "ideal"}` is the other reading, in which only the filter assumes it. Its burst of sweeps
+        is the paper's dense scan (III-A.1).
         """
         return cls.build({"laser": {"preset": "paper"}, "slam": SlamConfig.paper()}, **keywords)
 

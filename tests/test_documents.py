@@ -11,13 +11,12 @@ import pytest
 
 import mecp_env
 from mecp_env.cli.main import COMMANDS
+from mecp_env.slam.config import SlamConfig
 
 Captured = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-PAPER_ROWS = [line.split("|")[1:-1] for line in (ROOT / "docs/paper.md").read_text().splitlines() if line[:1] == "|"][
-    2:
-]
+PAPER_SECTIONS = (ROOT / "docs/paper.md").read_text().split("\n### ")[1:]
 
 
 def resolve(name: str) -> object:
@@ -115,12 +114,27 @@ def test_the_estimator_runs_alone_as_documented(
     assert Path("map.yaml").exists()
 
 
-@pytest.mark.parametrize("row", PAPER_ROWS, ids=lambda row: row[0].strip())
-def test_functions_and_tests_that_the_paper_table_names_exist(row: list[str]) -> None:
-    for name in re.findall(r"`((?:slam|world|planning|render|mecp_env)\.[\w.]+)", row[2]):
+@pytest.mark.parametrize("section", PAPER_SECTIONS, ids=lambda text: text.partition("\n")[0])
+def test_functions_tests_and_switches_that_a_statement_of_the_paper_names_exist(section: str) -> None:
+    said, code, tests = re.split(r"\n*Code: |\s+Tests?: ", section.partition("\n## ")[0])
+    functions = re.findall(r"`((?:slam|world|planning|render)\.[\w.]+)`", code)
+    named = re.findall(r"`(tests/[\w./]+)(?:::(\w+))?`", tests)
+    assert functions
+    assert named
+    for name in functions:
         assert resolve(name) is not None
-    for path, test in re.findall(r"`(tests/[\w./]+)(?:::(\w+))?`", row[3]):
+    for path, test in named:
         assert f"def {test}" in (ROOT / path).read_text(), f"{path}::{test}"
+    for part, field in re.findall(r"`(\w+)\.(\w+)(?:=\S+)?`", said):
+        assert field in type(getattr(SlamConfig(), part)).model_fields, f"{part}.{field}"
+
+
+def test_every_switch_of_the_papers_mode_is_on_its_page() -> None:
+    """A section that `SlamConfig.paper()` changes is named in `docs/paper.md`, by itself or by one of its fields."""
+    text, ours, paper = (ROOT / "docs/paper.md").read_text(), SlamConfig(), SlamConfig.paper()
+    changed = {part for part in SlamConfig.model_fields if getattr(ours, part) != getattr(paper, part)}
+    assert len(changed) > 5
+    assert [part for part in sorted(changed) if not re.search(rf"`{part}[.`]", text)] == []
 
 
 def test_one_version_everywhere() -> None:

@@ -49,7 +49,8 @@ class OneScan(WithModules):
 
         run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
         output, slam = recognition(run, self.step), run.env.config.estimator_config
-        clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor)
+        united = slam.clustering.united(run.env.config.laser.sweeps)
+        clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor, united)
         self.out.mkdir(parents=True, exist_ok=True)
         for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
             path = self.out / f"{number}-{name}.png"

@@ -137,8 +137,9 @@ def score_scan(
 
     `rows` (n,4) hold the true corners in column 1; step, feature and matched to a landmark are filled in. `features`
     (F,2) hold the identity of each feature (the majority of its `votes` (F,G), this scan's included) and the step in
-    which it became a landmark, for new `landmarks` (N,) this one. Returns the largest id; where the tables have no row
-    for it, nothing is counted.
+    which it became a landmark, for new `landmarks` (N,) this one. A corner that is named as one of
+    them, but not matched to it (a post, where posts are no landmarks), is not missed. Returns the largest id; where the
+    tables have no row for it, nothing is counted.
     """
     most = -1
     for i in range(rows.shape[0]):
@@ -165,7 +166,7 @@ def score_scan(
             right = corner >= 0 and features[feature, 0] == corner
             counts[0 if right else 1] += 1
         else:
-            missed = corner >= 0 and known[corner]
+            missed = corner >= 0 and known[corner] and not (feature >= 0 and features[feature, 1] < step)
             counts[2 if missed else 3] += 1
     for i in range(landmarks.shape[0]):
         features[landmarks[i], 1] = min(features[landmarks[i], 1], step)

@@ -78,7 +78,7 @@ class AssociationLog:
         first = np.full(self.true_corners + 1, NEVER)  # step of the first landmark of each true corner
         np.minimum.at(first, identity, since)
         right = real & (feature >= 0) & (identity[feature] == truth)
-        missed = real & (first[truth] < step)
+        missed = real & (first[truth] < step) & ~((feature >= 0) & (since[feature] < step))  # a post is only named
         return np.array([(hit & right).sum(), (hit & ~right).sum(), (~hit & missed).sum(), (~hit & ~missed).sum()])
 
     def _reserve(self, most: int) -> None:

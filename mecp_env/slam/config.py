@@ -44,7 +44,7 @@ METHODS = Names(  # `register_associator` adds others
     )
 )
 KINDS = Names("riekf", "riekf_submaps", "ekf", "fej")  # `register_filter` does
-STRUCTURE_NAMES = Names("mecp", "largest_area")  # and `register_structure`
+STRUCTURE_NAMES = Names("mecp", "largest_area", "dobkin")  # and `register_structure`
 
 
 class SensorModel(LaserNoise):
@@ -77,6 +77,11 @@ class ClusteringConfig(Settings):
     threshold: Literal["adaptive_noise", "adaptive", "fixed"] = "adaptive_noise"  # paper: "adaptive", no noise term
     grazing_deg: float = Field(85.0, gt=45.0, lt=90.0)  # paper: 85
     fixed_m: float = Field(0.3, gt=0.0, le=5.0)
+    sweeps: Literal["mean", "union"] = "mean"  # of a dense scan: one mean per bearing, or every beam; paper: "union"
+
+    def united(self, sweeps: int) -> int:
+        """How many sweeps the beams of a scan with so many are the union of."""
+        return sweeps if self.sweeps == "union" else 1
 
 
 class SegmentConfig(Settings):
@@ -87,12 +92,13 @@ class SegmentConfig(Settings):
 
     min_beams: int = Field(5, ge=3, le=100)
     min_length_m: float = Field(0.25, gt=0.0, le=5.0)
-    merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; paper: none
-    shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face
+    merge_gain: float = Field(25.0, ge=0.0, le=1000.0)  # chi-square that a break must save; 0: each stays; paper: 0
+    shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face;
+    # 0: plain Ramer-Douglas-Peucker, as the paper's
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
     face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
-    pillar_radius_m: float = Field(0.8, gt=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar
+    pillar_radius_m: float = Field(0.8, ge=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar; paper: none
 
     @property
     def long_beams(self) -> int:
@@ -139,9 +145,10 @@ class CornerConfig(Settings):
 class PolygonConfig(Settings):
     """III-A.2, the Maximum Empty Convex Polygon, or another spatial structure (VI)."""
 
-    structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or largest_area, or one registered
+    structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or one of STRUCTURE_NAMES
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
+    sites: Literal["posts_too", "corners"] = "posts_too"  # posts where the other corners are too few; paper: "corners"
     crossing_beams: int = Field(3, ge=1, le=100)  # neighbours that end in front of an edge: a wall crosses it
     depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, behind, or off an edge: by more than this
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
@@ -230,6 +237,7 @@ class AssociationConfig(Settings):
     use_polygons: bool = True
     use_rooms: bool = True
     use_descriptor: bool = True  # paper: none
+    use_posts: bool = True  # the posts of doors are landmarks; False: features for doors and rooms only. Paper: False
     paper_S: bool = False  # the polygon gate without the cross-covariance of pose and map; paper: True
     gate_probability: float = Field(0.99995, gt=0.5, lt=1.0)  # measured: at 0.999 recall is 0.98, not 0.99
     descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)
@@ -346,16 +354,24 @@ class SlamConfig(Settings):
 
     @classmethod
     def paper(cls) -> Self:
-        """The estimator to the letter of the paper; what it does not say stays as it is with us."""
+        """The estimator to the letter of the paper (docs/paper.md, by statement); what the paper leaves open is ours.
+
+        The search for polygons finds the region that III-A.2 defines; `polygon.structure="dobkin"` is its algorithm.
+        """
         return cls(
-            clustering=ClusteringConfig(threshold="adaptive"),  # III-A.1: d / cos(85 deg), no noise term
-            segments=SegmentConfig(merge_gain=0.0),  # Ramer-Douglas-Peucker alone, no line is merged again
+            sensor=SensorModel(range_sigma_m=0.05, bearing_sigma_deg=0.3),  # IV: "assumed", whatever the laser has
+            clustering=ClusteringConfig(
+                threshold="adaptive", sweeps="union"
+            ),  # III-A.1: d / cos(85 deg), no noise term
+            segments=SegmentConfig(merge_gain=0.0, shift_beams=0, pillar_radius_m=0.0),  # Ramer-Douglas-Peucker alone
             corners=CornerConfig(
                 short_faces=False,  # two lines or an end
                 covariance="sensor",  # IV: constant sigmas
                 door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
             ),
-            polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, widest_gap_m=1.2),  # III-A.2: exact
+            polygon=PolygonConfig(
+                tolerance_sigmas=0.0, check_walls=False, sites="corners", widest_gap_m=1.2
+            ),  # III-A.2: exact
             panorama=PanoramaConfig(use="never"),
             dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
             tracks=TrackConfig(
@@ -364,6 +380,8 @@ class SlamConfig(Settings):
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
                 use_descriptor=False,
+                use_posts=False,  # IV: "we do not consider the end points of the door as a feature"
+                gate_probability=0.99,  # our choice: the paper names none
                 ignore_gate=0.0,  # what matches nothing is new
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance

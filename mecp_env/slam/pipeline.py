@@ -52,9 +52,10 @@ class SlamPipeline(SlamParts):
         return self._observe(scan)
 
     def _observe(self, scan: Scan) -> SlamOutput:
-        config = self.config
-        beams = restore_lost_beams(merge_sweeps(scan, config.sensor), config.sensor)  # III-A.1, dense scan
-        clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)  # III-A.1, data clustering
+        config, rule = self.config, self.config.clustering
+        merged, united = merge_sweeps(scan, config.sensor, rule.sweeps), rule.united(len(scan.ranges))
+        beams = restore_lost_beams(merged, config.sensor)  # III-A.1, dense scan
+        clusters = cluster_beams(beams, rule, config.segments, config.sensor, united)  # III-A.1, data clustering
         segments = extract_segments(beams, clusters, config.segments, config.sensor)  # III-A.1, Ramer-Douglas-Peucker
         beams = stop_at_walls(beams, segments, config.sensor)
         corners = extract_corners(beams, segments, config.corners, config.sensor)  # III-A.1, line intersections, ends

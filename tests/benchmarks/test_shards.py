@@ -50,6 +50,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
     ),
     "loop": ({"quick": True}, {"loop.SEEDS": {"two_rooms": 2}, "loop.FIRST_SCAN": 2}),
     "mutated": ({"quick": True}, {"mutated.KINDS": ("log csv", "SlamConfig"), "mutated.QUICK": 1}),
+    "paper_mode": ({"sets": ("two_rooms:2",)}, {"paper_mode.SEEDS": {"two_rooms": 2}}),
     "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.DRIVES": {"odometry_x1": 1, "view_180_deg": 1}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
     "restore": ({"quick": True}, {"restore.QUICK": 2}),

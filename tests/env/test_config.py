@@ -213,3 +213,12 @@ def test_the_paper_in_one_switch():
 def test_a_field_whose_name_is_no_text_is_named(given: dict[Any, Any]) -> None:
     with pytest.raises(ConfigError, match="no such field"):
         SlamConfig.parse(given)
+
+
+def test_the_paper_assumes_its_noise_with_any_laser():
+    """IV: "the standard deviation of the SICK laser is assumed": noise on every beam, or only in the filter."""
+    for laser in ({}, {"preset": "ideal"}):
+        config = EnvConfig.paper(laser=laser)
+        sensor = config.estimator_config.sensor
+        assert (sensor.range_sigma_m, sensor.bearing_sigma_deg) == (0.05, 0.3)
+        assert config.laser.range_sigma_m == (0.0 if laser else 0.05)

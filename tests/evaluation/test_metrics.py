@@ -158,6 +158,16 @@ def test_association_counts_by_the_book():
     assert log.final_counts().tolist() == [2, 2, 1, 5]
 
 
+def test_a_post_that_is_only_named_is_not_missed():
+    """A corner with the id of a feature of the map that is no landmark (`use_posts` off) is no missed pair."""
+    log = AssociationLog(2)
+    log.record(report_of(1, [0, 1], [2, 2], [0, 1]), np.array([0, 1]))
+    log.record(report_of(2, [0, 1], [0, 1], [0, 1]), np.array([0, 1]))  # the second is a post, and named
+    assert log.counts.tolist() == log.final_counts().tolist() == [1, 0, 0, 3]
+    log.record(report_of(3, [0, 2], [0, 2], [0, 1]), np.array([0, 1]))  # here it was taken for new
+    assert log.counts.tolist() == log.final_counts().tolist() == [2, 0, 1, 3]
+
+
 def test_identity_is_the_majority_not_the_birth():
     log = AssociationLog(3)
     log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2

@@ -73,8 +73,9 @@ def blank_scan(sweeps=4, beams=720):
 def front_end(scan, sensor=PAPER, config=None):
     """MergedScan, clusters, segments and corners of a scan."""
     config = config or SlamConfig()
-    beams = merge_sweeps(scan, sensor)
-    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
+    rule = config.clustering
+    beams = merge_sweeps(scan, sensor, rule.sweeps)
+    clusters = cluster_beams(beams, rule, config.segments, sensor, rule.united(len(scan.ranges)))
     segments = extract_segments(beams, clusters, config.segments, sensor)
     return beams, clusters, segments, extract_corners(beams, segments, config.corners, sensor)
 

@@ -132,7 +132,7 @@ def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: py
             ["worlds", "--with", "json"],
             "--with: worlds compares no associators and no filters; association and",
         ),
-        (["association", "--sets", "papre"], "--sets papre: expected one of paper, two_rooms"),
+        (["association", "--sets", "papre"], "--sets papre: expected one of paper, paper_ideal, two_rooms"),
         (["association", "--sets", "paper:0"], "expected NAME or NAME:COUNT, a count from 1 to 1000"),
     ],
 )

@@ -12,10 +12,12 @@ from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.filters.oracle import OraclePoseFilter
+from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from tests.slam.drives import scripted_drive
+from tests.slam.scans import front_end
 
 NOISE: dict[str, dict[str, float]] = {
     "paper": {},
@@ -261,3 +263,17 @@ def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
     pipeline.associator = Foreign(lambda n: MatchBuilder(n + 1).match())
     with pytest.raises(MatchError, match=r"match\.ids: shape"):
         pipeline.start(drive.scans[3])
+
+
+def test_the_pipeline_clusters_the_union_of_the_sweeps_by_the_step_of_one(drive):
+    """III-A.1, the dense scan of the paper's mode: all beams, and the segments of the front end by itself."""
+    config, scan = SlamConfig(clustering=SlamConfig.paper().clustering), drive.scans[0]
+    output = SlamPipeline(config).start(scan)
+    beams, _, segments, _ = front_end(scan, config.sensor, config)
+    assert len(output.beams.ranges) == scan.ranges.size
+    np.testing.assert_array_equal(output.beams.ranges, beams.ranges)
+    np.testing.assert_array_equal(output.segments.first, segments.first)
+    one = cluster_beams(beams, config.clustering, config.segments, config.sensor)
+    assert len(one.first) > len(
+        cluster_beams(beams, config.clustering, config.segments, config.sensor, len(scan.ranges)).first
+    )

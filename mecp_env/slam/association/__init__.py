@@ -13,6 +13,7 @@ from mecp_env.slam.association.nearest import NearestAssociator
 from mecp_env.slam.association.nearest_descriptor import NearestDescriptorAssociator
 from mecp_env.slam.association.nearest_room import NearestRoomAssociator
 from mecp_env.slam.association.oracle import OracleAssociator
+from mecp_env.slam.association.posts import PostsApart
 from mecp_env.slam.config import METHODS, AssociationConfig
 from mecp_env.slam.protocols import Associator
 
@@ -40,8 +41,12 @@ def register_associator(name: str, make: Callable[[AssociationConfig], Associato
 
 
 def make_associator(config: AssociationConfig) -> Associator:
-    """The associator that `config.method` names."""
-    return ASSOCIATORS[config.method](config)
+    """The associator that `config.method` names, which sees no posts of doors where `config.use_posts` is off.
+
+    Known correspondences include those of posts.
+    """
+    associator = ASSOCIATORS[config.method](config)
+    return associator if config.use_posts or associator.certain else PostsApart(associator, config)
 
 
 __all__ = [
@@ -57,6 +62,7 @@ __all__ = [
     "NearestDescriptorAssociator",
     "NearestRoomAssociator",
     "OracleAssociator",
+    "PostsApart",
     "ignored",
     "make_associator",
     "register_associator",

@@ -24,17 +24,20 @@ class Threshold(NamedTuple):
 
 
 def cluster_beams(
-    beams: MergedScan, config: ClusteringConfig, segments: SegmentConfig, sensor: SensorModel
+    beams: MergedScan, config: ClusteringConfig, segments: SegmentConfig, sensor: SensorModel, sweeps: int = 1
 ) -> Clusters:
     """Runs of consecutive hits whose distances stay below the threshold D = d / cos(grazing), plus noise (III-A.1).
+
+    Where the beams are the union of interleaved `sweeps`, d is that of one of them: its step is the laser's resolution.
 
     A run with fewer beams or a smaller extent than a segment has is SMALL. Differs from the paper: without the noise
     term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
     fixed = config.threshold == "fixed"
+    denser = math.sin(0.5 * beams.step) / math.sin(0.5 * sweeps * beams.step) if sweeps > 1 else 1.0
     rule = (
         config.fixed_m if fixed else 0.0,
-        0.0 if fixed else math.cos(math.radians(config.grazing_deg)),
+        0.0 if fixed else denser * math.cos(math.radians(config.grazing_deg)),
         sensor.noise_sigmas if config.threshold == "adaptive_noise" else 0.0,
     )
     scan = beams.ranges, beams.bearings, beams.hit, beams.count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -14,13 +15,15 @@ from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import MergedScan
 
 
-def merge_sweeps(scan: Scan, sensor: SensorModel) -> MergedScan:
-    """The B beams of `scan`, each averaged over the K raw beams around one nominal bearing.
+def merge_sweeps(scan: Scan, sensor: SensorModel, sweeps: Literal["mean", "union"] = "mean") -> MergedScan:
+    """The B beams of `scan`, each averaged over the K raw beams around one nominal bearing, or the "union" of all K B.
 
     Where the K ranges belong to two surfaces, only the larger group counts (the nearer one of equal groups). Bearings
     are the means of the beams used. Differs from the paper: III-A.1 clusters the union of all sweeps; the average keeps
     the angular step of one sweep, which the adaptive threshold needs, and divides the noise by sqrt(K).
     """
+    if sweeps == "union":
+        return unite_sweeps(scan)
     if len(scan.ranges) == 1:
         ranges, bearings = np.array(scan.ranges[0], float), np.array(scan.bearings[0], float)
         count = np.ones(len(ranges), np.int64)
@@ -29,6 +32,14 @@ def merge_sweeps(scan: Scan, sensor: SensorModel) -> MergedScan:
         scan.ranges, scan.bearings, scan.hit, scan.max_range_m, sensor.record
     )
     return MergedScan(ranges, bearings, hit, count, scan.max_range_m, raw_ranges, raw_bearings)
+
+
+def unite_sweeps(scan: Scan) -> MergedScan:
+    """All K B raw beams of `scan` in order of bearing (III-A.1: the dense scan)."""
+    order = np.argsort(scan.bearings, axis=None, kind="stable")
+    ranges, bearings = np.ravel(scan.ranges)[order].astype(float), np.ravel(scan.bearings)[order].astype(float)
+    hit, count = np.ravel(scan.hit)[order].astype(bool), np.ones(len(order), np.int64)
+    return MergedScan(ranges, bearings, hit, count, scan.max_range_m, ranges, bearings)
 
 
 @compiled

@@ -29,7 +29,8 @@ def extract_segments(beams: MergedScan, clusters: Clusters, config: SegmentConfi
     """The straight segments of the LINES clusters, in order of bearing, each with its line and covariance.
 
     Differs from the paper: Ramer-Douglas-Peucker alone keeps breaks that are noise and puts the others a few beams off;
-    breaks are moved to where two lines fit best and dropped when they do not pay, by chi-square.
+    breaks are moved to where two lines fit best and dropped when they do not pay, by chi-square. With `merge_gain` and
+    `shift_beams` 0, breaks stay as they are.
     """
     points, line, cov, (cluster, first, last) = find_segments(
         (beams.ranges, beams.bearings, beams.count),
@@ -82,7 +83,7 @@ def cut_clusters(points: Array, sums: Array, clusters: tuple[Ints, Ints, Ints], 
         refine_breaks(sums, breaks, size, limits.shift_beams)
         size = absorb_slivers(sums, breaks, size, limits.merge_gain, limits.shift_beams)
         size = merge_lines(sums, breaks, size, limits.merge_gain)
-        refine_breaks(sums, breaks, size, FEWEST)
+        refine_breaks(sums, breaks, size, min(FEWEST, limits.shift_beams))
         if is_circle(points, sums, breaks, size, limits, noise):
             continue
         for k in range(size):

@@ -143,13 +143,13 @@ def farthest_point(points: Array, low: int, high: int, sigmas: float) -> int:
 
 @compiled
 def merge_lines(sums: Array, breaks: Ints, size: int, gain: float) -> int:
-    """Joins neighbouring lines, the most alike first, while a break between them saves less than `gain`."""
+    """Joins neighbouring lines, the most alike first, while a break between them saves less than `gain` (0: none)."""
     costs, saved = np.empty(size), np.empty(size)
     for k in range(size):
         costs[k] = line_cost(sums, breaks[k] + 1, breaks[k + 1])
     for k in range(size - 1):
         saved[k] = line_cost(sums, breaks[k] + 1, breaks[k + 2]) - costs[k] - costs[k + 1]
-    while size > 1:
+    while size > 1 and gain > 0.0:
         least = 0
         for k in range(1, size - 1):
             if saved[k] < saved[least]:

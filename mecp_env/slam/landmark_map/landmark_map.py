@@ -15,6 +15,7 @@ from mecp_env.slam.landmark_map.pruning import find_pruned
 from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     Belief,
+    CornerKind,
     FeatureState,
     FeatureTable,
     MapView,
@@ -86,7 +87,7 @@ class LandmarkMap:
     def merge(self, seen: Sighting, landmark_filter: Filter) -> tuple[Sighting, tuple[tuple[int, int], ...]]:
         """The sighting after a landmark of it is merged with another that is the same corner; ids kept and dropped."""
         pair = find_duplicate(self.features, seen.belief, seen.match, self.config.tracks)
-        if pair is None:
+        if pair is None or not self._may_merge(pair):
             return seen, ()
         keep, drop = pair
         landmark_filter.fuse(keep, drop)
@@ -98,6 +99,11 @@ class LandmarkMap:
         self.polygons.rename(keep, drop)
         match = replace(seen.match, ids=np.where(seen.match.ids == drop, keep, seen.match.ids))
         return replace(seen, match=match, belief=landmark_filter.belief()), (pair,)
+
+    def _may_merge(self, pair: tuple[int, int]) -> bool:
+        """False for the post of a door that is no landmark: to merge it with one would be an update."""
+        kinds = self.features.rows["kind"][list(pair)]
+        return self.config.association.use_posts or not (kinds == int(CornerKind.JAMB)).any()
 
     def prune(
         self, beams: MergedScan, segments: Segments, seen: Sighting, landmark_filter: Filter, resolve: Resolve

@@ -7,12 +7,17 @@ from collections.abc import Callable
 from mecp_env.core.array_types import Bools
 from mecp_env.core.registry import register
 from mecp_env.slam.config import STRUCTURE_NAMES, PolygonConfig
+from mecp_env.slam.mecp.dobkin import find_dobkin
 from mecp_env.slam.mecp.polygons import find_largest, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan, Polygon
 
 Structure = Callable[[Corners, MergedScan, PolygonConfig, Bools | None], tuple[Polygon, ...]]
 
-STRUCTURES: dict[str, Structure] = {"mecp": find_polygons, "largest_area": find_largest}
+STRUCTURES: dict[str, Structure] = {
+    "mecp": find_polygons,
+    "largest_area": find_largest,
+    "dobkin": find_dobkin,
+}
 
 
 def register_structure(name: str, find: Structure) -> None:
@@ -33,4 +38,12 @@ def find_structure(
     return STRUCTURES[config.structure](corners, beams, config, wall)
 
 
-__all__ = ["STRUCTURES", "Structure", "find_largest", "find_polygons", "find_structure", "register_structure"]
+__all__ = [
+    "STRUCTURES",
+    "Structure",
+    "find_dobkin",
+    "find_largest",
+    "find_polygons",
+    "find_structure",
+    "register_structure",
+]

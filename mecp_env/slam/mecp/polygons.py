@@ -8,7 +8,7 @@ from mecp_env.core.array_types import Bools
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.edge_labels import wall_beams
 from mecp_env.slam.mecp.wall_crossing import polygons_of_scan
-from mecp_env.slam.messages import Clusters, Corners, MergedScan, Polygon
+from mecp_env.slam.messages import Clusters, CornerKind, Corners, MergedScan, Polygon
 
 
 def find_polygons(
@@ -17,9 +17,9 @@ def find_polygons(
     """The Maximum Empty Convex Polygons of a scan: the one with most vertices, of equals the largest (III-A.2).
 
     Sites are `corners.sites`. If they give no polygon of four, the jambs of this side of the doors count too (a
-    corridor between doors has little else); if even that gives none of four, a triangle of the first attempt comes
-    back, or else of the second: good for free space, not for matching. Polygons with equally many vertices are rare
-    and both of use: the `keep_ties` largest come back, the larger area first.
+    corridor between doors has little else), unless `config.sites` is "corners"; if even that gives none of four, a
+    triangle of the first attempt comes back, or else of the second: good for free space, not for matching. Polygons
+    with equally many vertices are rare and both of use: the `keep_ties` largest come back, the larger area first.
 
     The tolerance is `tolerance_sigmas` times the median sigma of the sites; where beams are compared with an edge,
     times the larger sigma of its two corners. Polygons that walls cross are ruled out (`check_walls`) by the beams: all
@@ -47,10 +47,11 @@ def find_largest(
 def _polygons(
     corners: Corners, beams: MergedScan, config: PolygonConfig, wall: Bools | None, by_area: bool
 ) -> tuple[Polygon, ...]:
+    kind = corners.kind if config.sites == "posts_too" else np.full_like(corners.kind, CornerKind.CROSSING)
     if wall is None or not config.check_walls:
         wall = np.full(len(beams.ranges), config.check_walls)
     ids, intervals, ends = polygons_of_scan(
-        (corners.z, corners.cov, corners.sites, corners.kind, corners.beyond, corners.doorways.jambs),
+        (corners.z, corners.cov, corners.sites, kind, corners.beyond, corners.doorways.jambs),
         (beams.ranges, beams.bearings, wall, beams.step),
         config.record,
         by_area,

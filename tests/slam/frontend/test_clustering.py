@@ -48,6 +48,26 @@ def test_threshold_of_the_paper():
         assert len(cluster_beams(lone_hits([2.0, 2.0 + jump]), PAPER_RULE, SEGMENTS, EXACT).first) == clusters
 
 
+def test_the_union_of_sweeps_is_clustered_by_the_step_of_one():
+    """III-A.1: the step in d is the resolution of the laser, however dense the union is."""
+    theta = math.radians(0.5)
+    limit = 2.0 * 2.0 * math.sin(theta / 2.0) / math.cos(math.radians(85.0))
+    step = theta / 4.0  # of the union of four
+    bearings = -math.pi + step * np.arange(1, 2881)
+    for share, clusters in ((0.98, 1), (1.02, 2)):
+        ranges, hit = np.full(2880, MAX_RANGE_M), np.zeros(2880, dtype=bool)
+        far = 2.0 + math.sqrt((share * limit) ** 2 - (2.0 * 2.0 * math.sin(step / 2.0)) ** 2)
+        ranges[[1200, 1201]], hit[[1200, 1201]] = (2.0, far), True
+        beams = MergedScan(ranges, bearings, hit, np.ones(2880, dtype=np.int64), MAX_RANGE_M, ranges, bearings)
+        assert len(cluster_beams(beams, PAPER_RULE, SEGMENTS, EXACT, sweeps=4).first) == clusters
+        assert len(cluster_beams(beams, PAPER_RULE, SEGMENTS, EXACT).first) == 2
+
+
+def test_a_scan_is_the_union_of_its_sweeps_only_where_the_configuration_says_so():
+    assert ClusteringConfig(sweeps="union").united(4) == 4
+    assert ClusteringConfig().united(4) == 1
+
+
 def test_the_threshold_grows_with_range_and_a_fixed_one_does_not():
     fixed = ClusteringConfig(threshold="fixed", fixed_m=0.3)
     for near, config, clusters in ((1.0, PAPER_RULE, 2), (5.0, PAPER_RULE, 1), (1.0, fixed, 1), (5.0, fixed, 1)):

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import SegmentConfig, SensorModel
-from mecp_env.slam.frontend.beams import Noise, laser_noise
+from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
+from mecp_env.slam.frontend.beams import Noise, laser_noise, roll_beams
 from mecp_env.slam.frontend.circles import circle_cost
 from mecp_env.slam.frontend.split_and_merge import beam_points, line_cost, split_cluster
 from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
@@ -164,6 +164,33 @@ def test_ramer_douglas_peucker_against_a_plain_twin(seed):
     breaks = np.empty(81, np.int64)
     size = split_cluster(points, 0, 79, 3.0, breaks)
     assert breaks[: size + 1].tolist() == [-1, *plain_breaks(points.T, cov, 0, 79, 3.0)]
+
+
+def test_the_papers_segments_are_those_of_ramer_douglas_peucker_alone():
+    """Breaks neither move nor go: the ends of the segments are those of the plain twin, whatever chi-square says."""
+    paper, differ = SlamConfig.paper(), 0
+    plain = SlamConfig(segments=paper.segments)
+    for seed in range(5):
+        beams, clusters, segments, _ = front_end(take_scan(ROOM, seed=seed), PAPER, plain)
+        polar = roll_beams(beams.ranges, beams.bearings, beams.count, clusters.roll)
+        points, _ = beam_points(polar, laser_noise(PAPER.record))
+        breaks, expected = np.empty(points.shape[1] + 2, np.int64), set()
+        for first, last in zip(clusters.first, clusters.last, strict=True):
+            size = split_cluster(points, first, last, PAPER.noise_sigmas, breaks)
+            expected |= {(breaks[k] + 1, breaks[k + 1]) for k in range(size)}
+        found = set(zip(segments.first.tolist(), segments.last.tolist(), strict=True))
+        assert found <= expected
+        moved = front_end(take_scan(ROOM, seed=seed), PAPER)[2]
+        differ += not set(zip(moved.first.tolist(), moved.last.tolist(), strict=True)) <= expected
+    assert differ == 5
+
+
+def test_the_papers_segments_know_no_pillars():
+    angles = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
+    pillar = ring(*np.column_stack((2.0 + 0.7 * np.cos(angles), 0.7 * np.sin(angles))))
+    scan = take_scan(pillar, PAPER, sweeps=1)
+    assert not len(front_end(scan, PAPER)[2].line)
+    assert len(front_end(scan, PAPER, SlamConfig(segments=SlamConfig.paper().segments))[2].line)
 
 
 def test_a_ring_of_points_has_no_chord_and_is_broken_all_the_same():

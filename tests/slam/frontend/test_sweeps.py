@@ -123,3 +123,14 @@ def test_a_plain_twin_agrees_on_cluttered_scans():
         np.testing.assert_allclose(beams.ranges, ranges)
         np.testing.assert_allclose(beams.bearings, bearings)
         np.testing.assert_array_equal(beams.count, count)
+
+
+def test_the_union_of_the_sweeps_is_every_beam():
+    scan = take_scan(ROOM)
+    beams = merge_sweeps(scan, PAPER, "union")
+    assert (np.diff(beams.bearings) > 0).all()
+    assert (beams.count == 1).all()
+    order = np.argsort(scan.bearings.ravel())
+    np.testing.assert_array_equal(beams.ranges, scan.ranges.ravel()[order])
+    np.testing.assert_array_equal(beams.hit, scan.hit.ravel()[order])
+    assert beams.step == pytest.approx(merge_sweeps(scan, PAPER).step / 4, rel=1e-3)

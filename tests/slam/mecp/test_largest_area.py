@@ -185,10 +185,10 @@ def without(corners, beams, polygon, wall) -> tuple[Polygon, ...]:
 
 
 def test_a_custom_structure_is_registered_by_name(names):
-    with pytest.raises(ConfigError, match=r"polygon\.structure: .*'mecp' or 'largest_area'"):
+    with pytest.raises(ConfigError, match=r"polygon\.structure: .*'mecp', 'largest_area' or 'dobkin'"):
         SlamConfig(polygon={"structure": "none"})
     register_structure("none", without)
     drive, pipeline = scripted_drive(), SlamPipeline({"polygon": {"structure": "none"}})
     assert pipeline.start(drive.scans[0]).polygons == ()
-    with pytest.raises(ConfigError, match=r"name: 'mecp' is one of ours \(mecp, largest_area\)"):
+    with pytest.raises(ConfigError, match=r"name: 'mecp' is one of ours \(mecp, largest_area, dobkin\)"):
         register_structure("mecp", without)

@@ -211,6 +211,7 @@ def test_jambs_of_this_side_are_vertices_only_where_there_is_no_polygon_of_four_
     corners = corners_of(hall, pose, kinds=kinds)
     (polygon,) = find_polygons(corners, beams, CONFIG)
     assert len(polygon.corners) == 4
+    assert find_polygons(corners, beams, CONFIG.model_copy(update={"sites": "corners"})) == ()  # the paper's
     corners.beyond[corners.kind == CornerKind.JAMB] = 0  # now they belong to the other side
     assert find_polygons(corners, beams, CONFIG) == ()
     with_all = corners_of([*hall, (2.5, -0.2)], pose, kinds=[CornerKind.CROSSING] * 4 + [CornerKind.JAMB])

@@ -1,0 +1,100 @@
+"""The paper's mode, stage by stage, on the same drives, for both readings of the laser's noise (IV).
+
+`mecp_paper` has the association of the paper, and features and filter of ours, and the rows after it change one choice
+each (`no polygons` is the nearest neighbour in the room); `SlamConfig.paper()` is the paper's in every stage; `with
+dobkin` has the polygon search as written, too, with its kernel rule. Columns are those of `association`; `found` and
+`recognised` are the shares of scans with a polygon, and with one that is recognised. In `paper` the noise that the
+filter assumes is on every beam; in `paper_ideal` the laser is ideal.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from benchmarks import association
+from benchmarks.association import IDEAL, LETTER
+from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, ratio, table
+from benchmarks.drives import Drive, replay
+from benchmarks.records import IN_MEMORY, Records
+from benchmarks.structures import CountingAssociator
+from benchmarks.variants import DEFAULT, with_change
+from mecp_env.slam.association import make_associator
+from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.protocols import Associator
+
+SEEDS = {"paper": 60, IDEAL: 15}
+SETS, MOST = tuple(SEEDS), 1000
+RULE, DOBKIN = "mecp_paper", f"{LETTER} with dobkin"
+CHANGES: dict[str, dict[str, Any]] = {  # one choice at a time
+    "posts as landmarks": {"use_posts": True},
+    "gate .99995": {"gate_probability": 0.99995},
+    "descriptor": {"use_descriptor": True},
+    "no polygons": {"method": "nearest_room"},
+}
+COLUMNS = ("precision", "recall", "closure_recall", "false_closures", "duplicates_per_corner", "swapped_per_1000")
+COLUMNS += ("found", "recognised", "rmse_m", "map_rmse_m", "nees", "landmark_nees", "lost")
+
+GATES = (
+    Gate("paper/mecp_paper/precision", "share", 0.03),
+    Gate(f"paper/{LETTER}/precision", "share", 0.03),
+)
+
+
+def rows() -> dict[str, dict[str, Any]]:
+    """What is compared, and what each changes in the default estimator."""
+    known = association.methods()
+    paper, letter = known[RULE]["association"], known[LETTER]
+    return {
+        **{name: known[name] for name in (DEFAULT, RULE)},
+        **{f"{RULE}, {name}": {"association": paper | change} for name, change in CHANGES.items()},
+        LETTER: letter,
+        DOBKIN: letter | {"polygon": letter["polygon"] | {"structure": "dobkin"}},
+        "nearest": known["nearest"],
+    }
+
+
+def run(options: Options) -> Figures:
+    """Results of both readings and every row."""
+    seeds = chosen(options.sets, SEEDS, MOST) or SEEDS
+    drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
+    task = partial(measure, records=Records(options.records))
+    runs = in_parallel(task, dict[str, Figures], drives, options)
+    return {
+        layout: {name: summary([run[name] for run in of_layout]) for name in rows()}
+        for layout, of_layout in grouped(drives, runs).items()
+    }
+
+
+def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
+    """Counts of each row on the drive of one layout and seed."""
+    drive = records.drive(association.course(*drive_of))
+    return {name: count(drive, with_change(drive.slam, change)) for name, change in rows().items()}
+
+
+def count(drive: Drive, slam: SlamConfig) -> Figures:
+    """Counts of one drive, with the scans of which a polygon was found and recognised."""
+    made: list[CountingAssociator] = []
+
+    def make(section: AssociationConfig) -> Associator:
+        made.append(CountingAssociator(make_associator(section)))
+        return made[0]
+
+    counted = association.counts(drive, replay(drive, slam, make))
+    return {**counted, **{name: made[0].counts[name] for name in ("scans", "found", "recognised")}}
+
+
+def summary(runs: list[Figures]) -> Figures:
+    """Figures of one row over all drives, with 95 % intervals."""
+    scans = [run["scans"] for run in runs]
+    polygons = {name: ratio([run[name] for run in runs], scans) for name in ("found", "recognised")}
+    return {**association.summarise(runs), **polygons}
+
+
+def report(figures: Figures) -> str:
+    """One table per reading."""
+    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    for layout, of in figures.items():
+        body = [[name, *(row[column] for column in COLUMNS)] for name, row in of.items()]
+        parts.append(f"## {layout} ({of[DEFAULT]['precision']['n']} drives)\n\n{table(['', *COLUMNS], body)}")
+    return "\n\n".join(parts)

@@ -1,0 +1,169 @@
+"""Door posts that are no landmarks (IV): features for doors and rooms, left out of association and update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.slam.association import Associator, OracleAssociator, make_associator
+from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.posts import NO_DOORS, PostsApart
+from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.messages import FEATURE, CornerKind, Corners, Decision, FeatureState, Polygon, Reason, Sighting
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import scripted_drive
+
+JAMB = int(CornerKind.JAMB)
+APART = AssociationConfig(use_posts=False)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Any:
+    return scripted_drive()
+
+
+def kinds(pipeline: SlamPipeline, ids: np.ndarray) -> np.ndarray:
+    return pipeline.map.features.rows["kind"][ids]
+
+
+@pytest.mark.parametrize("method", ["mecp", "mecp_paper", "nearest"])
+def test_no_post_is_recognised_and_doors_are_found_all_the_same(drive, method):
+    config = SlamConfig(association={"use_posts": False, "method": method})
+    named, before = 0, np.empty(0, np.int64)
+    for pipeline, output, _, _ in drive.run(config):
+        found = output.match.recognised()
+        assert (output.corners.kind[found] != JAMB).all()
+        assert (before[output.associated.ids[output.associated.recognised()]] != JAMB).all()
+        before = pipeline.map.features.rows["kind"].copy()  # this scan may have shown that a landmark is a post
+        posts = output.match.ids[output.match.decision == int(Decision.PROVISIONAL)]
+        named += int(np.isin(posts, output.belief.ids).sum())
+    (door,) = output.graph.doors
+    assert door.sightings > 20
+    assert named > 50
+    assert len(output.graph.rooms) == 2
+
+
+def test_with_posts_as_landmarks_they_are_recognised(drive):
+    outputs = [output for _, output, _, _ in drive.run(SlamConfig())]
+    assert sum(int((o.corners.kind[o.match.recognised()] == JAMB).sum()) for o in outputs) > 50
+
+
+def test_posts_in_the_filter_change_no_other_estimate(drive):
+    """Removing all posts from the filter at the end of a drive, or never measuring them, is the same to the others."""
+    *_, (pipeline, output, _, _) = drive.run(SlamConfig(association={"use_posts": False}))
+    posts = output.belief.ids[kinds(pipeline, output.belief.ids) == JAMB]
+    assert len(posts) >= 2
+    pipeline.filter.remove(posts)
+    after = pipeline.filter.belief()
+    np.testing.assert_allclose(after.T_map_robot, output.belief.T_map_robot, atol=1e-9)
+    np.testing.assert_allclose(after.pose_cov, output.belief.pose_cov, atol=1e-12)
+
+
+@dataclass
+class Fixed(Associator):
+    """Pairs the first corner that it sees with the first landmark, by the first polygon that it sees."""
+
+    seen: list[Any] = field(default_factory=list)
+
+    def associate(self, corners, polygons, view, belief):
+        self.seen.append((corners, polygons, view))
+        builder = MatchBuilder(len(corners))
+        builder.assign(0, Decision.LANDMARK, Reason.POLYGON, int(view.belief.ids[0]), 2.5)
+        builder.polygon, builder.map_polygon = 0, 7
+        return builder.match()
+
+
+def test_corners_and_polygons_of_the_scan_keep_their_numbers(drive):
+    """The other associator sees neither posts nor polygons with one; its decisions come back for the right corners."""
+    checked = 0
+    for pipeline, output, _, _ in drive.run(SlamConfig(association={"use_posts": False})):
+        corners, posts = output.corners, np.flatnonzero(output.corners.kind == JAMB)
+        plain = np.flatnonzero(corners.kind != JAMB)
+        if not len(posts) or len(plain) < 4 or posts[0] > plain[1]:
+            continue
+        graph = pipeline.rooms.graph()
+        view = pipeline.map.view(output.belief, graph, np.full(len(corners), -1), output.step)
+        rings = (np.append(plain[:3], posts[0]), plain[1:4])
+        inner = Fixed()
+        match = PostsApart(inner, APART).associate(
+            corners, tuple(Polygon(ring, np.empty((0, 4))) for ring in rings), view, pipeline.filter
+        )
+        seen, polygons, shown = inner.seen[0]
+        np.testing.assert_array_equal(seen.z, corners.z[plain])
+        assert [list(polygon.corners) for polygon in polygons] == [[1, 2, 3]]
+        assert (kinds(pipeline, shown.belief.ids) != JAMB).all()
+        assert all((kinds(pipeline, group.ids) != JAMB).all() for group in shown.groups.values())
+        assert (match.polygon, match.known) == (1, 7)
+        assert match.decision[plain[0]] == Decision.LANDMARK
+        assert match.nis[plain[0]] == 2.5
+        assert (match.decision[posts] != Decision.LANDMARK).all()
+        checked += 1
+    assert checked > 5
+
+
+@dataclass
+class Nothing(Associator):
+    """Pairs nothing."""
+
+    def associate(self, corners, polygons, view, belief):
+        return MatchBuilder(len(corners)).match()
+
+
+def test_a_corner_that_is_no_post_is_named_only_as_a_post(drive):
+    plain_named = posts_named = 0
+    for pipeline, output, _, _ in drive.run(SlamConfig(association={"use_posts": False})):
+        corners, nowhere = output.corners, np.full(len(output.corners), -1)
+        view = pipeline.map.view(output.belief, pipeline.rooms.graph(), nowhere, output.step)
+        match = PostsApart(Nothing(), APART).associate(corners, (), view, pipeline.filter)
+        named = np.flatnonzero(match.decision == int(Decision.PROVISIONAL))
+        plain = named[corners.kind[named] != JAMB]
+        assert (kinds(pipeline, match.ids[plain]) == JAMB).all()
+        plain_named, posts_named = plain_named + len(plain), posts_named + len(named) - len(plain)
+    assert plain_named > 0
+    assert posts_named > 50
+
+
+def test_known_correspondences_include_posts():
+    config = AssociationConfig(use_posts=False, method="known")
+    assert isinstance(make_associator(config), OracleAssociator)
+    assert isinstance(make_associator(APART), PostsApart)
+
+
+def test_the_papers_mode_leaves_posts_out():
+    paper = SlamConfig.paper()
+    assert not paper.association.use_posts
+    assert paper.polygon.sites == "corners"
+    assert paper.association.gate_probability == 0.99
+
+
+@pytest.mark.parametrize("use_posts", [True, False])
+def test_a_post_is_merged_only_as_a_landmark(use_posts):
+    """To merge a post with a landmark would be an update by the post."""
+    config = SlamConfig(association={"use_posts": use_posts}, filter={"kind": "riekf"})
+    pipeline = SlamPipeline(config)
+    z, R = np.array([[2.0, 0.1], [2.02, 0.1]]), np.diag([1e-3, 1e-4, 1e-3, 1e-4])
+    ids = pipeline.map.features.append(same_corner_twice())
+    pipeline.filter.augment(z, R, ids)
+    belief = pipeline.filter.belief()
+    corners = some_corners_at(z[:1])
+    match = MatchBuilder(1).match().assign(0, 0, int(Decision.LANDMARK), int(Reason.ROOM))
+    seen = Sighting(corners, match, np.array([-1]), belief, 5)
+    after, merged = pipeline.map.merge(seen, pipeline.filter)
+    assert merged == (((0, 1),) if use_posts else ())
+    assert len(after.belief.ids) == 2 - use_posts
+
+
+def same_corner_twice() -> np.ndarray:
+    rows = np.zeros(2, FEATURE)
+    rows["state"], rows["convex"], rows["kind"] = FeatureState.LANDMARK, 1, (CornerKind.CROSSING, JAMB)
+    rows["normals"] = (0.3, 1.8)
+    return rows
+
+
+def some_corners_at(z: np.ndarray) -> Corners:
+    n = len(z)
+    marks = np.zeros(n, np.int64), np.ones(n, np.bool_), np.full((n, 2), 0.3)
+    return Corners(z, 1e-3 * np.eye(2 * n), *marks, np.full(n, -1), np.ones(n, np.bool_), NO_DOORS)

@@ -1,0 +1,137 @@
+"""The structure `dobkin`: the paper's search with its kernel rule, against brute force, and what the rule loses."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from benchmarks.polygon_speed import scans_of
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam.config import PolygonConfig
+from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.mecp.dobkin import in_kernel, rings_around, star, visible_from
+from tests.slam.mecp.polygon_rooms import beams_of, corners_of
+from tests.slam.mecp.reference import largest_empty_convex_polygons
+from tests.slam.mecp.test_polygon_scan import RECTANGLE, walls_of
+
+ROBOT = np.zeros(2)
+PAPER = PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners")
+
+
+def left(a, b, c):
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0
+
+
+def is_polygon(points, ring):
+    """Convex, around the robot, without a site inside: by definition."""
+    sides = [(points[a], points[b]) for a, b in zip(ring, (*ring[1:], ring[0]), strict=True)]
+    corners = zip(ring, (*ring[1:], ring[0]), (*ring[2:], *ring[:2]), strict=True)
+    convex = all(left(points[a], points[b], points[c]) for a, b, c in corners)
+    empty = not any(all(left(a, b, p) for a, b in sides) for i, p in enumerate(points) if i not in ring)
+    return convex and empty and all(left(a, b, ROBOT) for a, b in sides)
+
+
+def sees_all(points, p):
+    """The kernel rule by definition: the robot sees p and every site right of it, no edge of P_p in between."""
+    order = sorted((i for i in range(len(points)) if tuple(points[i]) > tuple(points[p])), key=angle_about(points, p))
+    ring = [points[p], *(points[i] for i in order)]
+    return all(not left(b, a, ROBOT) for a, b in itertools.pairwise([*ring, ring[0]]))
+
+
+def angle_about(points, p):
+    return lambda i: np.arctan2(*(points[i] - points[p])[::-1])
+
+
+def by_definition(points, by_kernel):
+    """Most vertices of a polygon around the robot, of all or of those whose leftmost vertex the rule leaves; or 0."""
+    allowed = [p for p in range(len(points)) if not by_kernel or sees_all(points, p)]
+    for size in range(len(points), 2, -1):
+        for chosen in itertools.combinations(range(len(points)), size):
+            centre = points[list(chosen)].mean(axis=0)
+            ring = sorted(chosen, key=lambda i: np.arctan2(*(points[i] - centre)[::-1]))
+            leftmost = min(chosen, key=lambda i: tuple(points[i]))
+            if leftmost in allowed and is_polygon(points, tuple(ring)):
+                return size
+    return 0
+
+
+@pytest.mark.parametrize("by_kernel", [True, False])
+def test_the_search_is_exact_among_the_leftmost_vertices_that_the_rule_leaves(by_kernel):
+    rng = np.random.default_rng(2)
+    for _ in range(150):
+        points = rng.uniform(-1.0, 1.0, (rng.integers(3, 9), 2))
+        rings = rings_around(points, by_kernel)
+        assert (rings[0].size if rings else 0) == by_definition(points, by_kernel)
+        for ring in rings:
+            assert is_polygon(points, ring.vertices)
+            assert ring.vertices[0] == min(ring.vertices, key=lambda i: tuple(points[i]))
+            assert len(ring.vertices) == ring.size
+            x, y = points[list(ring.vertices)].T
+            assert ring.area == pytest.approx(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def test_without_the_rule_it_is_the_mecp_for_more_sites_than_brute_force_can_do():
+    rng, lost = np.random.default_rng(3), 0
+    for n in (12, 16, 20):
+        for _ in range(30):
+            points = rng.uniform(-1.0, 1.0, (n, 2))
+            (best, *_) = largest_empty_convex_polygons(points, ROBOT) or [()]
+            rings = rings_around(points, by_kernel=False)
+            assert (sorted(rings[0].vertices) if rings else []) == sorted(best)
+            by_rule = rings_around(points)
+            lost += not by_rule or by_rule[0].size < len(best)
+    assert lost > 60  # the kernel is far too strict for sites anywhere
+
+
+def test_visible_edges_are_those_with_an_empty_triangle():
+    rng = np.random.default_rng(4)
+    for _ in range(60):
+        sites = [tuple(p) for p in rng.uniform(-1.0, 1.0, (12, 2)).tolist()]
+        p = min(range(12), key=lambda i: sites[i])
+        fan = [sites[i] for i in star(sites, p)]
+        incoming = visible_from(sites[p], fan)
+        for i, j in itertools.combinations(range(len(fan)), 2):
+            corners = sites[p], fan[i], fan[j]
+            sides = list(itertools.pairwise([*corners, corners[0]]))
+            blocked = any(all(left(a, b, q) for a, b in sides) for q in fan if q not in corners)
+            assert (i in incoming[j]) == (not blocked)
+
+
+def test_the_kernel_is_where_every_edge_is_seen_from():
+    bent = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 1.0), (0.0, 4.0)]
+    assert in_kernel((2.0, 0.5), bent)
+    assert not in_kernel((3.8, 3.0), bent)
+
+
+def test_in_a_rectangle_both_searches_find_the_room():
+    """Where the polygon is the hull of all sites, the rule loses nothing."""
+    pose = np.array([2.0, 1.5, 0.4])
+    corners, beams = corners_of(RECTANGLE, pose), beams_of(walls_of(RECTANGLE), pose)
+    (mecp,), (dobkin,) = (
+        find_structure(corners, beams, PAPER.model_copy(update={"structure": name})) for name in ("mecp", "dobkin")
+    )
+    np.testing.assert_array_equal(dobkin.corners, mecp.corners)
+    np.testing.assert_allclose(dobkin.intervals, mecp.intervals)
+
+
+def test_in_scans_the_rule_loses_polygons_and_invents_none():
+    lost = 0
+    for corners, beams, wall in scans_of("furnished", 40):
+        mecp, dobkin = (
+            find_structure(corners, beams, PAPER.model_copy(update={"structure": name}), wall)
+            for name in ("mecp", "dobkin")
+        )
+        most = max((len(polygon.corners) for polygon in mecp), default=0)
+        sizes = {len(polygon.corners) for polygon in dobkin}
+        assert len(sizes) <= 1
+        assert max(sizes, default=0) <= most
+        assert len(dobkin) <= PAPER.keep_ties
+        lost += max(sizes, default=0) < most
+        points = polar_to_points(corners.z)
+        for polygon in dobkin:
+            x, y = points[polygon.corners].T
+            assert x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0.0
+            assert corners.sites[polygon.corners].all()
+    assert lost > 10
