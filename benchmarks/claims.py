@@ -86,8 +86,8 @@ CLAIMS = (
     Claim(
         "I",
         "The low variance of the mean of the polygon assists in improving the feature association",
-        f"share of right scans with polygons minus without, {ROUGH} (`loop`)",
-        *("rough_pose/polygons_gain", True, 0.0),
+        f"share of right scans with polygons beside cliques minus cliques alone, {ROUGH} (`loop`)",
+        *("rough_pose/polygons_gain", True, 0.01),
         ("rough_pose/polygons_gain_roughest",),
     ),
     Claim(
