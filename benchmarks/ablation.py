@@ -1,12 +1,12 @@
 """What each rule and threshold of the estimator is worth: switched off, halved and doubled, one at a time.
 
 Every switch of the configuration is turned round, every number is halved and doubled as far as its bounds allow; only
-what describes the sensor is left as it is. `--quick` has the switches alone. All variants run on the same drives, recorded with the true pose as the
-driver. The cells are those of `noise` (`odometry_x1`, `odometry_x4`, `range_4_m`, `slip_5_pct`), generated buildings
-(`hard`, with pedestrians and boxes in `people`), and `rough`: scans against a finished map at 2 m and 20 degrees
-(`loop`). A table has the mean differences to the default whose 95 % interval excludes 0; an error and the number of
-wrong pairs are better below 0, recall and the share of right scans above. `same bits` are variants that change no
-figure of any drive.
+what describes the sensor is left as it is. `--quick` has the switches alone. All variants run on the same drives,
+recorded with the true pose as the driver. The cells are those of `noise` (`odometry_x1`, `odometry_x4`, `range_4_m`,
+`slip_5_pct`), generated buildings (`hard`, with pedestrians and boxes in `people`), and `rough`: scans against a
+finished map at 2 m and 20 degrees (`loop`). A table has the mean differences to the default whose 95 % interval
+excludes 0; an error and the number of wrong pairs are better below 0, recall and the share of right scans above. `same
+bits` are variants that change no figure of any drive.
 """
 
 from __future__ import annotations
