@@ -64,6 +64,7 @@ IN_UNITS = (
     "returns",
     "soak",
     "scale",
+    "sensors",
     "structures",
     "uncertainty",
     "worlds",
@@ -96,6 +97,7 @@ NAMES = (
     "uncertainty",
     "returns",
     "consistency",
+    "sensors",
     "victoria_park",
     "figures",
     "claims",
@@ -123,6 +125,7 @@ WITH_RECORDS = (
     "map_size",
     "noise",
     "real",
+    "sensors",
     "structures",
     RECORD,
 )  # --records
