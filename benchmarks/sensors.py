@@ -78,7 +78,9 @@ def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:
         "in_ellipse": float((outcome.position_nees <= ELLIPSE).mean()),
         "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
         "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
-        **{"tp": tp, "fp": fp, "fn": fn},
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
     }
 
 

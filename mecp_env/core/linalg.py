@@ -273,7 +273,7 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 @compiled
 def inflate(cov: Array, z: Array, sigma: Array, inflated: Array) -> None:
-    """Write cov (2n,2n) of ranges and bearings z (n,2) with independent errors of `sigma` (n,) m added to the points."""
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with independent errors of sigma (n,) m added to the points."""
     for i in range(cov.shape[0]):
         for j in range(cov.shape[0]):
             inflated[i, j] = cov[i, j]

@@ -72,8 +72,9 @@ def fit_line(
     The residual r cos(theta - alpha) - rho has the variance sigma_r^2 cos^2 + (r sin sigma_theta)^2. The coordinate
     along the wall is taken from the line, not from the noisy range: with the measured one short oblique faces
     come out centimetres too long. The same holds for a sigma_r that is a share of the range: by the measured one, beams
-    that are too short count for more, and all walls come nearer by twice the square of the share. aa is inf when the beams do not carry a line. `terms` (3,B) is work space for the
-    coordinate along the line, residual and weight of each beam; the weight is -1 where the ray does not meet the line.
+    that are too short count for more, and all walls come nearer by twice the square of the share. aa is inf when the
+    beams do not carry a line. `terms` (3,B) is work space for the coordinate along the line, residual and weight of
+    each beam; the weight is -1 where the ray does not meet the line.
     """
     first, last = span
     (alpha, rho), (haa, har, hrr, cost) = rough_line(sums, first, last), (1.0, 0.0, 1.0, 0.0)
