@@ -66,6 +66,7 @@ IN_UNITS = (
     "returns",
     "soak",
     "scale",
+    "sensors",
     "structures",
     "uncertainty",
     "worlds",
@@ -99,6 +100,7 @@ NAMES = (
     "uncertainty",
     "returns",
     "consistency",
+    "sensors",
     "victoria_park",
     "figures",
     "claims",
@@ -129,6 +131,7 @@ WITH_RECORDS = (
     "noise",
     "paper_mode",
     "real",
+    "sensors",
     "structures",
     RECORD,
 )  # --records

@@ -107,9 +107,8 @@ class ClutteredPipeline(SlamPipeline):
     def register(self, scan: ScanFeatures) -> bool:
         """The corners change here, where the features of a scan are first used."""
         rng = np.random.default_rng((self.seed, self.step_count))
-        corners = cluttered(scan.corners, scan.beams, *self.chances, rng)
-        self.rooms.corners = corners.with_floor(self.config.filter.linearisation_sigma_m)
-        return super().register(scan.with_corners(corners))
+        self.rooms.corners = cluttered(scan.corners, scan.beams, *self.chances, rng)
+        return super().register(scan.with_corners(self.rooms.corners))
 
 
 def cluttered(

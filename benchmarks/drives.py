@@ -52,6 +52,7 @@ class Replay:
     error_m: Array  # (n,) position error after each scan
     error_rad: Array  # (n,) heading error
     nees: Array  # (n,) pose NEES, 3 expected
+    position_nees: Array  # (n,) of the position alone, 2 expected
     duplicates: int
     map_rmse_m: float  # of the landmarks from their true corners
     landmarks_false: int  # that are of no true corner
@@ -133,7 +134,7 @@ def replay(
     pipeline = estimator(slam, associator=associator)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])
-    errors, nees, polygons, far = [], [], [], np.zeros(2, np.int64)
+    errors, covs, polygons, far = [], [], [], np.zeros(2, np.int64)
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
         if isinstance(associator.timed, OracleAssociator):
             associator.timed.correspondences = drive.truth.correspondences(T_world_robot)
@@ -145,15 +146,22 @@ def replay(
         error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         errors.append(error)
-        nees.append(float(error @ np.linalg.solve(output.belief.pose_cov, error)))
+        covs.append(output.belief.pose_cov)
         if output.diverged:
             break
+    nees, position_nees = (normalised(np.array(errors), np.array(covs), size) for size in (3, 2))
     x, y, heading = np.array(errors).T
     duplicates = log.duplicates(output.belief.ids)
     metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
     of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
-    scores = log, np.hypot(x, y), heading, np.array(nees), duplicates, *of_map, output.diverged
+    scores = log, np.hypot(x, y), heading, nees, position_nees, duplicates, *of_map, output.diverged
     return Replay(*scores, associator.median_ms, *far.tolist(), float(np.mean(polygons)))
+
+
+def normalised(errors: Array, covs: Array, size: int) -> Array:
+    """(n,) e^T P^-1 e of the first `size` numbers of errors (n,m) with covariances (n,m,m)."""
+    e = errors[:, :size]
+    return np.asarray((e * np.linalg.solve(covs[:, :size, :size], e[:, :, None])[:, :, 0]).sum(axis=1))
 
 
 def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
-from benchmarks.ring import Variance, linear, make_course, monte_carlo, per_metre, per_step
+from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
 from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FILTERS, make_filter
@@ -53,7 +53,7 @@ def consistency(case: tuple[str, str, int]) -> Figures:
     """NEES by phase, at the closing scan with a one-shot and with an iterated update, and the position error."""
     reading, kind, runs = case
     variance, step_m = READINGS[reading]
-    config = FilterConfig(kind=kind)
+    config = config_of(kind)
     figures = monte_carlo(config, make_course(step_m), runs, variance=variance)
     once = monte_carlo(config, make_course(step_m, laps=1.1), runs, variance=variance, iterate=False)
     lap_2 = figures.lap > 1.0

@@ -216,7 +216,7 @@ def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArra
     clusters = cluster_beams(beams, rule, slam.segments, slam.sensor, rule.united(len(scan.ranges)))
     segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
     corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    return corners.with_floor(slam.filter.linearisation_sigma_m), beams, beams_on_walls(clusters, beams)
+    return corners, beams, beams_on_walls(clusters, beams)
 
 
 def count_scans(

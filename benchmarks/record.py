@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import association, association_time, clutter, consistency, kidnap, loop, noise
+from benchmarks import association, association_time, clutter, consistency, kidnap, loop, noise, sensors
 from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, table
 from benchmarks.record_file import load_header
 from benchmarks.records import Course, Records
@@ -30,6 +30,7 @@ COURSES: dict[str, Callable[[int], list[Course]]] = {  # of the benchmarks, with
     ],
     "loop": lambda most: courses_of(loop.course, loop.SEEDS, most),
     "noise": lambda most: courses_of(noise.course, dict.fromkeys(noise.RECORDED, noise.DRIVES[noise.BASE]), most),
+    "sensors": lambda most: courses_of(sensors.course, sensors.DRIVES, most),
 }
 SETS, MOST = tuple(COURSES), ALL
 

@@ -114,7 +114,7 @@ def read_drive(path: Path, course: Course | None = None) -> Drive:
     if course is not None and header.course != asdict(course):
         raise RecordError(f"{path}: the record of {header.course!s:.200}, expected that of {asdict(course)!s:.200}")
     try:
-        outline, slam = build_outline(load_layout(header.layout)), SlamConfig(**header.slam)
+        outline, slam = build_outline(load_layout(header.layout)), SlamConfig(**SlamConfig.without_gone(header.slam))
         truth = GroundTruth(outline, header.max_range_m, LaserView(**header.laser))
     except MecpError as error:
         raise RecordError(f"{path}: {error}") from None

@@ -272,14 +272,14 @@ def diagonal_blocks(cov: Array, blocks: Array) -> None:
 
 
 @compiled
-def inflate(cov: Array, z: Array, sigma: float, inflated: Array) -> None:
-    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of `sigma` m added to each point."""
+def inflate(cov: Array, z: Array, sigma: Array, inflated: Array) -> None:
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with independent errors of sigma (n,) m added to the points."""
     for i in range(cov.shape[0]):
         for j in range(cov.shape[0]):
             inflated[i, j] = cov[i, j]
     for i in range(z.shape[0]):
-        inflated[2 * i, 2 * i] += sigma * sigma
-        inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
+        inflated[2 * i, 2 * i] += sigma[i] * sigma[i]
+        inflated[2 * i + 1, 2 * i + 1] += (sigma[i] / z[i, 0]) ** 2
 
 
 @compiled

@@ -262,14 +262,14 @@ class AssociationConfig(Settings):
 class FilterConfig(Settings):
     """The filter (paper: EKF-SLAM, "ekf")."""
 
-    GONE: ClassVar = frozenset({"closure_gap_steps"})
+    GONE: ClassVar = frozenset({"closure_gap_steps", "linearisation_sigma_m"})
 
     kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf_submaps"  # riekf, ekf, fej, or one registered
-    prior_sigma_m: float = Field(0.001, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
-    prior_sigma_rad: float = Field(1e-4, gt=0.0, le=3.0)
+    prior_sigma_m: float = Field(1e-5, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
+    prior_sigma_rad: float = Field(1e-6, gt=0.0, le=3.0)
     bumper_lateral_sigma_m: float = Field(0.05, ge=0.0, le=1.0)
     bumper_heading_sigma_deg: float = Field(3.0, ge=0.0, le=90.0)
-    linearisation_sigma_m: float = Field(0.002, ge=0.0, le=1.0)  # added to every corner; paper: none
+    second_order: bool = True  # what one linearisation neglects counts as noise of every corner; paper: none
     update_iterations: int = Field(8, ge=1, le=20)  # of the update with a scan, at most; paper: 1
     max_landmarks: int = Field(2048, ge=8, le=10_000)
     submap: int = Field(60, ge=10, le=10_000)  # most landmarks in one; a map of up to six times as many stays whole
@@ -386,7 +386,7 @@ class SlamConfig(Settings):
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
-            filter=FilterConfig(kind="ekf", update_iterations=1, linearisation_sigma_m=0.0),  # standard EKF-SLAM
+            filter=FilterConfig(kind="ekf", update_iterations=1, second_order=False),  # standard EKF-SLAM
             localisation=LocalisationConfig(explained_share=0.0),  # the pose is always right
             rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )

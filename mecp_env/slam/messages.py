@@ -177,10 +177,18 @@ class Corners:
         diagonal_blocks(self.cov, blocks)
         return blocks
 
-    def with_floor(self, sigma_m: float) -> Corners:
-        """The same corners with an independent position error of `sigma_m` added to each."""
-        cov = np.empty(self.cov.shape)
-        inflate(self.cov, self.z, sigma_m, cov)
+    def with_linearisation(self, pose_cov: Array) -> Corners:
+        """The same corners with what one linearisation at a predicted pose neglects, as an error of each position.
+
+        `pose_cov` (3,3) is that of x, y, heading there. A position that is off by a along the ray and by b across it
+        moves a corner at the range r by b^2 / (2 r) and a b / r more than the derivatives say, a heading that is off by
+        t by r t^2 / 2. The root mean square of the largest part is s^2 / r for the variance s^2 of a and b, and about r
+        times the variance of the heading; both grow with the sensor's own uncertainty, and are nothing for a pose that
+        is known.
+        """
+        x, y, heading = map(pose_cov.item, (0, 4, 8))
+        ranges, cov = self.z[:, 0], np.empty(self.cov.shape)
+        inflate(self.cov, self.z, 0.5 * (x + y) / ranges + heading * ranges, cov)
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
 

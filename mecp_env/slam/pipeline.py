@@ -62,7 +62,8 @@ class SlamPipeline(SlamParts):
         scanned = ScanFeatures(beams, segments, corners, beams_on_walls(clusters, beams))
         tracked = self.register(scanned)
         predicted, graph = self.filter.belief(), self.rooms.graph()
-        corners, through = self.rooms.mark_beyond(corners.with_floor(config.filter.linearisation_sigma_m), predicted)
+        corners, through = self.rooms.mark_beyond(corners, predicted)
+        corners = self._with_linearisation(corners, predicted)
         around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
         around = around.with_polygons(find_structure(*around.place, config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
@@ -83,6 +84,11 @@ class SlamPipeline(SlamParts):
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
             unsure_from=self.guard.unsure_from,
         )
+
+    def _with_linearisation(self, corners: Corners, predicted: Belief) -> Corners:
+        """The corners with what one linearisation at the prediction neglects; at a rough one the update is iterated."""
+        once = self.config.filter.second_order and self.config.association.is_sharp(predicted)
+        return corners.with_linearisation(predicted.pose_cov) if once else corners
 
     def _localise(self, around: Surroundings, view: MapView, tracked: bool) -> Attempt:
         """The match of the associator, the part of it that updated the filter, and what speaks for the pose.

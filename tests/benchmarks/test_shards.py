@@ -55,6 +55,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
     "restore": ({"quick": True}, {"restore.QUICK": 2}),
     "returns": ({"sets": ("First:2",), "policies": ("nearest",)}, {}),
+    "sensors": ({}, {"sensors.LAYOUTS": ("two_rooms",), "sensors.DRIVES": {"paper": 1, "lms200": 1}}),
     "structures": (
         {"sets": ("two_rooms:2",)},
         {

@@ -59,7 +59,8 @@ def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720, max_range_m=MAX_
     rng = np.random.default_rng(seed)
     bearings = nominal_bearings(sweeps, beams)
     ranges = cast(faces, bearings + rng.normal(0.0, 1.0, bearings.shape) * sensor.bearing_sigma_rad)
-    ranges = ranges + rng.normal(0.0, 1.0, bearings.shape) * sensor.range_sigma_m
+    sigma_m = np.maximum(sensor.range_sigma_m, sensor.range_sigma_share * np.minimum(ranges, max_range_m))
+    ranges = ranges + rng.normal(0.0, 1.0, bearings.shape) * sigma_m
     hit = ranges < max_range_m
     return Scan(np.where(hit, ranges, max_range_m), bearings, hit, max_range_m)
 

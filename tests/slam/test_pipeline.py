@@ -186,12 +186,46 @@ def test_the_true_pose_can_be_injected(drive):
         assert np.allclose(output.belief.T_map_robot, oracle.T_map_robot, atol=1e-3)
 
 
-def test_the_floor_adds_the_same_position_error_to_every_corner(steps):
-    corners = steps[-1][1].corners
-    softened = corners.with_floor(0.1)
-    added = np.sqrt((softened.cov - corners.cov).diagonal())
-    assert np.allclose(added[0::2], 0.1)
-    assert np.allclose(added[1::2] * corners.z[:, 0], 0.1)
+def neglected(far, errors):
+    """(n,2) m, in range and across: by how much a corner at (far, 0) is elsewhere than the derivatives by pose errors
+    (n,3) along, across and in heading say."""
+    along, across, turn = errors.T
+    moved = np.hypot(far - along, across) - (far - along), far * (np.arctan2(-across, far - along) + across / far)
+    return np.stack([moved[0] + far * (1.0 - np.cos(turn)), moved[1]], axis=1)
+
+
+@pytest.mark.parametrize("sigmas", [(0.05, 1e-9), (1e-9, 0.03)])
+def test_what_one_linearisation_neglects_is_added_to_every_corner(steps, sigmas):
+    corners, spread = steps[-1][1].corners, np.diag([sigmas[0], sigmas[0], sigmas[1]])
+    wider, errors = corners.with_linearisation(spread**2), np.random.default_rng(0).normal(size=(4000, 3)) @ spread
+    added = np.sqrt((wider.cov - corners.cov).diagonal()).reshape(-1, 2)
+    assert len(corners) > 3
+    for (far, _), (in_range, in_bearing) in zip(corners.z, added, strict=True):
+        largest = np.sqrt((neglected(far, errors) ** 2).mean(axis=0)).max()
+        assert in_bearing * far == pytest.approx(in_range)
+        assert 0.9 * largest < in_range < 1.3 * largest
+
+
+@pytest.mark.parametrize(("sigma_m", "added"), [(0.05, True), (0.5, False)])
+def test_a_rough_pose_adds_nothing_since_its_update_is_iterated(drive, sigma_m, added):
+    covs = []
+    for second_order in (True, False):
+        pipeline = SlamPipeline(SlamConfig(filter=FilterConfig(second_order=second_order)))
+        pipeline.start(drive.scans[0])
+        pipeline.filter.loosen(np.diag([sigma_m**2, sigma_m**2, 0.0]))
+        covs.append(pipeline.step(drive.odometry[3], drive.scans[3]).corners.cov)
+    assert (covs[0].diagonal() > covs[1].diagonal()).all() == added
+    assert np.array_equal(covs[0], covs[1]) == (not added)
+
+
+@pytest.mark.parametrize(("noise", "least"), [("paper", 1.7), ("1 cm", 1.2), ("none", 0.6)])
+def test_the_pose_is_as_uncertain_as_it_is_wrong(noise, least):
+    """NEES of the pose over drives in two rooms, 3 expected; less where what one linearisation neglects counts most."""
+    slam, nees = SlamConfig(sensor=SensorModel(**NOISE[noise])), []
+    for seed in range(12):
+        run = scripted_drive(seed=seed, **NOISE[noise]).run(slam)
+        nees.append(np.mean([e @ np.linalg.solve(output.belief.pose_cov, e) for _, output, _, e in run]))
+    assert least < np.mean(nees) < 4.0
 
 
 def damaged(scan, **fields):

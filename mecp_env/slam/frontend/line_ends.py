@@ -146,7 +146,8 @@ def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noi
     """Bearing of a plain end from the number of raw beams on the line around the transition.
 
     Bearing noise makes beams beside the edge hit or miss at random; the count stays unbiased, its variance is the
-    smear plus spacing^2 / 12.
+    smear plus the square of half the spacing: the end is within that of the count, but where it is repeats from scan to
+    scan while the robot moves less than a beam, so that the mean square, a third of it, is too little.
     """
     total, size = scan.raw_ranges.shape[0], scan.polar.shape[1]
     sweeps = total // size
@@ -163,7 +164,7 @@ def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noi
         allowed = min(noise.outlier * math.hypot(noise.range_m, slant * noise.bearing), 0.5 * jump)
         on_line += abs(scan.raw_ranges[raw] - end.rho / cosine) < allowed
     bearing = scan.raw_bearings[first] + end.side * (on_line - 0.5) * spacing
-    return EndBearing(bearing, SMEAR * spacing * noise.bearing + spacing * spacing / 12.0, 0.0)
+    return EndBearing(bearing, SMEAR * spacing * noise.bearing + spacing * spacing / 4.0, 0.0)
 
 
 @compiled
@@ -183,7 +184,7 @@ def weighted_end(scan: RolledScan, end: LineEnd, limits: Record, noise: Noise) -
         weight, first, second = weight + likelihood, first + likelihood * offset, second + likelihood * offset * offset
     mean = first / weight
     spacing = step * scan.polar.shape[1] / scan.raw_ranges.shape[0]
-    variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 12.0
+    variance = second / weight - mean * mean + SMEAR * spacing * noise.bearing + spacing * spacing / 4.0
     offset = place_of(best, end, step)
     evidence = face_evidence(table, end, (offset, zero + end.side * offset - end.alpha, step), limits, noise)
     return EndBearing(zero + end.side * mean, variance, evidence)

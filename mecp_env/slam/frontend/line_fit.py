@@ -71,21 +71,25 @@ def fit_line(
 
     The residual r cos(theta - alpha) - rho has the variance sigma_r^2 cos^2 + (r sin sigma_theta)^2. The coordinate
     along the wall is taken from the line, not from the noisy range: with the measured one short oblique faces
-    come out centimetres too long. aa is inf when the beams do not carry a line. `terms` (3,B) is work space for the
-    coordinate along the line, residual and weight of each beam; the weight is -1 where the ray does not meet the line.
+    come out centimetres too long. The same holds for a sigma_r that is a share of the range: by the measured one, beams
+    that are too short count for more, and all walls come nearer by twice the square of the share. aa is inf when the
+    beams do not carry a line. `terms` (3,B) is work space for the coordinate along the line, residual and weight of
+    each beam; the weight is -1 where the ray does not meet the line.
     """
     first, last = span
     (alpha, rho), (haa, har, hrr, cost) = rough_line(sums, first, last), (1.0, 0.0, 1.0, 0.0)
     r, x, y = ranges[first : last + 1], points[0, first : last + 1], points[1, first : last + 1]
     along_ray, across_ray = points[2, first : last + 1], points[3, first : last + 1]
     along, residual, weight, outlier2 = terms[0], terms[1], terms[2], noise.outlier * noise.outlier
+    share, least = noise.share, noise.range_m
     for _ in range(ITERATIONS):
         ca, sa = math.cos(alpha), math.sin(alpha)
         for i in range(r.shape[0]):  # each beam by itself: several at once
             ahead, r2 = x[i] * ca + y[i] * sa, r[i] * r[i]
             t = rho * (y[i] * ca - x[i] * sa) / ahead  # rho tan(theta - alpha)
             e = ahead - rho
-            variance_r2 = along_ray[i] * ahead * ahead + across_ray[i] * t * t
+            expected = max(share * rho * r[i], least * ahead) / max(share * r[i], least)  # of sigma_r, times ahead
+            variance_r2 = along_ray[i] * expected * expected + across_ray[i] * t * t
             w = r2 / max(variance_r2, r2 * e * e / outlier2)
             along[i], residual[i], weight[i] = t, e, -1.0 if ahead < noise.least_cosine * r[i] else w
         haa, har, hrr, ga, gr, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -21,7 +21,7 @@ QUICK = 24
 TWO_LAPS = ring.make_course()
 SLIP = np.array([0.05, np.radians(3.0)])  # m, rad: sideways and heading
 
-RIEKF, EKF = FilterConfig(kind="riekf"), FilterConfig(kind="ekf")
+RIEKF, EKF = ring.config_of("riekf"), ring.config_of("ekf")
 
 
 @pytest.fixture(scope="module")

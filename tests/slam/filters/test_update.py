@@ -13,6 +13,8 @@ from mecp_env.slam.filters import FilterError, make_filter
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import J, exp_map, expected, rotation, wrap
 
+MERGED = FilterConfig().prior_sigma_m ** 2  # m^2, of the distance of merged landmarks
+
 
 def test_innovation_is_that_of_the_twin_and_of_the_world(pair):
     z, R, slots = pair.scan(4)
@@ -192,12 +194,12 @@ def test_fuse_is_a_measurement_of_the_difference(kind):
     H[:, 5:7], H[:, 11:13] = np.eye(2), -np.eye(2)
     if kind == "fej":  # their first estimates, which differ, say nothing of the heading
         H[:, 0] = -J @ (mean[5:7] - mean[11:13])
-    K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + 1e-6 * np.eye(2))
+    K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + MERGED * np.eye(2))
     xi = -K @ (mean[5:7] - mean[11:13])
     wanted = exp_map(mean, xi) if kind == "riekf" else mean + xi
     kept = np.r_[0:11, 13:n]
     left = np.eye(n) - K @ H
-    wanted_cov = (left @ cov @ left.T + 1e-6 * K @ K.T)[np.ix_(kept, kept)]
+    wanted_cov = (left @ cov @ left.T + MERGED * K @ K.T)[np.ix_(kept, kept)]
     pair.filter.fuse(keep, drop)
     assert pair.filter.ids.tolist() == [i for i in pair.ids if i != drop]
     np.testing.assert_allclose(wrap(pair.mean - wanted[kept]), 0.0, atol=1e-10)

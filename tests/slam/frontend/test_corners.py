@@ -120,6 +120,16 @@ def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
         assert len(corners) == 4
 
 
+def test_an_end_is_never_off_by_more_than_its_sigma_where_the_same_beams_pass_it_every_time():
+    """The spacing of the beams is all that is unknown, and the error stays as long as the robot does not move."""
+    off = []
+    for y in np.linspace(1.0, 1.03, 40):
+        corners, points = corners_of(chain((2.0, -3.0), (2.0, y)), EXACT, 0, 1)
+        i = at(points, 2.0, y, within=0.1)
+        off.append((corners.z[i, 1] - math.atan2(y, 2.0)) / math.sqrt(corners.R[i, 1, 1]))
+    assert 0.7 < np.abs(off).max() < 1.1
+
+
 @pytest.mark.parametrize("sensor", [PAPER, LMS200])
 @pytest.mark.parametrize("sweeps", [1, 4])
 @pytest.mark.parametrize("end", [(2.0, 1.0), (1.2, 1.5), (3.0, -0.4)])

@@ -118,6 +118,14 @@ def test_covariance_of_the_line(sensor, wall):
     assert 1.4 < np.mean(nees) < 2.8  # 2 expected; 300 runs have a 95 % band of +-0.23, the rest is for approximations
 
 
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_a_wall_is_where_it_is_whatever_the_noise_grows_with(share):
+    """By measured ranges, beams that are too short would count for more, and the wall come nearer by 2 share^2."""
+    sensor = SensorModel(range_sigma_m=0.01, range_sigma_share=share, bearing_sigma_deg=0.0)
+    rho = [segments_of(chain((3.0, -1.5), (3.0, 1.5)), sensor, seed, 1).line[0, 1] for seed in range(200)]
+    assert abs(np.mean(rho) / 3.0 - 1.0) < 0.5 * share**2 + 4.0 * np.std(rho) / 3.0 / math.sqrt(200)
+
+
 def plain_cost(points, cov, first, last):
     """n S / sum of variances for the total-least-squares line, by eigenvectors."""
     p = points[first : last + 1, :2] - points[first : last + 1, :2].mean(axis=0)

@@ -1,0 +1,101 @@
+"""Consistency by sensor: does the estimator know how wrong its pose and its landmarks are, whatever the laser?
+
+The robot explores with the true pose as the driver, for 500 control steps at most, in shipped layouts and generated
+buildings of the test split; the whole estimator is run on what it records, with the settings of the defaults. Rows are
+lasers: the presets, and that of the paper (IV) with other noise of range and bearing, another number of beams or a
+short range; `slip` has wheels that slip in 1 % of the steps, of which the covariance of the odometry knows nothing.
+
+`nees` is that of the pose (3 expected), `landmark_nees` that of the landmarks at the end (2 expected), and `pair_nees`
+that of the offset of two of them that were matched in one scan (2 expected), all means over drives. `in_ellipse` is the
+share of the scans in which the true position lies in the ellipse of 90 % around the estimate. `rmse_m` is that of the
+pose. A drive is lost as in `noise`; its figures count.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
+from benchmarks.drives import replay
+from benchmarks.loop import HARD
+from benchmarks.records import IN_MEMORY, Course, Records
+from mecp_env.evaluation.lost import is_lost
+from mecp_env.slam.config import chi2_of_point
+
+MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950
+LAYOUTS = ("furnished", HARD, "paper", "office")  # one after the other
+ROWS: dict[str, dict[str, Any]] = {  # name -> fields of the environment
+    "0.5 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.005, "bearing_sigma_deg": 0.1}},
+    "1 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.01, "bearing_sigma_deg": 0.1}},
+    "2 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.02, "bearing_sigma_deg": 0.1}},
+    "paper": {},
+    "360 beams": {"laser": {"beams": 360}},
+    "1080 beams": {"laser": {"beams": 1080}},
+    "range 4 m": {"laser": {"max_range_m": 4.0}},
+    "slip": {"odometry": {"preset": "skid_steer"}},
+    **{name: {"laser": {"preset": name}} for name in ("ideal", "utm30lx", "lms200", "rplidar_a1", "urg04lx")},
+}
+ELLIPSE = chi2_of_point(0.9)
+DRIVES = dict.fromkeys(ROWS, 16)
+SETS, MOST, QUICK_DRIVES = tuple(ROWS), 1000, 2
+MEANS = ("nees", "landmark_nees", "pair_nees", "in_ellipse", "rmse_m")
+
+GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
+
+
+def run(options: Options) -> Figures:
+    """Results of every sensor."""
+    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
+    drives = [
+        (name, seed)
+        for name, count in counts.items()
+        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
+    ]
+    drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each sensor
+    runs = grouped(drives, in_parallel(partial(counted, records=Records(options.records)), Figures, drives, options))
+    return {name: summarise(runs[name]) for name in counts}
+
+
+def course(name: str, seed: int) -> Course:
+    """What is driven with a sensor."""
+    layout = LAYOUTS[seed % len(LAYOUTS)]
+    place = f"{HARD}:{FIRST_BUILDING + seed}" if layout == HARD else layout
+    return Course(place, FIRST_SEED + seed, {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]})
+
+
+def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:
+    """Counts of the estimator on one drive."""
+    drive = records.drive(course(*drive_of))
+    outcome = replay(drive, drive.slam)
+    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
+    return {
+        "nees": float(outcome.nees.mean()),
+        "landmark_nees": outcome.landmark_nees,
+        "pair_nees": outcome.pair_nees,
+        "in_ellipse": float((outcome.position_nees <= ELLIPSE).mean()),
+        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
+        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
+    }
+
+
+def summarise(runs: list[Figures]) -> Figures:
+    """Results of one sensor over its drives, each with its 95 % interval."""
+    found: Figures = {name: estimate([run[name] for run in runs]) for name in MEANS}
+    tp, fp, fn = (np.array([run[name] for run in runs], float) for name in ("tp", "fp", "fn"))
+    lost = np.array([run["lost"] for run in runs])
+    return found | {"precision": ratio(tp, tp + fp), "recall": ratio(tp, tp + fn), "lost": share(lost)}
+
+
+def report(figures: Figures) -> str:
+    """One row per sensor."""
+    columns = (*MEANS, "precision", "recall", "lost")
+    body = [[name, *(row[column] for column in columns)] for name, row in figures.items()]
+    n = max(row["nees"]["n"] for row in figures.values())
+    said = str(__doc__).partition("\n\n")[2].strip()
+    return f"{said}\n\nDrives per sensor: {n}.\n\n{table(['sensor', *columns], body)}"
