@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import sys
@@ -42,7 +43,8 @@ def replace_unprintable() -> None:
     """From now on, characters that a terminal's encoding lacks are printed as `?`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+            with contextlib.suppress(OSError):  # a file that was closed, or a pipe without a reader
+                stream.reconfigure(errors="replace")
 
 
 def at_end(code: int) -> int:

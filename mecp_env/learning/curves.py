@@ -47,7 +47,8 @@ def draw_training(folder: Path) -> Path | None:
         decisions, values = measured(evaluations, name)
         axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
         dress(axes, title)
-    if named := drawn(figure.axes[0]):
+    named = drawn(figure.axes[0])
+    if named["handles"]:
         figure.legend(**named, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.savefig(folder / CURVES, dpi=DPI, metadata={"Software": None})
     return folder / CURVES

@@ -12,10 +12,10 @@ from matplotlib.lines import Line2D
 
 
 def drawn(axes: Axes) -> dict[str, Any]:
-    """`handles` and `labels` for a legend, of the artists that show something; without any, neither."""
+    """`handles` and `labels` for a legend, of the artists that show something."""
     pairs = zip(*axes.get_legend_handles_labels(), strict=True)
     shown = [(artist, label) for artist, label in pairs if is_drawn(artist)]
-    return {"handles": [artist for artist, _ in shown], "labels": [label for _, label in shown]} if shown else {}
+    return {"handles": [artist for artist, _ in shown], "labels": [label for _, label in shown]}
 
 
 def is_drawn(artist: Artist | Any) -> bool:

@@ -61,13 +61,12 @@ class SlamPipeline(SlamParts):
         corners = extract_corners(beams, segments, config.corners, config.sensor)  # III-A.1, line intersections, ends
         scanned = ScanFeatures(beams, segments, corners, beams_on_walls(clusters, beams))
         tracked = self.register(scanned)
-        predicted, graph = self.filter.belief(), self.rooms.graph()
+        untouched, predicted, graph = self.filter, self.filter.belief(), self.rooms.graph()
         corners, through = self.rooms.mark_beyond(corners, predicted)
         corners = self._with_linearisation(corners, predicted)
         around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
         around = around.with_polygons(find_structure(*around.place, config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
-        untouched = self.filter
         associated, updated, evidence = self._localise(around, view, tracked)  # III-B
         belief = self.divergence.watch(self.filter.belief())
         if self.guard.trusts(evidence._replace(tracked=True) if tracked else evidence):
@@ -76,13 +75,12 @@ class SlamPipeline(SlamParts):
         else:
             self.filter = untouched
             match, belief = self._relocalise(around, view)
-        self.guard.settle(match.ids)
         return SlamOutput(
             *(self.step_count, beams, segments, corners, around.polygons, associated, match),
             *(robot_belief(belief, config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
             *(self.grid.canvas.grid, self.divergence.found, config.sensor.T_robot_laser),
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
-            unsure_from=self.guard.unsure_from,
+            unsure_from=self.guard.settle(match.ids),
         )
 
     def _with_linearisation(self, corners: Corners, predicted: Belief) -> Corners:

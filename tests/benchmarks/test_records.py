@@ -274,8 +274,8 @@ def test_the_command_ends_with_one_line_for_a_damaged_record(
         (["record", "--sets", "speed"], "expected one of association, association_time, clutter"),
         (["record", "--sets", "loop:0"], "a count from 1 to"),
         (["record", "--with", "x"], "--with: record compares no associators"),
-        (["speed", "--cluster", "127.0.0.1:1"], "--cluster: speed runs here; association"),
-        (["soak", "--cluster", "127.0.0.1:1"], "--cluster: soak runs here; association"),
+        (["speed", "--cluster", "127.0.0.1:1"], "--cluster: speed runs here; ablation"),
+        (["soak", "--cluster", "127.0.0.1:1"], "--cluster: soak runs here; ablation"),
         (["loop", "--cluster", "127.0.0.1:1", "--jobs", "2"], "--jobs 2: with --cluster"),
     ],
 )

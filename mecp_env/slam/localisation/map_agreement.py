@@ -9,7 +9,6 @@ from mecp_env.core.array_types import Array, Bools, Bytes
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
 
-MANY = 6  # corners that were recognised together: even from a rough prediction, they are no coincidence
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 
 
@@ -39,6 +38,7 @@ class Evidence(NamedTuple):
     sharp: bool  # they were recognised at a sharp prediction
     familiar: int = 0  # corners that are landmarks
     sudden: bool = False  # they are less than half as many as in the scan before: odometry may have failed
+    many: bool = False  # so many were recognised together that they are no coincidence, even from a rough prediction
     tracked: bool = False  # the scan agrees with those of a moment ago: the pose is right where it was then
 
     @property
@@ -95,7 +95,7 @@ class Evidence(NamedTuple):
 
     @property
     def _is_recognised(self) -> bool:
-        return (self.sharp or self.familiar >= MANY) and self.recognised >= self.said.least
+        return (self.sharp or self.many) and self.recognised >= self.said.least
 
 
 def agreement(beams: MergedScan, T_map_robot: Array, grid: SemanticGrid, reach_m: float, least: float) -> Agreement:

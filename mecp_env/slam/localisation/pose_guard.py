@@ -97,7 +97,8 @@ class PoseGuard:
         before = self.familiar >= 2
         tells = seen >= self.config.least_corners - before and len(view.belief.ids) > 0
         share = found / seen if tells else math.nan
-        return Evidence(said, share, sharp, found, sudden=before and tells and 2 * found < self.familiar)
+        sudden, many = before and tells and 2 * found < self.familiar, self.config.least_corners + self.config.margin
+        return Evidence(said, share, sharp, found, sudden, many=found >= many)
 
     def trusts(self, evidence: Evidence) -> bool:
         """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
@@ -179,10 +180,11 @@ class PoseGuard:
         patience = self.patience * (2 if landmarks < least else 10)
         return landmarks < 2 * least and self.doubts >= patience
 
-    def settle(self, ids: Ints) -> None:
-        """What was mapped while the pose was unsure is as good as the rest once enough earlier features are seen."""
+    def settle(self, ids: Ints) -> int:
+        """`unsure_from` after a scan that recognised `ids`: what was mapped is sure once enough earlier ones are."""
         if np.count_nonzero((ids != NO_ID) & (ids < self.unsure_from)) >= self.config.least_corners:
             self.unsure_from = NO_ID
+        return self.unsure_from
 
     def is_clear(
         self,
