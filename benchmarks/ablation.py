@@ -34,7 +34,7 @@ CROWD = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 4}}
 ROUGH_SETS = ("paper", "hard", "twins")
 DEFAULT = "default"
 NUMBERS = (" halved", " doubled", " 1")  # what `--quick` leaves out
-GATES = (Gate("association.use_rooms off/odometry_x4/wrong_per_1000/value", "error", 3.0),)
+GATES = (Gate("association.use_rooms off/odometry_x4/wrong_per_1000", "bound", 1.0),)
 Row = dict[str, float]
 
 

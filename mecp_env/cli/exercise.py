@@ -111,6 +111,8 @@ def map_log() -> None:
         run = LogDrive(one, SlamPipeline(config_for(one)), LogRunConfig())
         for _ in run.steps():
             pass
+    run.result()  # with the final path and map
+    run.pipeline.grid.canvas.set_room(np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]), 0)  # as where rooms merge
     with tempfile.TemporaryDirectory() as folder:
         run.pipeline.save_map(Path(folder) / "map.zip")
         lost = SlamPipeline.from_map(Path(folder) / "map.zip", "unknown")
