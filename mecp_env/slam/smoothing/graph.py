@@ -92,7 +92,7 @@ class Priors:
     information: Array  # (3,3)
     landmark: Ints  # (q,) rows of the landmarks
     p_map: Array  # (q,2) m
-    informations: Array  # (q,2,2); landmarks count as independent of each other and of the pose
+    landmark_information: Array  # (q,2,2); landmarks count as independent of each other and of the pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -184,7 +184,7 @@ def priors_of(graph: PoseGraph) -> tuple[csr_array, Array]:
     columns = np.concatenate([np.arange(3), (first[:, None] + [0, 1]).ravel()])
     off[columns[3:]] = (graph.p_map[priors.landmark] - priors.p_map).ravel()
     of_pose = blocks([(np.zeros(1, np.int64), priors.information[None])], graph.size)
-    of_landmarks = blocks([(first, priors.informations)], graph.size)
+    of_landmarks = blocks([(first, priors.landmark_information)], graph.size)
     rows = csr_array((np.ones(len(columns)), (columns, np.arange(len(columns)))), shape=(graph.size, len(columns)))
     return csr_array(rows @ vstack([of_pose, of_landmarks])), off
 
