@@ -80,7 +80,7 @@ class SlamPipeline(SlamParts):
             *(robot_belief(belief, config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
             *(self.grid.canvas.grid, self.divergence.found, config.sensor.T_robot_laser),
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
-            unsure_from=self.guard.settle(match.ids),
+            unsure_from=self.guard.settle(match),
         )
 
     def _with_linearisation(self, corners: Corners, predicted: Belief) -> Corners:

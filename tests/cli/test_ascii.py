@@ -67,5 +67,5 @@ def test_files_do_not_depend_on_the_language_of_the_system(tmp_path: Path) -> No
 def test_every_text_file_is_read_and_written_as_utf_8() -> None:
     lines = [line for path in (ROOT / "mecp_env").rglob("*.py") for line in path.read_text().splitlines()]
     calls = [line for line in lines if re.search(r"\.(?:read_text|write_text)\(", line)]
-    assert len(calls) > 10
+    assert calls
     assert not [line for line in calls if "utf-8" not in line]

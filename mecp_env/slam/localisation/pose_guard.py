@@ -103,7 +103,7 @@ class PoseGuard:
     def trusts(self, evidence: Evidence) -> bool:
         """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
         if not self.localised:
-            self.unmapped *= math.isnan(evidence.said.share)
+            self.unmapped = self.unmapped if math.isnan(evidence.said.share) else 0.0
             return False
         self._weigh(evidence.share)
         self._count_doubts(evidence)
@@ -180,9 +180,9 @@ class PoseGuard:
         patience = self.patience * (2 if landmarks < least else 10)
         return landmarks < 2 * least and self.doubts >= patience
 
-    def settle(self, ids: Ints) -> int:
-        """`unsure_from` after a scan that recognised `ids`: what was mapped is sure once enough earlier ones are."""
-        if np.count_nonzero((ids != NO_ID) & (ids < self.unsure_from)) >= self.config.least_corners:
+    def settle(self, match: Match) -> int:
+        """`unsure_from` after a scan: what was mapped is sure once enough earlier landmarks are recognised."""
+        if np.count_nonzero(match.ids[match.recognised()] < self.unsure_from) >= self.config.least_corners:
             self.unsure_from = NO_ID
         return self.unsure_from
 

@@ -11,13 +11,14 @@ import pytest
 
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.slam.association import ignored
 from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation.hypotheses import Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement, count_ends
 from mecp_env.slam.localisation.pose_guard import PoseGuard
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located, count_distinct, fit, moved
-from mecp_env.slam.messages import NO_ID, Cell, MergedScan, SemanticGrid
+from mecp_env.slam.messages import NO_ID, Cell, Decision, MergedScan, Reason, SemanticGrid
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive
 
@@ -252,10 +253,13 @@ def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_th
     assert guard.localised
     assert guard.resumed == 1
     np.testing.assert_array_equal(estimate.belief().pose_cov, before)  # with the covariance of odometry
-    guard.settle(np.array([3, 4, 21, 22, 23]))
-    assert guard.unsure_from == 20
-    guard.settle(np.array([3, 4, 5, 6, 22]))
-    assert guard.unsure_from == NO_ID
+    known = np.array([3, 4, 5, 21, 22])
+    match = ignored(6).assign(np.arange(5), known, int(Decision.LANDMARK), int(Reason.JOINT))
+    assert guard.settle(match) == 20
+    track = match.assign(np.array([5]), np.array([6]), int(Decision.PROVISIONAL), int(Reason.UNSEEN))
+    assert guard.settle(track) == 20  # an earlier track is no place that was recognised
+    fourth = match.assign(np.array([5]), np.array([6]), int(Decision.LANDMARK), int(Reason.JOINT))
+    assert guard.settle(fourth) == NO_ID
 
 
 @pytest.mark.parametrize(("share", "turned", "loosened"), [(0.65, 0.2, True), (0.65, 0.01, False), (0.0, 0.2, False)])
