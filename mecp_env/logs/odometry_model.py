@@ -35,8 +35,6 @@ class OdometryModel(Settings):
     turn_sigma_deg: float = Field(1.5, ge=0.0, le=180.0)  # of a turn, per square root of a metre and of a rad
     turn_sigma_turning_deg: float = Field(1.5 * PAPER_TURNING, ge=0.0, le=180.0)
 
-    turn_margin: float = Field(1.0, ge=1.0, le=10.0)  # times the sigma of a turn: what the estimator assumes
-
     @classmethod
     def of_noise(cls, noise: Any, **corrections: float) -> Self:
         """The model with the noise of an `OdometryConfig` in its reading `per_metre`."""
@@ -56,10 +54,10 @@ class OdometryModel(Settings):
         return np.array([self.distance_scale, self.turn_scale, math.radians(self.turn_bias_deg_per_m)])
 
     def sigmas(self, distance_m: float, turn_rad: float) -> Array:
-        """(2,) m, rad: standard deviations, with the margin, of a motion of this path and turn, both at least 0."""
+        """(2,) m, rad: standard deviations of a motion of this path and turn, both at least 0."""
         per_root = np.array([self.distance_sigma_m, math.radians(self.turn_sigma_deg)])
         turning = np.array([self.distance_sigma_turning_m, math.radians(self.turn_sigma_turning_deg)])
-        sigmas: Array = np.sqrt(per_root**2 * distance_m + turning**2 * turn_rad) * [1.0, self.turn_margin]
+        sigmas: Array = np.sqrt(per_root**2 * distance_m + turning**2 * turn_rad)
         return sigmas
 
     def corrected(self, motion: Array) -> Array:

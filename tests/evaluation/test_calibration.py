@@ -51,7 +51,7 @@ def test_known_errors_are_found(noise: float) -> None:
         estimate = found.estimates[name]
         assert (estimate.sigma or 1.0) < 0.01 + sigma * noise or noise > 1.0
     for motion in ((0.5, 0.0), (0.4, math.radians(20.0))):
-        ratio = found.odometry.sigmas(*motion) / true.sigmas(*motion) / [1.0, found.odometry.turn_margin]
+        ratio = found.odometry.sigmas(*motion) / true.sigmas(*motion)
         assert (ratio > 0.75).all()
         assert (ratio < 1.6).all()
     assert found.range_noise_m == pytest.approx(0.02, rel=0.1)

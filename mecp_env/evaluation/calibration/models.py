@@ -25,7 +25,6 @@ LEAST_MOTIONS = 30  # that are registered and tell the motion; with fewer, defau
 UNKNOWN_SHARE = 0.5  # of the spread that is expected: a value with a larger sigma keeps its default
 JUMP_M = 5.0  # no robot moves so far from one scan to the next
 LEAST = {ALONG: 0.005, TURN: 0.1}  # sigmas per square root of a metre, m and deg: no odometry of wheels is better
-TURN_MARGIN = 1.5  # a turn that is off by more than is assumed costs the map, and a wide assumption hardly anything
 COARSE = 2.0  # times the range noise of the description: from there on that which is measured is taken. It is that of
 # single beams on straight walls; the description also stands for walls that are not straight
 DEGREES = {"turn_bias_rad_per_m": "turn_bias_deg_per_m", "heading_rad": "heading_deg"}
@@ -168,9 +167,7 @@ def _noise(left: Residuals) -> dict[str, Estimate]:
 def _models(estimates: Mapping[str, Estimate], motions: Motions, sensor: SensorModel, noise_m: float) -> Calibration:
     """The models of the estimates, with a note of the fields that keep their defaults."""
     values = {name: estimate.value for name, estimate in estimates.items()}
-    margin = TURN_MARGIN if estimates[NOISE[2]].source == "estimated" else 1.0
-    of_odometry = {name: value for name, value in values.items() if name not in OF_SENSOR}
-    odometry = OdometryModel(**of_odometry, turn_margin=margin)
+    odometry = OdometryModel(**{name: value for name, value in values.items() if name not in OF_SENSOR})
     laser = SensorModel(**sensor.model_dump() | {name: values[name] for name in OF_SENSOR})
     measured = None if math.isnan(noise_m) else noise_m
     counts = len(motions), motions.tried, measured
