@@ -233,8 +233,8 @@ def test_an_episode_on_a_submap_continues_bit_for_bit():
     other.unwrapped.set_state(state)
     assert same(row, other.step(0))
     landmark_filter = env.unwrapped._episode.pipeline.filter
-    landmark_filter.slot_ids = landmark_filter.slot_ids[:-1]
-    with pytest.raises(StateError, match=r"probes|not in the filter"):
+    landmark_filter.slot_ids = np.delete(landmark_filter.slot_ids, landmark_filter.slot_ids.argmin())  # a probe
+    with pytest.raises(StateError, match="probes"):
         other.unwrapped.set_state(env.unwrapped.get_state())
 
 
