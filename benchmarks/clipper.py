@@ -13,11 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.slam.association import CcdaAssociator, MatchBuilder
-from mecp_env.slam.association.cliques import ANY_HEADING, PairGraph, jointly_compatible
-from mecp_env.slam.association.gating import pairing_table
-from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.association import CcdaAssociator
+from mecp_env.slam.association.cliques import PairGraph
 
 MOST_ASCENTS, MOST_STEPS, MOST_HALVINGS = 100, 200, 40
 SETTLED = 1e-9
@@ -27,18 +24,9 @@ SETTLED = 1e-9
 class ClipperAssociator(CcdaAssociator):
     """The pairs of the densest subgraph, as far as they fit together at one pose."""
 
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner."""
-        builder = MatchBuilder(len(corners))
-        if not (len(view.belief.ids) and len(corners)):
-            return builder.match()
-        table = pairing_table(corners, view, belief, self.config, self.gate)
-        graph = PairGraph.of(corners, table.costs, view, belief, self.config, ANY_HEADING)
-        chosen = densest(np.exp(-0.5 * graph.edges))
-        rows, ids = graph.rows[chosen], graph.ids[chosen]
-        fits = jointly_compatible(corners, rows, ids, belief, self.config, self.config.iterations)
-        builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], graph.costs[chosen][fits])
-        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
+    def _selected(self, graph: PairGraph) -> Ints:
+        """The densest subgraph."""
+        return densest(np.exp(-0.5 * graph.edges))
 
 
 def densest(affinity: Array) -> Ints:

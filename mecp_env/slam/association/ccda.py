@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from mecp_env.core.array_types import Ints
 from mecp_env.slam.association.cliques import ANY_HEADING, PairGraph, jointly_compatible
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.match_builder import MatchBuilder
@@ -38,10 +39,14 @@ class CcdaAssociator(Associator):
             return builder.match()
         table = pairing_table(corners, view, belief, self.config, self.gate)
         graph = PairGraph.of(corners, table.costs, view, belief, self.config, ANY_HEADING)
-        clique = graph.largest()
+        clique = self._selected(graph)
         if len(clique):
             rows, ids = graph.rows[clique], graph.ids[clique]
             iterations = 1 if self.config.is_sharp(view.belief) else self.config.iterations
             fits = jointly_compatible(corners, rows, ids, belief, self.config, iterations)
             builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], graph.costs[clique][fits])
         return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
+
+    def _selected(self, graph: PairGraph) -> Ints:
+        """Indices (k,) of the pairs that the joint test gets."""
+        return graph.largest()
