@@ -42,7 +42,7 @@ def calibrate(
     or jumps by more than 5 m, and `ConfigError` for an unknown field of the sensor.
 
     The laser's motion is that of registered scans (point to line, Censi 2008), a hand-eye equation gives mounting,
-    scale and bias, and robust variances the noise (docs/logs.md).
+    scale and bias, and robust variances the noise (docs/calibration.md).
     """
     poses = np.asarray(odometry, np.float64)
     if poses.shape != (len(scans), 3) or len(scans) < 2:
